@@ -1,0 +1,8 @@
+"""The variational forms of the mixed Signorini methods in UFL: no mesh, no MPI, no PETSc.
+
+- :mod:`forms.mixed`: the multiplier formulations (MLM-I)_h and (MLM-II)_h.
+- :mod:`forms.norms`: the norms of V, Q and Λ.
+
+Numbers in brackets are the equations of G. Zhou, Q. Wang, J. Hu, "The fully mixed methods for the Signorini
+problem" (2024). Throughout, n is the outer unit normal, σ = ∇u the flux and p the trace of u on Γ_S.
+"""

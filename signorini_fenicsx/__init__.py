@@ -1,0 +1,12 @@
+"""Fully mixed RT0/P0 methods for the Signorini problem on FEniCSx.
+
+Start reading at :mod:`signorini_fenicsx.algorithms` (the set rules) and :mod:`signorini_fenicsx.active_set`
+(the one loop they share); the variational forms are in the package :mod:`forms`.
+"""
+
+import importlib.util
+
+if importlib.util.find_spec("dolfinx_solver") is not None:
+    import dolfinx_solver  # noqa: F401 - the wheel must order MPI before DOLFINx; Debian's DOLFINx has no such module
+
+__version__ = "0.1.0"

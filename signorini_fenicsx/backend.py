@@ -1,0 +1,101 @@
+"""What the active-set loop needs from a discretisation: one linear solve under given facet conditions."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.errors import InputError, NumericalFailure
+from signorini_fenicsx.spaces import Spaces
+
+type Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """Solution of one linear mixed problem. Functions hold owned and up-to-date ghost values.
+
+    Attributes:
+        sigma: Flux in RT0.
+        u: Scalar in P0.
+        p: Trace per Γ_S facet of this rank.
+        flux: σ·n per Γ_S facet of this rank.
+        linear_iterations: Iterations of the Krylov solver; 1 for a direct one.
+    """
+
+    sigma: fem.Function
+    u: fem.Function
+    p: Array
+    flux: Array
+    linear_iterations: int
+
+
+class LinearSolveFailure(NumericalFailure):
+    """A Krylov or direct solver of PETSc gave up."""
+
+
+def take_options(ksp: PETSc.KSP) -> None:
+    """Let the user's PETSc options change a solver that has its defaults (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    try:
+        ksp.setFromOptions()
+    except PETSc.Error as error:
+        raise InputError(f"PETSc options: {petsc_reason(error)}") from None
+
+
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+    """Solve and make sure of it (collective).
+
+    Raises:
+        LinearSolveFailure: If the solver does not converge or PETSc gives up.
+    """
+    try:
+        ksp.solve(b, x)
+    except PETSc.Error as error:
+        raise LinearSolveFailure(f"the linear solver {solver_name(ksp)} failed: {petsc_reason(error)}") from None
+    reason = ksp.getConvergedReason()
+    if reason < 0:
+        raise LinearSolveFailure(
+            f"the linear solver {solver_name(ksp)} stopped with PETSc's reason {reason} "
+            f"after {ksp.getIterationNumber()} iterations"
+        )
+
+
+def solver_name(ksp: PETSc.KSP) -> str:
+    """Krylov method, preconditioner and, if it factors, the package that does."""
+    pc = ksp.getPC()
+    package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky") else None
+    return "+".join(part for part in (ksp.getType(), pc.getType(), package) if part)
+
+
+def petsc_reason(error: PETSc.Error) -> str:
+    """The sentence at the end of PETSc's stack of calls."""
+    return str(error).splitlines()[-1].partition("] ")[2]
+
+
+class Backend(Protocol):
+    """A discretisation of the mixed Poisson problem, set up once, that accepts facet conditions."""
+
+    name: str
+    spaces: Spaces
+    dofs: int
+    """Number of unknowns of its linear system."""
+
+    def solve(self, conditions: FacetConditions) -> Iterate:
+        """Solve with these conditions on Γ_S and u = 0 on Γ_D (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        ...
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        ...

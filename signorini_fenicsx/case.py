@@ -1,0 +1,249 @@
+"""Cases: what to solve, on which domain, with which algorithm; read from TOML and validated before anything runs."""
+
+import difflib
+import sysconfig
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import basix.ufl
+import ufl
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import parse_expression, parse_number
+from signorini_fenicsx.geometry import SHAPES
+
+
+def _number(value: object) -> object:
+    if isinstance(value, str):
+        try:
+            value = parse_number(value)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+    return value
+
+
+def _text(value: object) -> object:
+    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
+    """Accept one of the known names; otherwise a sentence that lists them."""
+
+    def check(value: object) -> object:
+        if value not in known:
+            raise ValueError(f"unknown {kind} {value!r}; use one of {', '.join(known)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
+Expression = Annotated[str, BeforeValidator(_text)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Geometry(_Section):
+    """`[geometry]`: a named shape and the kind of its mesh."""
+
+    shape: Annotated[str, _choice("shape", tuple(SHAPES))]
+    mesh: Annotated[str, _choice("mesh", ("unstructured", "structured"))] = "unstructured"
+    diagonal: Annotated[str, _choice("diagonal", ("left", "right", "crossed"))] | None = None
+
+    @model_validator(mode="after")
+    def _mesh_exists(self) -> Self:
+        shape = SHAPES[self.shape]
+        if self.mesh == "structured" and shape.grid is None:
+            structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
+            raise ValueError(f"shape '{self.shape}' has no structured mesh; only {structured} have")
+        if self.diagonal is not None and (self.mesh != "structured" or shape.dim != 2):
+            raise ValueError("diagonal applies to structured meshes of square and lshape only")
+        return self
+
+
+class Boundary(_Section):
+    """`[boundary]`: the parts that make up Γ_S; everything else is Γ_D."""
+
+    signorini: list[str] = Field(min_length=1)
+
+    @field_validator("signorini")
+    @classmethod
+    def _no_repetition(cls, parts: list[str]) -> list[str]:
+        repeated = sorted({part for part in parts if parts.count(part) > 1})
+        if repeated:
+            raise ValueError(f"'{repeated[0]}' is listed twice")
+        return parts
+
+
+class Problem(_Section):
+    """`[problem]`: the data of −Δu = f, as text in x, y, z."""
+
+    f: Expression
+
+
+class Solve(_Section):
+    """`[solve]`: the algorithm and its parameters."""
+
+    algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
+    backend: Literal["mixed"] = "mixed"
+    h: Positive = 2**-5
+    rho: Positive = 1.0
+    max_iterations: int = Field(default=50, ge=1)
+
+
+class Case(_Section):
+    """One Signorini problem, how to discretise and how to solve it.
+
+    Attributes:
+        name: Short name, used for the default output folder; not a key of the file.
+    """
+
+    name: str = Field(default="case", exclude=True)
+    title: str = ""
+    geometry: Geometry
+    boundary: Boundary
+    problem: Problem
+    solve: Solve = Solve()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        shape = SHAPES[self.geometry.shape]
+        for part in self.boundary.signorini:
+            if part not in shape.parts:
+                raise ValueError(
+                    f"[boundary] signorini: unknown part '{part}' of {self.geometry.shape}; "
+                    f"its parts are {', '.join(shape.parts)}"
+                )
+        if len(self.boundary.signorini) == len(shape.parts):
+            raise ValueError("[boundary] signorini: one part at least must be left to the Dirichlet condition u = 0")
+        if self.solve.h > shape.diameter:
+            raise ValueError(
+                f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
+            )
+        try:
+            parse_expression(self.problem.f, reference_coordinate(shape.dim))
+        except InputError as error:
+            raise ValueError(f"[problem] f: {error}") from None
+        return self
+
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """Return a validated copy in which keys such as `solve.h` or `geometry.mesh` have new values.
+
+        Raises:
+            InputError: If a key or value is not valid.
+        """
+        tree = self.model_dump(exclude_unset=True)
+        for key, value in values.items():
+            *sections, last = key.split(".")
+            branch = tree
+            for section in sections:
+                branch = branch.setdefault(section, {})
+                if not isinstance(branch, dict):
+                    raise InputError(f"{key}: no such key in a case")
+            branch[last] = value
+        return _validated(type(self), tree, self.name, "case " + self.name)
+
+
+def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
+    """Coordinate of a domain that has a dimension but no mesh yet."""
+    cell = {2: "triangle", 3: "tetrahedron"}[dim]
+    return ufl.SpatialCoordinate(ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(dim,))))
+
+
+def data_folder(kind: str) -> Path:
+    """Folder of the shipped data (`cases`, `tables`): the checkout's, or that of the installed package."""
+    checkout = Path(__file__).parents[1] / "data" / kind
+    return checkout if checkout.is_dir() else Path(sysconfig.get_path("data"), "share", "signorini_fenicsx", kind)
+
+
+def case_names() -> list[str]:
+    """Names of the shipped cases."""
+    return sorted(path.stem for path in data_folder("cases").glob("*.toml"))
+
+
+def load_case(name_or_path: str | Path) -> Case:
+    """Read a case by name (`example1`) or path (`my/case.toml`).
+
+    Raises:
+        InputError: If there is no such case, or it is malformed; the message names file, key and reason.
+    """
+    text = str(name_or_path)
+    if text.endswith(".toml") or "/" in text:
+        path = Path(text)
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
+    else:
+        path = data_folder("cases") / f"{text}.toml"
+        if text not in case_names():
+            raise InputError(f"unknown case '{text}'; use one of {', '.join(case_names())} or the path of a .toml file")
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not a TOML file: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    if "name" in tree:
+        raise InputError(f"{path}: unknown key 'name'; known are {', '.join(_keys(Case))}")
+    return _validated(Case, tree, path.stem, str(path))
+
+
+def _validated[C: Case](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
+    try:
+        return model.model_validate(tree | {"name": name})
+    except ValidationError as error:
+        raise InputError(f"{source}: {_sentence(error)}") from None
+
+
+def _sentence(error: ValidationError) -> str:
+    """The first complaint of pydantic, as one sentence with the place in TOML's notation."""
+    first = error.errors(include_url=False)[0]
+    *sections, last = [str(step) for step in first["loc"]] or [""]
+    place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
+    match first["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(sections, last)}"
+        case "missing":
+            return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
+        case "value_error":
+            message = str(first["ctx"]["error"])
+            return f"{place}: {message}" if last else message
+    message = first["msg"][0].lower() + first["msg"][1:]
+    return f"{place}: {message}, not {_shown(first['input'])}"
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _place_of_key(sections: list[str]) -> str:
+    return f" in [{sections[0]}]" if sections else ""
+
+
+def _known_keys(sections: list[str], wrong: str) -> str:
+    model: type[BaseModel] = Case
+    for section in sections:
+        annotation = model.model_fields[section].annotation
+        assert isinstance(annotation, type)
+        model = annotation
+    known = _keys(model)
+    close = difflib.get_close_matches(wrong, known, 1)
+    return ", ".join(known) + (f" (did you mean '{close[0]}'?)" if close else "")
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    return [key for key, field in model.model_fields.items() if not field.exclude]

@@ -1,0 +1,164 @@
+"""The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import petsc4py
+import typer
+from mpi4py import MPI
+from rich.console import Console
+
+from signorini_fenicsx.errors import InputError, NumericalFailure
+from signorini_fenicsx.parallel import abort_all_on_exception, on_root
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+
+app = typer.Typer(
+    help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+CaseName = Annotated[str, typer.Argument(help="Name of a shipped case (example1 … example6) or path of a .toml file.")]
+AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1 or alg2.")]
+MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
+Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
+BackendName = Annotated[str | None, typer.Option("--backend", help="mixed: the saddle-point system.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
+]
+OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
+
+
+def _overrides(settings: list[str] | None, **options: str | None) -> dict[str, str]:
+    values = {}
+    for setting in settings or []:
+        key, separator, value = setting.partition("=")
+        if not separator or not key:
+            raise InputError(f"--set {setting}: must be KEY=VALUE, such as geometry.mesh=structured")
+        values[key] = value
+    return values | {f"solve.{name}": value for name, value in options.items() if value is not None}
+
+
+@app.command()
+def solve(
+    case: CaseName,
+    algorithm: AlgorithmName = None,
+    h: MeshSize = None,
+    rho: Rho = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+) -> None:
+    """Solve a case and write its results, by default into results/<case>/.
+
+    Example: mpirun -n 2 signorini solve example2 --h 2^-7 --plot -- -ksp_view
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.output import write_solution
+    from signorini_fenicsx.results import ResultsFolder
+    from signorini_fenicsx.solver import solve as solve_case
+
+    comm = MPI.COMM_WORLD
+    values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, backend=backend)
+    problem = on_root(comm, lambda: load_case(case).with_values(values))
+    with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
+        report.heading(problem, comm)
+        report.iteration_heading()
+        try:
+            solution = solve_case(problem, comm, on_step=report.step)
+        except NumericalFailure as failure:
+            if failure.solution is not None:
+                write_solution(failure.solution, folder.path, plot=plot)
+                failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
+            raise
+        write_solution(solution, folder.path, plot=plot)
+        folder.publish()
+        report.solution(solution, folder.target)
+
+
+@app.command()
+def convergence(
+    case: CaseName,
+    levels: Annotated[str, typer.Option("--levels", help="First and last level of the meshes h = 2^-level.")] = "2:6",
+    reference: Annotated[int, typer.Option("--reference", help="Level of the reference solution.")] = 8,
+    algorithm: AlgorithmName = None,
+    rho: Rho = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    output: OutputFolder = None,
+) -> None:
+    """Measure errors against a fine solution, beside the slides' tables; into results/<case>-convergence/.
+
+    Example: signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.convergence import convergence_study
+    from signorini_fenicsx.output import write_convergence
+    from signorini_fenicsx.results import ResultsFolder
+
+    comm = MPI.COMM_WORLD
+    values = _overrides(settings, algorithm=algorithm, rho=rho, backend=backend)
+    problem = on_root(comm, lambda: load_case(case).with_values(values))
+    range_of_levels = _levels(levels, reference)
+    with ResultsFolder(comm, output or Path("results", f"{problem.name}-convergence")) as folder:
+        report.heading(problem, comm)
+        report.convergence_heading()
+        rows = convergence_study(
+            problem, range_of_levels, reference, comm, on_start=report.level, on_row=report.convergence_row
+        )
+        write_convergence(problem, reference, rows, folder.path, comm)
+        folder.publish()
+        report.console.print(f"results  {folder.target}")
+
+
+def _levels(text: str, reference: int) -> range:
+    first, separator, last = text.partition(":")
+    if not (separator and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+        raise InputError(f"--levels {text}: must be FIRST:LAST with FIRST ≤ LAST, such as 2:6")
+    if reference <= int(last):
+        raise InputError(f"--reference {reference}: must be finer than the last level, {last}")
+    return range(int(first), int(last) + 1)
+
+
+def _run(command: Callable[[], object], comm: MPI.Comm) -> int:
+    """Run the command on all ranks and turn the two expected failures into exit statuses."""
+    errors = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        command()
+    except InputError as error:
+        errors.print(f"[bold red]error:[/] {_plain(error)}")
+        return EXIT_BAD_INPUT
+    except NumericalFailure as failure:
+        errors.print(f"[bold red]failed:[/] {_plain(failure)}")
+        return EXIT_FAILED
+    except SystemExit as request:  # typer: usage errors and --help
+        return request.code if isinstance(request.code, int) else EXIT_BAD_INPUT
+    return 0
+
+
+def _plain(error: Exception) -> str:
+    return " ".join(str(error).split()).replace("[", r"\[")
+
+
+def main() -> None:
+    """Entry point: PETSc gets what follows `--`, the command what precedes it; only rank 0 speaks."""
+    arguments, petsc_options = sys.argv[1:], []
+    if "--" in arguments:
+        split = arguments.index("--")
+        arguments, petsc_options = arguments[:split], arguments[split + 1 :]
+    petsc4py.init([sys.argv[0], *petsc_options])
+    comm = MPI.COMM_WORLD
+    abort_all_on_exception(comm)
+    if comm.rank != 0:
+        sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
+    sys.exit(_run(lambda: app(args=arguments, prog_name="signorini"), comm))

@@ -1,0 +1,117 @@
+"""Distributed solutions as plain arrays on rank 0, for tables and pictures."""
+
+from dataclasses import dataclass
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from signorini_fenicsx.parallel import gather_rows
+from signorini_fenicsx.solver import Solution
+
+type Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FacetTable:
+    """One row per Γ_S facet of all ranks, by part and then along it.
+
+    Attributes:
+        part: Index into the case's Γ_S parts.
+        x: Midpoints, shape (facets, 3).
+        along: Coordinate along the part.
+        measure: |e|.
+        u: u_h in the cell behind the facet.
+        p: Trace p_h.
+        flux: σ_h·n.
+        condition: Final condition.
+    """
+
+    part: npt.NDArray[np.int64]
+    x: Array
+    along: Array
+    measure: Array
+    u: Array
+    p: Array
+    flux: Array
+    condition: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Mesh and cell values of all ranks.
+
+    Attributes:
+        points: Shape (points, dim).
+        cells: Shape (cells, dim + 1).
+        u: Shape (cells,).
+        sigma: At the centroids, shape (cells, dim).
+    """
+
+    points: Array
+    cells: npt.NDArray[np.int64]
+    u: Array
+    sigma: Array
+
+
+def gather_facets(solution: Solution) -> FacetTable | None:
+    """Collect the Γ_S facets on rank 0; None on other ranks (collective)."""
+    spaces = solution.spaces
+    size = len(spaces.facets)
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets)
+    along = np.empty(size)
+    for index, name in enumerate(spaces.part_names):
+        on_part = spaces.part_of_facet == index
+        along[on_part] = spaces.domain.parts[name].along(midpoints[on_part].T)
+    columns = [
+        spaces.part_of_facet,
+        *midpoints.T,
+        along,
+        spaces.facet_measure,
+        solution.u.x.array[spaces.cells],
+        solution.p.x.array[:size],
+        spaces.normal_flux(solution.sigma),
+        solution.conditions.kind,
+    ]
+    rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
+    if rows is None:
+        return None
+    part, *x, along = np.round(rows[:, :5].T, 10)  # rounded, so that the order does not depend on the partition
+    rows = rows[np.lexsort((*x[::-1], along, part))]
+    return FacetTable(
+        part=rows[:, 0].astype(np.int64),
+        x=rows[:, 1:4],
+        along=rows[:, 4],
+        measure=rows[:, 5],
+        u=rows[:, 6],
+        p=rows[:, 7],
+        flux=rows[:, 8],
+        condition=rows[:, 9].astype(np.int64),
+    )
+
+
+def centroid_flux(solution: Solution) -> fem.Function:
+    """σ_h at the cell centroids, as a P0 vector field (collective)."""
+    mesh = solution.spaces.mesh
+    sigma = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))), name="sigma")
+    sigma.interpolate(solution.sigma)
+    return sigma
+
+
+def gather_fields(solution: Solution) -> Fields | None:
+    """Collect mesh and cell values on rank 0; None on other ranks (collective)."""
+    mesh = solution.spaces.mesh
+    comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
+    size = mesh.topology.index_map(mesh.topology.dim).size_local
+    ids = gather_rows(comm, geometry.input_global_indices)
+    points = gather_rows(comm, geometry.x[:, :dim])
+    cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmap[:size]])
+    u = gather_rows(comm, solution.u.x.array[:size])
+    sigma = gather_rows(comm, centroid_flux(solution).x.array.reshape(-1, dim)[:size])
+    order = gather_rows(comm, mesh.topology.original_cell_index[:size])
+    if ids is None or points is None or cells is None or u is None or sigma is None or order is None:
+        return None
+    used, first = np.unique(ids, return_index=True)
+    rows = np.argsort(order)
+    return Fields(points[first], np.searchsorted(used, cells)[rows], u[rows], sigma[rows])

@@ -1,0 +1,323 @@
+"""Named domains, their boundary parts and their meshes of a given fineness."""
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import basix.ufl
+import dolfinx.mesh
+import gmsh
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.parallel import on_root
+
+MAX_CELLS = 10**8
+"""More cells than this are taken for a mistake in h."""
+
+type Array = npt.NDArray[np.float64]
+type Simplices = tuple[Array, npt.NDArray[np.int64]]
+"""Points of shape (points, dim) and cells of shape (cells, dim + 1)."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A named part of the boundary.
+
+    Attributes:
+        contains: Tells for points of shape (3, n) which lie on the part.
+        along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
+        label: Name of that coordinate.
+    """
+
+    contains: Callable[[Array], npt.NDArray[np.bool_]]
+    along: Callable[[Array], Array]
+    label: str
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A named domain.
+
+    Attributes:
+        dim: Dimension, 2 or 3.
+        measure: Area or volume.
+        diameter: Largest distance between two of its points.
+        parts: Boundary parts; they cover the boundary.
+        outline: Adds the domain to the current Gmsh model.
+        grid: Structured mesh of a given fineness and diagonal, or None where there is none.
+    """
+
+    dim: int
+    measure: float
+    diameter: float
+    parts: Mapping[str, Part]
+    outline: Callable[[], None]
+    grid: Callable[[float, str], Simplices] | None = None
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A distributed mesh with named boundary parts.
+
+    Attributes:
+        mesh: The mesh; without ghost cells, so a boundary facet lives on one rank only, with its cell.
+        h: Largest cell diameter over all ranks.
+        parts: Boundary parts, in the shape's order.
+        facets: For each part its facets of this rank, ascending.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    h: float
+    parts: Mapping[str, Part]
+    facets: Mapping[str, npt.NDArray[np.int32]]
+
+
+def _plane(axis: int, value: float) -> Part:
+    other = 1 - min(axis, 1)
+    return Part(lambda x: np.isclose(x[axis], value), lambda x: x[other], "xy"[other])
+
+
+def _circle(radius: float, *, lower_half: bool = False) -> Part:
+    """A circle by its angle from the positive x axis: −π to 0 on the lower half, else −π to π."""
+
+    def contains(x: Array) -> npt.NDArray[np.bool_]:
+        on = np.isclose(np.hypot(x[0], x[1]), radius)
+        return on & (x[1] < radius * 1e-9) if lower_half else on
+
+    return Part(contains, lambda x: np.arctan2(x[1], x[0]), "angle")
+
+
+def _polygon(*corners: tuple[float, float]) -> Callable[[], None]:
+    def outline() -> None:
+        points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
+        lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+        gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+
+    return outline
+
+
+def _circle_loop(radius: float) -> int:
+    centre, *points = [
+        gmsh.model.geo.addPoint(radius * x, radius * y, 0) for x, y in [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)]
+    ]
+    arcs = [gmsh.model.geo.addCircleArc(a, centre, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+    return gmsh.model.geo.addCurveLoop(arcs)
+
+
+def _half_disk() -> None:
+    left, centre, right, bottom = [gmsh.model.geo.addPoint(x, y, 0) for x, y in [(-1, 0), (0, 0), (1, 0), (0, -1)]]
+    arcs = [
+        gmsh.model.geo.addCircleArc(left, centre, bottom),
+        gmsh.model.geo.addCircleArc(bottom, centre, right),
+    ]
+    gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop([*arcs, gmsh.model.geo.addLine(right, left)])])
+
+
+def _annulus() -> None:
+    gmsh.model.geo.addPlaneSurface([_circle_loop(1.0), _circle_loop(0.5)])
+
+
+def _cube() -> None:
+    gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+    gmsh.model.occ.synchronize()
+
+
+def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
+    """Squares of a grid on (0, side)², each cut into two triangles (left, right) or four (crossed)."""
+    per_unit = math.ceil((1.0 if diagonal == "crossed" else math.sqrt(2)) / h * (1 - 1e-12))
+    n = side * per_unit
+    j, i = (index.ravel() for index in np.indices((n, n)))
+    inside = keep((np.stack([i, j]) + 0.5) / per_unit)
+    i, j = i[inside], j[inside]
+    y, x = (index.ravel() / per_unit for index in np.indices((n + 1, n + 1)))
+    points = np.stack([x, y], axis=1)
+    a = i + (n + 1) * j
+    b, c, d = a + 1, a + n + 2, a + n + 1  # a b c d run around the square
+    if diagonal == "crossed":
+        m = len(points) + np.arange(len(a))
+        points = np.concatenate([points, (np.stack([i, j], axis=1) + 0.5) / per_unit])
+        triangles = [(a, b, m), (b, c, m), (c, d, m), (d, a, m)]
+    elif diagonal == "right":
+        triangles = [(a, b, c), (a, c, d)]
+    else:
+        triangles = [(a, b, d), (b, c, d)]
+    return points, np.concatenate([np.stack(t, axis=1) for t in triangles])
+
+
+def _square_grid(h: float, diagonal: str) -> Simplices:
+    return _triangle_grid(h, diagonal, side=1, keep=lambda x: np.full(x.shape[1], True))
+
+
+def _lshape_grid(h: float, diagonal: str) -> Simplices:
+    return _triangle_grid(h, diagonal, side=2, keep=lambda x: (x[0] < 1) | (x[1] < 1))
+
+
+def _cube_grid(h: float, _diagonal: str) -> Simplices:
+    """Cubes of a grid, each cut into six tetrahedra along the same space diagonal (Kuhn)."""
+    n = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
+    points = np.stack([index.ravel() / n for index in np.indices((n + 1,) * 3)], axis=1)
+    strides = ((n + 1) ** 2, n + 1, 1)
+    corner = np.indices((n,) * 3).reshape(3, -1).T @ strides
+    paths = [
+        np.stack([corner + offset for offset in itertools.accumulate((0, *steps))], axis=1)
+        for steps in itertools.permutations(strides)
+    ]
+    return points, np.concatenate(paths)
+
+
+SHAPES: Mapping[str, Shape] = {
+    "square": Shape(
+        2,
+        1.0,
+        math.sqrt(2),
+        {"left": _plane(0, 0), "right": _plane(0, 1), "bottom": _plane(1, 0), "top": _plane(1, 1)},
+        _polygon((0, 0), (1, 0), (1, 1), (0, 1)),
+        _square_grid,
+    ),
+    "lshape": Shape(
+        2,
+        3.0,
+        2 * math.sqrt(2),
+        {
+            "left": _plane(0, 0),
+            "right": _plane(0, 2),
+            "bottom": _plane(1, 0),
+            "top": _plane(1, 2),
+            "notch_x": Part(lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9), lambda x: x[1], "y"),
+            "notch_y": Part(lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9), lambda x: x[0], "x"),
+        },
+        _polygon((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
+        _lshape_grid,
+    ),
+    "half_disk": Shape(
+        2, math.pi / 2, 2.0, {"arc": _circle(1.0, lower_half=True), "diameter": _plane(1, 0)}, _half_disk
+    ),
+    "annulus": Shape(2, 0.75 * math.pi, 2.0, {"inner": _circle(0.5), "outer": _circle(1.0)}, _annulus),
+    "cube": Shape(
+        3,
+        1.0,
+        math.sqrt(3),
+        {
+            "left": _plane(0, 0),
+            "right": _plane(0, 1),
+            "front": _plane(1, 0),
+            "back": _plane(1, 1),
+            "bottom": _plane(2, 0),
+            "top": _plane(2, 1),
+        },
+        _cube,
+        _cube_grid,
+    ),
+}
+
+
+def estimated_cells(shape: Shape, h: float) -> float:
+    """Rough number of cells of an unstructured mesh with largest cell diameter h."""
+    edge = 0.65 * h
+    return shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
+
+
+def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagonal: str | None = None) -> Domain:
+    """Mesh a named shape so that its largest cell diameter is at most h and more than h/2 (collective).
+
+    Args:
+        comm: Communicator of the mesh; rank 0 generates it.
+        shape_name: Key of SHAPES.
+        h: Wanted largest cell diameter.
+        mesh: "unstructured" (Gmsh) or "structured".
+        diagonal: How structured squares are cut: left, right (the default) or crossed.
+
+    Raises:
+        InputError: If h asks for more than MAX_CELLS cells or no mesh with this h exists.
+    """
+    shape = SHAPES[shape_name]
+    if estimated_cells(shape, h) > MAX_CELLS:
+        raise InputError(
+            f"h = {h:g} asks for about {estimated_cells(shape, h):.1e} cells of {shape_name}; "
+            f"at most {MAX_CELLS:.0e} are made"
+        )
+
+    def generate() -> Simplices:
+        if mesh == "structured" and shape.grid is not None:
+            points, cells = shape.grid(h, diagonal or "right")
+        else:
+            points, cells = _gmsh_mesh(shape, h)
+        achieved = _largest_edge(points, cells)
+        if not h / 2 < achieved <= h * (1 + 1e-12):
+            raise InputError(
+                f"h = {h:g}: {mesh} meshes of {shape_name} near this size have largest diameter {achieved:.4g}, "
+                "not in (h/2, h]; choose a smaller h"
+            )
+        return points, cells
+
+    simplices = on_root_only(comm, generate, shape.dim)
+    return label_parts(_distribute(comm, *simplices, shape.dim), shape)
+
+
+def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
+    """Generate a mesh on rank 0; the others get empty arrays, as `create_mesh` wants them (collective)."""
+    made: list[Simplices] = []
+    on_root(comm, lambda: made.append(generate()))
+    return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
+
+
+def _distribute(comm: MPI.Comm, points: Array, cells: npt.NDArray[np.int64], dim: int) -> dolfinx.mesh.Mesh:
+    cell = {2: "triangle", 3: "tetrahedron"}[dim]
+    element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
+    return dolfinx.mesh.create_mesh(comm, cells, element, points)
+
+
+def label_parts(mesh: dolfinx.mesh.Mesh, shape: Shape) -> Domain:
+    """Find the facets of each boundary part and the largest cell diameter (collective)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    facets = {
+        name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
+    }
+    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    h = mesh.comm.allreduce(mesh.h(dim, cells).max(initial=0.0), MPI.MAX)
+    return Domain(mesh, float(h), shape.parts, facets)
+
+
+def _largest_edge(points: Array, cells: npt.NDArray[np.int64]) -> float:
+    return max(
+        float(np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=1).max())
+        for a, b in itertools.combinations(range(cells.shape[1]), 2)
+    )
+
+
+def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
+    """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only)."""
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeFromPoints", 0)
+        shape.outline()
+        gmsh.model.geo.synchronize()
+        size, achieved = {2: 0.72, 3: 0.47}[shape.dim] * h, math.inf
+        while achieved > h:
+            gmsh.option.setNumber("Mesh.MeshSizeMin", size)
+            gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+            gmsh.model.mesh.clear()
+            gmsh.model.mesh.generate(shape.dim)
+            points, cells = _gmsh_simplices(shape.dim)
+            achieved = _largest_edge(points, cells)
+            size *= 0.94 * h / achieved
+        return points, cells
+    finally:
+        gmsh.finalize()
+
+
+def _gmsh_simplices(dim: int) -> Simplices:
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    _, nodes = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])  # Gmsh's numbers of triangle and tetrahedron
+    row = np.empty(int(tags.max()) + 1, dtype=np.int64)
+    row[tags.astype(np.int64)] = np.arange(len(tags))
+    used, cells = np.unique(row[nodes.astype(np.int64)], return_inverse=True)  # drops centres of circles
+    return coordinates.reshape(-1, 3)[used, :dim], cells.reshape(-1, dim + 1).astype(np.int64)

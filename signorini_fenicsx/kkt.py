@@ -1,0 +1,80 @@
+"""How well a solution satisfies the discrete Signorini problem, free of scale."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem.petsc import assemble_matrix
+from mpi4py import MPI
+
+from forms.mixed import multiplier_residual
+from forms.norms import l2
+from signorini_fenicsx.spaces import Spaces
+
+TOLERANCE = 1e-8
+"""A solution with a larger residual is not one."""
+
+
+@dataclass(frozen=True)
+class KKTResiduals:
+    """Residuals of (MLM-I)_h and (MLM-II)_h, with S = ‖σ‖ and L = |Ω|^(1/d); all 0 if S = 0.
+
+    Attributes:
+        primal: ‖[p]_-‖_Λ / (√L S), the violation of p ≥ 0.
+        dual: √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
+        complementarity: Σ_e |e| |p σ·n| / S².
+        stationarity: √(rᵀ diag(M)⁻¹ r) / S with r the residual of (9a) and M the mass matrix of RT0.
+        mass_balance: ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell.
+    """
+
+    primal: float
+    dual: float
+    complementarity: float
+    stationarity: float
+    mass_balance: float
+
+    def violation(self) -> str | None:
+        """The residuals above the tolerance in words, or None."""
+        bad = [
+            f"{field.name} {value:.1e}"
+            for field in fields(self)
+            if not (value := getattr(self, field.name)) <= TOLERANCE
+        ]
+        return f"KKT residuals above {TOLERANCE:g}: {', '.join(bad)}" if bad else None
+
+
+def kkt_residuals(
+    spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, f_h: fem.Function
+) -> KKTResiduals:
+    """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
+    comm = spaces.mesh.comm
+    size = np.sqrt(spaces.integrate(l2(sigma, ufl.dx)))
+    if size == 0:
+        return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
+    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
+
+    e, trace, flux = spaces.facet_measure, p.x.array[: len(spaces.facets)], spaces.normal_flux(sigma)
+    primal, dual, complementarity = comm.allreduce(
+        np.array([e @ np.minimum(trace, 0) ** 2, e @ np.minimum(flux, 0) ** 2, e @ np.abs(trace * flux)])
+    )
+    imbalance = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + f_h)
+    return KKTResiduals(
+        primal=float(np.sqrt(primal / length) / size),
+        dual=float(np.sqrt(dual * length) / size),
+        complementarity=float(complementarity / size**2),
+        stationarity=_stationarity(spaces, sigma, u, p, f_h) / float(size),
+        mass_balance=float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))) / size),
+    )
+
+
+def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, f_h: fem.Function) -> float:
+    V = spaces.V
+    tau, v = ufl.TestFunction(V), ufl.TestFunction(spaces.Q)
+    flux_residual, _ = multiplier_residual(sigma, u, p, f_h, tau, v, spaces.n, spaces.ds)
+    residual = fem.assemble_vector(spaces.form(flux_residual))
+    residual.scatter_reverse(la.InsertMode.add)
+    mass = assemble_matrix(fem.form(ufl.inner(ufl.TrialFunction(V), tau) * ufl.dx))
+    mass.assemble()
+    owned = residual.array[: V.dofmap.index_map.size_local]
+    return float(np.sqrt(V.mesh.comm.allreduce(owned @ (owned / mass.getDiagonal().array_r), op=MPI.SUM)))

@@ -1,0 +1,173 @@
+"""Writes a solution: summary and tables as text, fields for ParaView."""
+
+import csv
+import json
+import platform
+import shlex
+import sys
+from dataclasses import asdict, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import dolfinx
+import ufl
+from dolfinx import fem, io
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx import __version__
+from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.case import Case
+from signorini_fenicsx.conditions import Condition
+from signorini_fenicsx.convergence import ErrorRow, write_table
+from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
+from signorini_fenicsx.parallel import on_root
+from signorini_fenicsx.solver import Solution, Stopwatch
+
+
+def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False) -> None:
+    """Write all files of a solution into an existing folder (collective).
+
+    Args:
+        solution: What to write.
+        folder: Where; files of the same names are overwritten.
+        plot: Also draw PNGs.
+    """
+    folder = Path(folder)
+    watch = Stopwatch()
+    write_fields(solution, folder)
+    table = gather_facets(solution)
+    pictures = gather_fields(solution) if plot else None
+    summary = solution.summary()
+
+    def write() -> None:
+        if table is not None:
+            write_facets(folder / "facets.csv", solution.spaces.part_names, table)
+            if pictures is not None:
+                from signorini_fenicsx import plots  # costs two seconds, which a run without pictures need not wait
+
+                plots.draw_all(folder, solution, pictures, table)
+        write_history(folder / "history.csv", solution.history)
+        watch.lap("output")
+        summary["timings"] |= watch.seconds
+        _write_summary(folder, summary)
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
+def write_convergence(case: Case, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm) -> None:
+    """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
+
+    def write() -> None:
+        from signorini_fenicsx import plots
+
+        write_table(folder / "convergence.csv", rows)
+        plots.draw_errors(
+            folder / "convergence.png",
+            rows,
+            f"{case.name}, {case.solve.algorithm}, reference h = 2^-{reference}",
+        )
+        _write_summary(
+            folder,
+            {
+                "case": case.name,
+                "algorithm": case.solve.algorithm,
+                "backend": case.solve.backend,
+                "reference": reference,
+                "rows": [asdict(row) for row in rows],
+                "ranks": comm.size,
+            },
+        )
+
+    on_root(comm, write)
+
+
+def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
+    (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that can change a result."""
+    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
+    return {
+        "signorini_fenicsx": __version__,
+        "dolfinx": dolfinx.__version__,
+        "petsc": petsc,
+        "gmsh": version("gmsh"),
+        "mpi": MPI.Get_library_version().splitlines()[0].strip("\0 "),
+        "python": platform.python_version(),
+    }
+
+
+def write_history(path: Path, history: list[Step]) -> None:
+    """Write one row per iteration (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Step)])
+        writer.writeheader()
+        writer.writerows(asdict(step) for step in history)
+
+
+def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> None:
+    """Write one row per Γ_S facet, by part and then along it (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition"])
+        for part, x, measure, p, flux, condition in zip(
+            table.part, table.x.tolist(), table.measure, table.p, table.flux, table.condition, strict=True
+        ):
+            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
+
+
+def write_fields(solution: Solution, folder: Path) -> None:
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf` (collective).
+
+    A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
+    exact. XDMF takes P0: there σ is its value at the centroid.
+    """
+    spaces = solution.spaces
+    mesh = spaces.mesh
+    comm, dim = mesh.comm, mesh.geometry.dim
+
+    linear = fem.functionspace(mesh, ("DG", 1))
+    sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
+    sigma.interpolate(solution.sigma)
+    u = fem.Function(linear, name="u")
+    u.interpolate(solution.u)
+    magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
+    with io.VTXWriter(comm, folder / "solution.bp", [sigma, u, magnitude]) as file:
+        file.write(0.0)
+
+    flux = fem.Function(spaces.Lambda, name="flux")
+    flux.x.array[: len(spaces.facets)] = spaces.normal_flux(solution.sigma)
+    condition = fem.Function(spaces.Lambda, name="condition")
+    condition.x.array[: len(spaces.facets)] = solution.conditions.kind
+    with io.VTXWriter(comm, folder / "multiplier.bp", [solution.p, flux, condition]) as file:
+        file.write(0.0)
+
+    sigma = centroid_flux(solution)
+    magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
+    with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
+        file.write_mesh(mesh)
+        for function in (solution.u, sigma, magnitude):
+            file.write_function(function)
+    on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
+
+
+def _join_grids(path: Path) -> None:
+    """Move all functions onto the one mesh grid; DOLFINx gives each a grid of its own, which meshio cannot read."""
+    tree = ElementTree.parse(path)
+    domain = tree.getroot()[0]
+    mesh, *functions = list(domain)
+    for grid in functions:
+        mesh.extend(grid.iter("Attribute"))
+        domain.remove(grid)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _interpolated(expression: ufl.core.expr.Expr, space: fem.FunctionSpace, name: str) -> fem.Function:
+    function = fem.Function(space, name=name)
+    function.interpolate(fem.Expression(expression, space.element.interpolation_points))
+    return function

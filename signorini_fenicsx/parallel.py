@@ -1,0 +1,51 @@
+"""What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
+
+import sys
+from collections.abc import Callable
+from types import TracebackType
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.errors import InputError
+
+
+def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """Run an action on rank 0 and give its result to all ranks (collective).
+
+    Raises:
+        InputError: On all ranks, if the action raised it (or an OSError, whose text it then carries) on rank 0.
+    """
+    result: T | None = None
+    failure: str | None = None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except InputError as error:
+            failure = str(error)
+        except OSError as error:
+            failure = f"{error.filename or 'file system'}: {error.strerror or error}"
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise InputError(failure)
+    return comm.bcast(result)
+
+
+def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
+    """Concatenate the rows of all ranks on rank 0, in rank order; None elsewhere (collective)."""
+    parts = comm.gather(rows)
+    return None if parts is None else np.concatenate(parts)
+
+
+def abort_all_on_exception(comm: MPI.Comm) -> None:
+    """Make an uncaught exception on one rank end all of them, instead of leaving the others in a collective call."""
+    if comm.size == 1:
+        return
+
+    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        sys.__excepthook__(kind, error, trace)
+        sys.__stderr__.flush() if sys.__stderr__ else None
+        comm.Abort(1)
+
+    sys.excepthook = hook

@@ -1,0 +1,189 @@
+"""Pictures of a solution, from gathered arrays on rank 0: the panels of the slides' figures."""
+
+import os
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pyvista
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.convergence import ErrorRow
+from signorini_fenicsx.gather import FacetTable, Fields
+from signorini_fenicsx.solver import Solution
+
+if "DISPLAY" not in os.environ:
+    os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # else VTK looks for an X server and warns
+
+mpl.rcParams.update({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "savefig.dpi": 150})
+
+
+def draw_all(folder: Path, solution: Solution, fields: Fields, facets: FacetTable) -> None:
+    """Draw `u.png`, `sigma.png`, `signorini.png` and `iterations.png` into a folder."""
+    draw_u(folder / "u.png", fields)
+    if fields.points.shape[1] == 2:
+        draw_sigma(folder / "sigma.png", fields)
+        labels = {name: solution.spaces.domain.parts[name].label for name in solution.spaces.part_names}
+        draw_traces(folder / "signorini.png", facets, labels)
+    else:
+        draw_sigma_3d(folder / "sigma.png", fields)
+        draw_traces_3d(folder / "signorini.png", facets)
+    draw_iterations(folder / "iterations.png", solution.history, solution.case.solve.algorithm)
+
+
+def nodal_average(fields: Fields) -> np.ndarray:
+    """u_h at the vertices: the mean over the cells around each."""
+    vertices = fields.cells.ravel()
+    weights = np.repeat(fields.u, fields.cells.shape[1])
+    return np.bincount(vertices, weights) / np.bincount(vertices)
+
+
+def draw_u(path: Path, fields: Fields) -> None:
+    """u_h as a surface over the domain (2D) or on the boundary and a cut (3D)."""
+    dim = fields.points.shape[1]
+    u = nodal_average(fields)
+    plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 900))
+    bar = {"title": "u_h", "vertical": True, "position_x": 0.91, "position_y": 0.25, "height": 0.5}
+    grid = _grid(fields)
+    grid["u"] = u
+    if dim == 2:
+        extent = np.ptp(fields.points, axis=0).max()
+        grid.points[:, 2] = u * 0.5 * extent / max(np.ptp(u), 1e-300)
+        plotter.add_mesh(grid, scalars="u", cmap="viridis", scalar_bar_args=bar)
+        plotter.add_mesh(_outline(grid), color="black", line_width=2)
+    else:
+        plotter.add_mesh(grid.clip("y"), scalars="u", cmap="viridis", scalar_bar_args=bar)
+        plotter.add_mesh(grid.outline(), color="black")
+    plotter.add_axes()
+    plotter.view_isometric()
+    plotter.screenshot(path)
+    plotter.close()
+
+
+def draw_sigma(path: Path, fields: Fields) -> None:
+    """|σ_h| per cell with arrows of σ_h on a regular grid."""
+    triangulation = Triangulation(*fields.points.T, fields.cells)
+    low, high = fields.points.min(axis=0), fields.points.max(axis=0)
+    width, height = high - low
+    figure = Figure(figsize=(6.4, 1.0 + 4.8 * height / width), layout="constrained")
+    axes = figure.add_subplot()
+    axes.grid(False)
+    image = axes.tripcolor(triangulation, np.linalg.norm(fields.sigma, axis=1), cmap="viridis", rasterized=True)
+    figure.colorbar(image, ax=axes, label="|σ_h|")
+    spacing = (high - low).max() / 24
+    x, y = np.meshgrid(*(np.arange(a + spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)))
+    cell = triangulation.get_trifinder()(x, y)
+    inside = cell >= 0
+    axes.quiver(x[inside], y[inside], *fields.sigma[cell[inside]].T, color="white", pivot="mid", width=0.003)
+    axes.set(aspect="equal", xlabel="x", ylabel="y", title="Flux σ_h")
+    figure.savefig(path)
+
+
+def draw_sigma_3d(path: Path, fields: Fields) -> None:
+    """Arrows of σ_h in 3D, coloured by |σ_h|, at up to 2000 cells spread over the mesh."""
+    some = np.linspace(0, len(fields.cells) - 1, min(len(fields.cells), 2000)).astype(np.int64)
+    cloud = pyvista.PolyData(fields.points[fields.cells[some]].mean(axis=1))
+    cloud["sigma"] = fields.sigma[some]
+    cloud["|σ_h|"] = np.linalg.norm(fields.sigma[some], axis=1)
+    size = 0.12 * np.ptp(fields.points, axis=0).max() / max(cloud["|σ_h|"].max(), 1e-300)
+    plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 900))
+    plotter.add_mesh(cloud.glyph(orient="sigma", scale="|σ_h|", factor=size), scalars="|σ_h|", cmap="viridis")
+    plotter.add_mesh(_grid(fields).outline(), color="black")
+    plotter.add_axes()
+    plotter.view_isometric()
+    plotter.screenshot(path)
+    plotter.close()
+
+
+def draw_traces(path: Path, facets: FacetTable, labels: dict[str, str]) -> None:
+    """u_h, σ_h·n and p_h along each part of Γ_S: one row of panels per part."""
+    figure = Figure(figsize=(9, 2.6 * len(labels)), layout="constrained")
+    panels = figure.subplots(len(labels), 3, squeeze=False)
+    for index, (name, label) in enumerate(labels.items()):
+        rows = facets.part == index
+        along = facets.along[rows]
+        columns = {"u_h": facets.u, "σ_h·n": facets.flux, "p_h": facets.p}
+        for axes, (quantity, values) in zip(panels[index], columns.items(), strict=True):
+            axes.plot(along, values[rows], color="C0", linewidth=1.2)
+            axes.set(xlabel=label, title=f"{quantity} on {name}")
+            if label == "angle":
+                axes.set_xticks(*_pi_ticks(along))
+    figure.savefig(path)
+
+
+def draw_traces_3d(path: Path, facets: FacetTable) -> None:
+    """p_h, σ_h·n and the contact zone (p_h = 0) on Γ_S, at the facet midpoints."""
+    cloud = pyvista.PolyData(facets.x)
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(1800, 600))
+    quantities = {"p_h": facets.p, "sigma_h.n": facets.flux, "contact": (facets.condition == 1).astype(float)}
+    for column, (name, values) in enumerate(quantities.items()):
+        plotter.subplot(0, column)
+        plotter.add_mesh(cloud.copy(), scalars=values, cmap="viridis", point_size=12, scalar_bar_args={"title": name})
+        plotter.add_axes()
+        plotter.view_isometric()
+    plotter.screenshot(path)
+    plotter.close()
+
+
+def draw_iterations(path: Path, history: list[Step], algorithm: str) -> None:
+    """The iteration errors ‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q on a logarithmic scale."""
+    figure = Figure(figsize=(4.8, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    n = np.array([step.iteration - 1 for step in history])
+    series = {
+        "‖σ⁽ⁿ⁺¹⁾ − σ⁽ⁿ⁾‖_V": ([step.sigma_change for step in history], "o-"),
+        "‖u⁽ⁿ⁺¹⁾ − u⁽ⁿ⁾‖_Q": ([step.u_change for step in history], "s--"),
+    }
+    for label, (values, style) in series.items():
+        positive = np.array(values) > 0  # a repeated set changes nothing, and 0 has no logarithm
+        axes.semilogy(n[positive], np.array(values)[positive], style, label=label)
+    axes.set(xlabel="n", title=f"Iteration errors, {algorithm}", xticks=n)
+    axes.legend()
+    figure.savefig(path)
+
+
+def draw_errors(path: Path, rows: list[ErrorRow], title: str) -> None:
+    """Errors over h on logarithmic axes, with the slides' and a line of slope 1 (rank 0)."""
+    figure = Figure(figsize=(5.4, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    h = np.array([2.0**-row.level for row in rows])
+    for index, (label, own, theirs) in enumerate(
+        [
+            ("‖σ_ref − σ_h‖_V", "sigma_V", "slides_sigma_V"),
+            ("‖u_ref − u_h‖_Q", "u_Q", "slides_u_Q"),
+            ("‖p_ref − p_h‖_Λ", "p_Lambda", None),
+        ]
+    ):
+        axes.loglog(h, [getattr(row, own) for row in rows], "o-", color=f"C{index}", label=label)
+        known = [row for row in rows if theirs is not None and getattr(row, theirs) is not None]
+        if theirs is not None and known:
+            at = [2.0**-row.level for row in known]
+            axes.loglog(at, [getattr(row, theirs) for row in known], "x:", color=f"C{index}", label=f"{label}, slides")
+    axes.loglog(h, rows[0].sigma_V * 0.5 * h / h[0], "k--", linewidth=0.8, label="slope 1")
+    axes.set_xscale("log", base=2)
+    axes.set(xlabel="h", title=title)
+    axes.legend(fontsize=8)
+    figure.savefig(path)
+
+
+def _grid(fields: Fields) -> pyvista.UnstructuredGrid | pyvista.PolyData:
+    points = np.zeros((len(fields.points), 3))
+    points[:, : fields.points.shape[1]] = fields.points
+    if fields.points.shape[1] == 2:
+        return pyvista.PolyData.from_regular_faces(points, fields.cells)
+    return pyvista.UnstructuredGrid({pyvista.CellType.TETRA: fields.cells}, points)
+
+
+def _outline(surface: pyvista.PolyData) -> pyvista.PolyData:
+    return surface.extract_feature_edges(
+        boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
+    )
+
+
+def _pi_ticks(angles: np.ndarray) -> tuple[list[float], list[str]]:
+    names = {-2: "−π", -1: "−π/2", 0: "0", 1: "π/2", 2: "π"}
+    low, high = angles.min() - 0.1, angles.max() + 0.1
+    inside = {k: name for k, name in names.items() if low <= k * np.pi / 2 <= high}
+    return [k * np.pi / 2 for k in inside], list(inside.values())

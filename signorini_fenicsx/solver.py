@@ -1,0 +1,202 @@
+"""From a case to its solution: mesh, spaces, backend, active-set loop, KKT check."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.norms import l2
+from signorini_fenicsx.active_set import Step, iterate_sets
+from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.backend import Backend
+from signorini_fenicsx.case import Case
+from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.geometry import Domain, build_domain
+from signorini_fenicsx.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.mixed import MixedBackend
+from signorini_fenicsx.spaces import Spaces, build_spaces, project_load
+
+BACKENDS: dict[str, Callable[[Spaces, fem.Function], Backend]] = {"mixed": MixedBackend}
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
+
+    Attributes:
+        case: What was solved.
+        spaces: The discrete spaces; `spaces.mesh` is the mesh.
+        f_h: P0 projection of f.
+        sigma: Flux σ_h in RT0.
+        u: u_h in P0.
+        p: Trace p_h in P0(Γ_S), on the facet submesh.
+        conditions: Final conditions of the Γ_S facets of this rank.
+        history: One step per iteration of the algorithm.
+        kkt: Residuals of the discrete Signorini problem.
+        reason: Why it ended, in words.
+        converged: Whether the facet sets repeated and all residuals are small.
+        dofs: Unknowns of the linear system.
+        linear_solver: Name of the linear solver.
+        timings: Seconds per phase, the longest over all ranks.
+    """
+
+    case: Case
+    spaces: Spaces
+    f_h: fem.Function
+    sigma: fem.Function
+    u: fem.Function
+    p: fem.Function
+    conditions: FacetConditions
+    history: list[Step]
+    kkt: KKTResiduals
+    reason: str
+    converged: bool
+    dofs: int
+    linear_solver: str
+    timings: dict[str, float] = field(default_factory=dict)
+
+    def norms(self) -> dict[str, float]:
+        """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
+        spaces = self.spaces
+        squares = {
+            "sigma_L2": l2(self.sigma, ufl.dx),
+            "div_sigma_L2": l2(ufl.div(self.sigma), ufl.dx),
+            "u_L2": l2(self.u, ufl.dx),
+            "p_L2": l2(self.p, spaces.ds),
+            "flux_L2": l2(ufl.dot(self.sigma, spaces.n), spaces.ds),
+        }
+        return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
+
+    def contact(self) -> tuple[int, float]:
+        """Number and measure of the Γ_S facets in contact, by their final condition (collective)."""
+        touching = self.conditions.kind == Condition.ZERO_TRACE
+        comm = self.spaces.mesh.comm
+        count = comm.allreduce(int(np.count_nonzero(touching)))
+        return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
+
+    def summary(self) -> dict[str, Any]:
+        """Everything about the run that fits into numbers, ready for JSON (collective)."""
+        spaces, solve = self.spaces, self.case.solve
+        contact_facets, contact_measure = self.contact()
+        return {
+            "case": self.case.name,
+            "title": self.case.title,
+            "algorithm": solve.algorithm,
+            "backend": solve.backend,
+            "linear_solver": self.linear_solver,
+            "h": spaces.domain.h,
+            "cells": spaces.mesh.topology.index_map(spaces.mesh.topology.dim).size_global,
+            "signorini_facets": spaces.Lambda.dofmap.index_map.size_global,
+            "dofs": self.dofs,
+            "contact_facets": contact_facets,
+            "contact_measure": contact_measure,
+            "iterations": len(self.history),
+            "converged": self.converged,
+            "reason": self.reason,
+            "norms": self.norms(),
+            "kkt": vars(self.kkt),
+            "timings": self.timings,
+            "ranks": spaces.mesh.comm.size,
+        }
+
+
+class Stopwatch:
+    """Wall time per phase."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        """Attribute the time since the last lap to a phase."""
+        now = time.perf_counter()
+        self.seconds[phase] = now - self._last
+        self._last = now
+
+    def longest(self, comm: MPI.Comm) -> dict[str, float]:
+        """Each phase's longest time over the ranks (collective)."""
+        values = np.array(list(self.seconds.values()))
+        comm.Allreduce(MPI.IN_PLACE, values, op=MPI.MAX)
+        return dict(zip(self.seconds, values.tolist(), strict=True))
+
+
+def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
+    """Mesh the domain of a case (collective).
+
+    Raises:
+        InputError: If there is no mesh with the case's h.
+    """
+    geometry = case.geometry
+    return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
+
+
+def solve(
+    case: Case,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    domain: Domain | None = None,
+    on_step: Callable[[Step], None] = lambda step: None,
+) -> Solution:
+    """Solve a case (collective).
+
+    Args:
+        case: The problem, its discretisation and algorithm.
+        comm: Communicator to run on, if there is no mesh yet.
+        domain: Mesh to solve on, instead of the case's own.
+        on_step: Called on all ranks after each iteration.
+
+    Raises:
+        InputError: If the case cannot be discretised as asked.
+        NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
+            last state.
+    """
+    watch = Stopwatch()
+    domain = domain or mesh_case(case, comm)
+    comm = domain.mesh.comm
+    watch.lap("mesh")
+    spaces = build_spaces(domain, case.boundary.signorini)
+    f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(domain.mesh)), spaces.Q)
+    backend = BACKENDS[case.solve.backend](spaces, f_h)
+    watch.lap("assembly")
+    outcome = iterate_sets(
+        backend,
+        ALGORITHMS[case.solve.algorithm],
+        rho=case.solve.rho,
+        max_iterations=case.solve.max_iterations,
+        on_step=on_step,
+    )
+    watch.lap("solve")
+
+    iterate = outcome.iterate
+    p = fem.Function(spaces.Lambda, name="p")
+    p.x.array[: len(iterate.p)] = iterate.p
+    p.x.scatter_forward()
+    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, f_h)
+    watch.lap("kkt")
+    failure = outcome.failure or kkt.violation()
+    solution = Solution(
+        case=case,
+        spaces=spaces,
+        f_h=f_h,
+        sigma=iterate.sigma,
+        u=iterate.u,
+        p=p,
+        conditions=outcome.conditions,
+        history=outcome.history,
+        kkt=kkt,
+        reason=failure or "the facet sets repeat",
+        converged=failure is None,
+        dofs=backend.dofs,
+        linear_solver=backend.solver(),
+        timings=watch.longest(comm),
+    )
+    if failure is not None:
+        raise NumericalFailure(failure, solution)
+    return solution

@@ -1,0 +1,158 @@
+"""The spaces V_h × Q_h × Λ_h = RT0 × P0 × P0(Γ_S) and the facet arrays on which the algorithms work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.geometry import Domain
+
+type Array = npt.NDArray[np.float64]
+
+SIGNORINI = 1
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """Discrete spaces on one domain.
+
+    Facet arrays run over the Γ_S facets of this rank, which are all owned (possibly none), in the order of the
+    multiplier's degrees of freedom.
+
+    Attributes:
+        domain: The mesh and its boundary parts.
+        V: RT0, the flux σ.
+        Q: P0, the scalar u.
+        Lambda: P0 on the facet submesh of Γ_S, the trace p.
+        entity_map: From the submesh of Γ_S to the mesh.
+        part_of_facet: Index into `part_names` per facet.
+        part_names: The Γ_S parts.
+        facets: Mesh facet of each.
+        cells: Mesh cell of each.
+        flux_dofs: RT0 degree of freedom of each.
+        basis_flux: ∫_e φ·n of that basis function φ, with its sign.
+        facet_measure: |e|.
+        n: Outer unit normal.
+        ds: Measure of Γ_S on the mesh.
+    """
+
+    domain: Domain
+    V: fem.FunctionSpace
+    Q: fem.FunctionSpace
+    Lambda: fem.FunctionSpace
+    entity_map: dolfinx.mesh.EntityMap
+    part_names: tuple[str, ...]
+    part_of_facet: npt.NDArray[np.int32]
+    facets: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int32]
+    flux_dofs: npt.NDArray[np.int32]
+    basis_flux: Array
+    facet_measure: Array
+    n: ufl.FacetNormal
+    ds: ufl.Measure
+
+    @property
+    def mesh(self) -> dolfinx.mesh.Mesh:
+        """The mesh."""
+        return self.domain.mesh
+
+    def normal_flux(self, sigma: fem.Function) -> Array:
+        """σ·n per facet, a constant on each."""
+        return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
+
+    def form(self, ufl_form: ufl.Form) -> fem.Form:
+        """Compile a form that may hold multipliers."""
+        return fem.form(ufl_form, entity_maps=[self.entity_map])
+
+    def integrate(self, ufl_form: ufl.Form) -> float:
+        """Integral over all ranks (collective)."""
+        return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(ufl_form))))
+
+
+def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
+    """Create the spaces for Γ_S made of the named parts (collective)."""
+    mesh = domain.mesh
+    dim = mesh.topology.dim
+    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(
+        mesh, dim - 1, np.unique(np.concatenate([domain.facets[name] for name in signorini]))
+    )
+    V = fem.functionspace(mesh, ("RT", 1))
+    Q = fem.functionspace(mesh, ("DG", 0))
+    Lambda = fem.functionspace(gamma, ("DG", 0))
+
+    submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
+    facets = np.empty_like(submesh_cells)
+    facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
+    sides = fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(facets))
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(SIGNORINI, sides)])(SIGNORINI)
+    n = ufl.FacetNormal(mesh)
+
+    cells, flux_dofs = _cells_and_dofs(V, facets)
+    part_of_facet = np.empty(len(facets), dtype=np.int32)
+    for index, name in enumerate(signorini):
+        part_of_facet[np.isin(facets, domain.facets[name])] = index
+    measure = _assembled(ufl.TestFunction(Lambda) * ds, [entity_map])
+    flux_of_basis = _assembled(ufl.dot(ufl.TestFunction(V), n) * ds, [])
+    return Spaces(
+        domain=domain,
+        V=V,
+        Q=Q,
+        Lambda=Lambda,
+        entity_map=entity_map,
+        part_names=tuple(signorini),
+        part_of_facet=part_of_facet,
+        facets=facets,
+        cells=cells,
+        flux_dofs=flux_dofs,
+        basis_flux=flux_of_basis[flux_dofs],
+        facet_measure=measure[: len(facets)],
+        n=n,
+        ds=ds,
+    )
+
+
+def _cells_and_dofs(
+    V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """The cell behind each boundary facet and the RT0 degree of freedom on it."""
+    topology = V.mesh.topology
+    dim = topology.dim
+    topology.create_connectivity(dim - 1, dim)
+    topology.create_connectivity(dim, dim - 1)
+    facet_cells = topology.connectivity(dim - 1, dim)
+    cells = facet_cells.array[facet_cells.offsets[facets]]
+    cell_facets = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
+    local = np.argmax(cell_facets == facets[:, None], axis=1)
+    return cells, V.dofmap.list[cells, local]  # RT0 numbers one degree of freedom per local facet
+
+
+def _assembled(form: ufl.Form, entity_maps: list[dolfinx.mesh.EntityMap]) -> Array:
+    vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
+    vector.scatter_reverse(la.InsertMode.add)
+    return vector.array
+
+
+def project_load(f: ufl.core.expr.Expr, Q: fem.FunctionSpace) -> fem.Function:
+    """f_h, the P0 projection of f, by quadrature of the degree UFL estimates, at least 8 (collective).
+
+    Raises:
+        InputError: If f is not finite everywhere.
+    """
+    mesh = Q.mesh
+    degree = min(max(8, ufl.algorithms.estimate_total_polynomial_degree(f)), 30)
+    dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": degree})
+    f = f + fem.Constant(mesh, 0.0)  # UFL would drop the integral of a plain 0
+    v = ufl.TestFunction(Q)
+    f_h = fem.Function(Q, name="f_h")
+    f_h.x.array[:] = _assembled(f * v * dx, []) / _assembled(fem.Constant(mesh, 1.0) * v * dx, [])
+    if not mesh.comm.allreduce(bool(np.isfinite(f_h.x.array).all()), op=MPI.LAND):
+        raise InputError("[problem] f: not finite everywhere in the domain")
+    return f_h

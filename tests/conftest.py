@@ -1,0 +1,46 @@
+"""Shared by all tests: cases on coarse meshes, a folder that all ranks agree on."""
+
+import os
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx.case import Case, load_case
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A temporary folder, the same on all ranks."""
+    return MPI.COMM_WORLD.bcast(tmp_path)
+
+
+CASE = """
+title = "A test case"
+
+[geometry]
+shape = "{shape}"
+mesh = "{mesh}"
+
+[boundary]
+signorini = {parts}
+
+[problem]
+f = "{f}"
+
+[solve]
+h = {h}
+"""
+
+
+def make_case(
+    folder: Path, *, shape: str = "square", mesh: str = "unstructured", parts: list[str], f: str, h: float
+) -> Case:
+    """Write a case file and load it (collective)."""
+    path = folder / "case.toml"
+    if MPI.COMM_WORLD.rank == 0:
+        path.write_text(CASE.format(shape=shape, mesh=mesh, parts=parts, f=f, h=h), encoding="utf-8")
+    MPI.COMM_WORLD.Barrier()
+    return load_case(path)

@@ -1,0 +1,89 @@
+"""Cases: the shipped ones load, and each malformed one gets a sentence that names place and reason."""
+
+from pathlib import Path
+
+import pytest
+
+from signorini_fenicsx.case import Case, case_names, load_case
+from signorini_fenicsx.errors import InputError
+
+GOOD = """
+title = "Good"
+[geometry]
+shape = "square"
+[boundary]
+signorini = ["top"]
+[problem]
+f = "x*y"
+[solve]
+algorithm = "alg2"
+h = "1/8"
+"""
+
+
+def test_examples_are_shipped():
+    assert case_names() == [f"example{i}" for i in range(1, 7)]
+    for name in case_names():
+        assert load_case(name).name == name
+
+
+def test_good_case(tmp_path: Path):
+    path = tmp_path / "good.toml"
+    path.write_text(GOOD, encoding="utf-8")
+    case = load_case(path)
+    assert (case.name, case.solve.algorithm, case.solve.h, case.solve.rho) == ("good", "alg2", 0.125, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"square"', '"circle"', r"\[geometry\] shape: unknown shape 'circle'; use one of square, lshape"),
+        ('["top"]', '["lid"]', "unknown part 'lid' of square; its parts are left, right, bottom, top"),
+        ('["top"]', '["top", "top"]', "'top' is listed twice"),
+        ('["top"]', "[]", r"\[boundary\] signorini"),
+        ('["top"]', '["left", "right", "bottom", "top"]', "one part at least must be left to the Dirichlet"),
+        ('"alg2"', '"alg9"', "unknown algorithm 'alg9'; use one of alg1, alg2"),
+        ('h = "1/8"', 'h = "0"', r"\[solve\] h: input should be greater than 0"),
+        ('h = "1/8"', "h = -1", "greater than 0"),
+        ('h = "1/8"', "h = nan", r"\[solve\] h"),
+        ('h = "1/8"', 'h = "big"', "'big' is not a number"),
+        ('h = "1/8"', "h = 2", "larger than the domain"),
+        ('h = "1/8"', "rho = 0", r"\[solve\] rho: input should be greater than 0"),
+        ('h = "1/8"', "rho = inf", r"\[solve\] rho"),
+        ('h = "1/8"', "max_iterations = 0", "max_iterations"),
+        ('h = "1/8"', "hh = 1", r"unknown key 'hh' in \[solve\]; known are algorithm"),
+        ("[solve]", "[sulve]", "unknown key 'sulve'; known are title"),
+        ('f = "x*y"', "", r"missing key 'f' in \[problem\]"),
+        ('"x*y"', '"x*q"', r"\[problem\] f: expression 'x\*q': unknown name 'q'"),
+        ('"x*y"', '"__import__(1)"', "unknown function '__import__'"),
+        ('"x*y"', '"z"', "unknown name 'z'"),
+        ("title", "title = ", "not a TOML file"),
+        ('shape = "square"', 'shape = "half_disk"\nmesh = "structured"', "has no structured mesh"),
+        ('shape = "square"', 'shape = "square"\ndiagonal = "left"', "diagonal applies to structured meshes"),
+        ('shape = "square"', 'shape = "square"\nmesh = "fine"', "unknown mesh 'fine'"),
+        ("[geometry]", "name = 'x'\n[geometry]", "unknown key 'name'"),
+    ],
+)
+def test_malformed(tmp_path: Path, old: str, new: str, message: str):
+    assert old in GOOD
+    path = tmp_path / "bad.toml"
+    path.write_text(GOOD.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_unknown_names():
+    with pytest.raises(InputError, match="unknown case 'example7'; use one of example1"):
+        load_case("example7")
+    with pytest.raises(InputError, match="no such file"):
+        load_case("nowhere/case.toml")
+
+
+def test_overrides():
+    case = load_case("example1").with_values({"solve.h": "2^-3", "geometry.mesh": "structured"})
+    assert (case.solve.h, case.geometry.mesh, case.name) == (0.125, "structured", "example1")
+    assert isinstance(case, Case)
+    for key, value in {"solve.h": "0", "solve.x": 1, "x": 1, "title.x": 1, "solve": 3, "geometry.shape": "x"}.items():
+        with pytest.raises(InputError):
+            case.with_values({key: value})

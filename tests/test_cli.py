@@ -1,0 +1,227 @@
+"""The command line as a user types it, serial and under mpirun."""
+
+import csv
+import json
+import math
+import os
+import subprocess
+from pathlib import Path
+
+import adios2
+import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
+import meshio
+import numpy as np
+import pytest
+
+
+def signorini(folder: Path, *arguments: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
+    """Run `signorini` in a folder with a plain environment, as a shell would."""
+    hidden = ("PMI", "HYDI", "MPI", "_PYTEST")  # a test may itself run under an mpiexec
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(hidden)}
+    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+    return subprocess.run(
+        [*launcher, "signorini", *arguments],
+        cwd=folder,
+        env=environment | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """Folders of one run on one and one on two ranks."""
+    folders = {}
+    for ranks in (1, 2):
+        folder = tmp_path_factory.mktemp(f"ranks{ranks}")
+        done = signorini(folder, "solve", "example2", "--h", "1/8", "--plot", ranks=ranks)
+        assert done.returncode == 0, done.stderr
+        assert "the facet sets repeat" in done.stdout
+        assert done.stderr == ""
+        folders[ranks] = folder / "results" / "example2"
+    return folders
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_summary(runs: dict[int, Path]):
+    one, two = (json.loads((runs[ranks] / "summary.json").read_text()) for ranks in (1, 2))
+    assert one["converged"] is True
+    assert (one["ranks"], two["ranks"]) == (1, 2)
+    assert one["command"].endswith("signorini solve example2 --h 1/8 --plot")
+    assert one["norms"] == pytest.approx(two["norms"], rel=1e-10)
+    for key in ("case", "algorithm", "backend", "cells", "dofs", "contact_facets", "iterations"):
+        assert one[key] == two[key]
+    assert set(one["kkt"]) == {"primal", "dual", "complementarity", "stationarity", "mass_balance"}
+    assert {"timings", "versions", "reason", "contact_measure", "h"} <= set(one)
+
+
+def test_tables(runs: dict[int, Path]):
+    one, two = (read_rows(runs[ranks] / "facets.csv") for ranks in (1, 2))
+    assert list(one[0]) == ["part", "x", "y", "z", "measure", "p", "flux", "condition"]
+    assert [row["part"] for row in one] == sorted((row["part"] for row in one), key=["bottom", "left"].index)
+    bottom = [float(row["x"]) for row in one if row["part"] == "bottom"]
+    assert bottom == sorted(bottom)
+    assert math.fsum(float(row["measure"]) for row in one) == pytest.approx(4)
+    for a, b in zip(one, two, strict=True):
+        assert a["condition"] == b["condition"]
+        assert [float(a[key]) for key in ("x", "y", "p", "flux")] == pytest.approx(
+            [float(b[key]) for key in ("x", "y", "p", "flux")], abs=1e-11
+        )
+    summary = json.loads((runs[1] / "summary.json").read_text())
+    contact = [row for row in one if row["condition"] == "zero_trace"]
+    assert len(contact) == summary["contact_facets"]
+    history = read_rows(runs[1] / "history.csv")
+    assert len(history) == summary["iterations"]
+    assert all(int(row["no_flux"]) + int(row["zero_trace"]) == len(one) for row in history)
+
+
+def blocks(path: Path, name: str) -> np.ndarray:
+    """All blocks of a variable of a VTX file, one after another."""
+    with adios2.FileReader(str(path)) as reader:
+        variable = reader.inquire_variable(name)
+        count = len(reader.engine.blocks_info(name, 0))
+        return np.concatenate([_read_block(reader, variable, block) for block in range(count)])
+
+
+def _read_block(reader: adios2.FileReader, variable: adios2.Variable, block: int) -> np.ndarray:
+    return np.asarray(reader.read(variable, block_id=block))
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
+    """The values in .bp and .xdmf have the norms of the summary."""
+    summary = json.loads((runs[ranks] / "summary.json").read_text())
+    mesh = meshio.read(runs[ranks] / "solution.xdmf")
+    corners = mesh.points[mesh.cells_dict["triangle"]]
+    edges = corners[:, 1:, :2] - corners[:, :1, :2]
+    area = np.abs(np.linalg.det(edges)) / 2
+    u, sigma = mesh.cell_data["u"][0].ravel(), mesh.cell_data["sigma"][0]
+    assert len(u) == summary["cells"]
+    assert np.sqrt(area @ u**2) == pytest.approx(summary["norms"]["u_L2"], rel=1e-10)
+    np.testing.assert_allclose(mesh.cell_data["sigma_norm"][0].ravel(), np.linalg.norm(sigma, axis=1), atol=1e-12)
+
+    # DG1 has three nodes per cell; ∫|σ|² of a linear field is |T|/12 (Σ|σ_i|² + |Σσ_i|²).
+    points, vtx_u, vtx_sigma, norm = (
+        blocks(runs[ranks] / "solution.bp", name) for name in ("geometry", "u", "sigma", "sigma_norm")
+    )
+    corners = points.reshape(-1, 3, 3)
+    edges = corners[:, 1:, :2] - corners[:, :1, :2]
+    area = np.abs(np.linalg.det(edges)) / 2
+    cell_u, cell_sigma = vtx_u.reshape(-1, 3), vtx_sigma.reshape(-1, 3, 3)
+    assert np.ptp(cell_u, axis=1).max() < 1e-14
+    assert np.sqrt(area @ cell_u[:, 0] ** 2) == pytest.approx(summary["norms"]["u_L2"], rel=1e-10)
+    squares = (cell_sigma**2).sum(axis=(1, 2)) + (cell_sigma.sum(axis=1) ** 2).sum(axis=1)
+    assert np.sqrt(area @ squares / 12) == pytest.approx(summary["norms"]["sigma_L2"], rel=1e-10)
+    np.testing.assert_allclose(norm.ravel(), np.linalg.norm(vtx_sigma, axis=1), atol=1e-12)
+
+    rows = read_rows(runs[ranks] / "facets.csv")
+    for name in ("p", "flux"):
+        written = blocks(runs[ranks] / "multiplier.bp", name).ravel()
+        np.testing.assert_allclose(np.sort(written), np.sort([float(row[name]) for row in rows]), atol=1e-12)
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_pictures_are_drawn(runs: dict[int, Path], ranks: int):
+    for name in ("u.png", "sigma.png", "signorini.png", "iterations.png"):
+        assert (runs[ranks] / name).read_bytes().startswith(b"\x89PNG"), name
+        assert (runs[ranks] / name).stat().st_size > 10_000, name
+
+
+BAD_INPUT = [
+    (["solve", "example7"], "unknown case 'example7'"),
+    (["solve", "missing.toml"], "no such file"),
+    (["solve", "example1", "--algorithm", "alg9"], "unknown algorithm 'alg9'"),
+    (["solve", "example1", "--backend", "magic"], "backend"),
+    (["solve", "example1", "--h", "0"], "greater than 0"),
+    (["solve", "example1", "--h=-1"], "greater than 0"),
+    (["solve", "example1", "--h", "nan"], "not a number"),
+    (["solve", "example1", "--h", "5"], "larger than the domain"),
+    (["solve", "example1", "--h", "1e-6"], "asks for about"),
+    (["solve", "example1", "--rho", "0"], "greater than 0"),
+    (["solve", "example1", "--set", "problem.f=__import__('os')"], "__import__"),
+    (["solve", "example1", "--set", "problem.g=1"], "unknown key 'g'"),
+    (["solve", "example1", "--set", "nonsense"], "KEY=VALUE"),
+    (["solve", "example1", "--output", "file"], "is a file"),
+    (["solve", "example1", "--output", "file/below"], "cannot be written"),
+    (["solve", "example1", "--output", "full"], "is not empty"),
+    (["solve", "example1", "--output", "/proc/signorini"], "cannot be written"),
+    (["solve", "example1", "--h", "1/4", "--", "-ksp_type", "nonsense"], "PETSc"),
+    (["solve", "example1", "--colour"], "No such option"),
+    (["convergence", "example1", "--levels", "5:2"], "FIRST:LAST"),
+    (["convergence", "example1", "--levels", "2:4", "--reference", "4"], "finer"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
+def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
+    """One sentence, exit status 2, no traceback, nothing written."""
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    done = signorini(tmp_path, *arguments)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("arguments", "message"), [BAD_INPUT[i] for i in (0, 8, 13, 17)])
+def test_bad_input_in_parallel_is_said_once(tmp_path: Path, arguments: list[str], message: str):
+    (tmp_path / "file").write_text("mine")
+    done = signorini(tmp_path, *arguments, ranks=2)
+    assert done.returncode == 2
+    assert done.stderr.count(message) == 1
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_failed_run_keeps_its_state_and_earlier_results(tmp_path: Path, ranks: int):
+    good = signorini(tmp_path, "solve", "example1", "--h", "1/4", ranks=ranks)
+    assert good.returncode == 0, good.stderr
+    before = (tmp_path / "results" / "example1" / "summary.json").read_text()
+    bad = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--set", "solve.max_iterations=1", ranks=ranks)
+    assert bad.returncode == 1
+    assert bad.stderr.count("facets still change after 1 iterations") == 1
+    assert (tmp_path / "results" / "example1" / "summary.json").read_text() == before
+    failed = json.loads((tmp_path / "results" / "example1.failed" / "summary.json").read_text())
+    assert failed["converged"] is False
+    assert "facets still change" in failed["reason"]
+    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == ["example1", "example1.failed"]
+
+
+def test_rerun_replaces_results_and_keeps_foreign_files(tmp_path: Path):
+    results = tmp_path / "mine"
+    assert signorini(tmp_path, "solve", "example1", "--h", "1/4", "--plot", "--output", "mine").returncode == 0
+    (results / "notes.txt").write_text("mine")
+    assert signorini(tmp_path, "solve", "example1", "--h", "1/4", "--output", "mine").returncode == 0
+    assert (results / "notes.txt").read_text() == "mine"
+    assert not (results / "u.png").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine"]
+
+
+def test_petsc_options_reach_petsc(tmp_path: Path):
+    done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
+    assert done.returncode == 0
+    assert "KSP Object" in done.stdout
+    failing = ["-ksp_type", "gmres", "-pc_type", "none", "-ksp_max_it", "2"]
+    done = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b", "--", *failing)
+    assert done.returncode == 1
+    assert "linear solver gmres+none stopped" in done.stderr
+
+
+def test_convergence(tmp_path: Path):
+    done = signorini(tmp_path, "convergence", "example1", "--levels", "2:3", "--reference", "5", ranks=2)
+    assert done.returncode == 0, done.stderr
+    rows = read_rows(tmp_path / "results" / "example1-convergence" / "convergence.csv")
+    assert [row["level"] for row in rows] == ["2", "3"]
+    assert float(rows[0]["slides_sigma_V"]) == 1.65
+    for name in ("sigma", "u", "p"):
+        assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
+    assert (tmp_path / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000

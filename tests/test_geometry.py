@@ -1,0 +1,46 @@
+"""Meshes: as fine as asked, boundary parts complete and disjoint, curved boundaries met by their vertices."""
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.geometry import SHAPES, build_domain
+
+MESHES = [(name, "unstructured", None) for name in SHAPES] + [
+    (name, "structured", diagonal) for name in ("square", "lshape") for diagonal in ("left", "right", "crossed")
+] + [("cube", "structured", None)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("shape", "mesh", "diagonal"), MESHES)
+def test_fineness_and_measure(shape: str, mesh: str, diagonal: str | None):
+    for h in (0.5, 0.2, 0.11):
+        domain = build_domain(MPI.COMM_SELF, shape, h, mesh=mesh, diagonal=diagonal)
+        assert h / 2 < domain.h <= h * (1 + 1e-12)
+        measure = fem.assemble_scalar(fem.form(fem.Constant(domain.mesh, 1.0) * ufl.dx))
+        curved = shape in ("half_disk", "annulus")
+        assert measure == pytest.approx(SHAPES[shape].measure, rel=h**2 if curved else 1e-12)
+
+
+@pytest.mark.parallel([1, 3])
+def test_parts_cover_the_boundary_once():
+    for shape, mesh, diagonal in MESHES:
+        domain = build_domain(MPI.COMM_WORLD, shape, 0.3, mesh=mesh, diagonal=diagonal)
+        named = np.sort(np.concatenate(list(domain.facets.values())))
+        np.testing.assert_array_equal(named, np.sort(dolfinx.mesh.exterior_facet_indices(domain.mesh.topology)))
+
+
+@pytest.mark.parametrize(("shape", "part", "radius"), [("half_disk", "arc", 1), ("annulus", "inner", 0.5)])
+def test_vertices_on_the_curve(shape: str, part: str, radius: float):
+    domain = build_domain(MPI.COMM_SELF, shape, 0.1, mesh="unstructured")
+    vertices = dolfinx.mesh.entities_to_geometry(domain.mesh, 1, domain.facets[part])
+    r = np.linalg.norm(domain.mesh.geometry.x[vertices.ravel()], axis=1)
+    np.testing.assert_allclose(r, radius, rtol=1e-12)
+
+
+def test_too_fine():
+    with pytest.raises(InputError, match=r"asks for about .* cells"):
+        build_domain(MPI.COMM_SELF, "square", 1e-5, mesh="structured")

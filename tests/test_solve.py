@@ -1,0 +1,164 @@
+"""Algorithms 1 and 2 on the mixed backend: exact solution, invariants, and independence of the number of ranks."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from conftest import make_case
+from dolfinx import fem, la
+from exact import X0, F, exact_sigma, exact_u
+from mpi4py import MPI
+
+from forms.mixed import flux_projection, multiplier_residual, trace_projection
+from forms.norms import l2
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.conditions import Condition
+from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.solver import Solution, solve
+
+COMM = MPI.COMM_WORLD
+
+CASES = ["example1", "example2", "example3", "example4", "example5", "example6"]
+
+
+def coarse(name: str, **values: object) -> Case:
+    return load_case(name).with_values(
+        {"solve.h": 2**-4} | {key.replace("_", ".", 1): value for key, value in values.items()}
+    )
+
+
+def errors(solution: Solution) -> dict[str, float]:
+    spaces = solution.spaces
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    dx = ufl.Measure("dx", domain=spaces.mesh, metadata={"quadrature_degree": 8})
+    ds = spaces.ds(metadata={"quadrature_degree": 8})
+    squares = {
+        "sigma": l2(exact_sigma(x) - solution.sigma, dx),
+        "u": l2(exact_u(x) - solution.u, dx),
+        "p": l2(exact_u(x) - solution.p, ds),
+        "div": l2(parse_expression(F, x) + ufl.div(solution.sigma), dx),
+    }
+    return {name: np.sqrt(spaces.integrate(square)) for name, square in squares.items()}
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("mesh", ["unstructured", "structured"])
+def test_order_on_an_exact_solution(folder: Path, mesh: str):
+    """Order 1 and small constants in all norms; u and σ·n grow like s³ from the free boundary, so it is less sharp."""
+    found = []
+    for h in (1 / 8, 1 / 16, 1 / 32):
+        solution = solve(make_case(folder, mesh=mesh, parts=["bottom"], f=F, h=h), COMM)
+        found.append((solution.spaces.domain.h, errors(solution)))
+        assert abs(solution.contact()[1] - X0) < 0.6 * h**0.5
+    for (h0, coarse_errors), (h1, fine_errors) in itertools.pairwise(found):
+        for name, bound in {"sigma": 0.11, "u": 0.0065, "p": 0.0125, "div": 0.7}.items():
+            order = np.log(coarse_errors[name] / fine_errors[name]) / np.log(h0 / h1)
+            assert order > 0.93, name
+            assert fine_errors[name] < bound * h1, name
+
+
+@pytest.mark.parallel([1, 3])
+def test_algorithms_agree():
+    """Algorithms 1 and 2 find the same sets and fields, within a few steps, whatever ρ is."""
+    other_ways = [{"solve_algorithm": "alg2"}, {"solve_algorithm": "alg1", "solve_rho": 1e3}]
+    for name in CASES:
+        first = solve(coarse(name), COMM)
+        for values in other_ways:
+            other = solve(coarse(name, **values), COMM, domain=first.spaces.domain)
+            for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
+                np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-11)
+            assert first.contact() == other.contact()
+            assert len(other.history) <= 12
+
+
+@pytest.mark.parallel([1, 2])
+def test_solution_satisfies_the_forms():
+    """The residuals of (9a), (9b) and of both projections (9c), (10c) vanish, for any ρ."""
+    solution = solve(coarse("example2"), COMM)
+    spaces = solution.spaces
+    tau, v, q = (ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda))
+    forms = multiplier_residual(solution.sigma, solution.u, solution.p, solution.f_h, tau, v, spaces.n, spaces.ds)
+    forms += [
+        projection(solution.sigma, solution.p, q, rho, spaces.n, spaces.ds)
+        for projection, rho in itertools.product((flux_projection, trace_projection), (0.1, 1.0, 50.0))
+    ]
+    for form in forms:
+        residual = fem.assemble_vector(spaces.form(form))
+        residual.scatter_reverse(la.InsertMode.add)
+        assert la.norm(residual) < 1e-11
+
+
+# Norms and contact measure from another program (conforming P2 elements, primal-dual active set on nodes, h = 2^-8).
+INDEPENDENT: dict[str, dict[str, float]] = {}
+
+
+@pytest.mark.parametrize("mesh", ["unstructured", "structured"])
+def test_contact_conditions(mesh: str):
+    solution = solve(coarse("example1", geometry_mesh=mesh), COMM)
+    size = len(solution.spaces.facets)
+    p, flux = solution.p.x.array[:size], solution.spaces.normal_flux(solution.sigma)
+    contact = solution.conditions.kind == Condition.ZERO_TRACE
+    assert np.all(p[contact] == 0)
+    assert np.all(flux[contact] >= 0)
+    assert np.all(p[~contact] >= 0)
+    assert np.all(np.abs(flux[~contact]) < 1e-14)
+    assert solution.kkt.violation() is None
+    assert max(vars(solution.kkt).values()) < 1e-12
+
+
+def test_cell_mass_balance():
+    solution = solve(coarse("example3"), COMM)
+    divergence = fem.Function(solution.spaces.Q)
+    points = solution.spaces.Q.element.interpolation_points
+    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), points))
+    np.testing.assert_allclose(divergence.x.array, -solution.f_h.x.array, atol=1e-12)
+
+
+@pytest.mark.parallel([1, 3])
+def test_no_load_no_solution_needed(folder: Path):
+    """Without a load the solution is 0, and the scale-free residuals are 0 by definition."""
+    solution = solve(make_case(folder, parts=["top"], f="0", h=0.25), COMM)
+    assert max(solution.norms().values()) == 0
+    assert solution.converged
+
+
+@pytest.mark.parallel([1, 2])
+def test_cube(folder: Path):
+    for mesh in ("structured", "unstructured"):
+        case = make_case(folder, shape="cube", mesh=mesh, parts=["bottom", "left"], f="40*(x - 0.5)", h=0.4)
+        first = solve(case, COMM)
+        second = solve(case.with_values({"solve.algorithm": "alg2"}), COMM, domain=first.spaces.domain)
+        np.testing.assert_allclose(first.sigma.x.array, second.sigma.x.array, atol=1e-12)
+        assert 0 < first.contact()[1] < 2
+
+
+@pytest.mark.parallel([1, 2])
+def test_too_few_iterations_is_a_failure_with_its_state():
+    with pytest.raises(NumericalFailure, match="facets still change after 2 iterations") as caught:
+        solve(coarse("example2", solve_max_iterations=2), COMM)
+    assert caught.value.solution is not None
+    assert not caught.value.solution.converged
+    assert len(caught.value.solution.history) == 2
+
+
+RANK_INVARIANTS = ["iterations", "contact_facets", "cells", "dofs", "signorini_facets"]
+
+
+@pytest.mark.parallel([2, 3, 4])
+def test_ranks_do_not_matter():
+    """The distributed run gives what each rank computes alone: counts exactly, norms to 1e-10."""
+    for name, algorithm, mesh in [
+        ("example1", "alg1", "structured"),
+        ("example2", "alg2", "structured"),
+        ("example2", "alg1", "unstructured"),
+        ("example3", "alg2", "unstructured"),
+        ("example6", "alg1", "unstructured"),
+    ]:
+        case = coarse(name, solve_algorithm=algorithm, geometry_mesh=mesh)
+        together, alone = solve(case, COMM).summary(), solve(case, MPI.COMM_SELF).summary()
+        assert [together[key] for key in RANK_INVARIANTS] == [alone[key] for key in RANK_INVARIANTS]
+        assert together["contact_measure"] == pytest.approx(alone["contact_measure"], rel=1e-12)
+        assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
