@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 
 from forms.norms import l2, v_norm
 from signorini_fenicsx.algorithms import Algorithm
@@ -23,7 +23,9 @@ class Step:
         iteration: n, from 1.
         no_flux: Γ_S facets with σ·n = 0.
         zero_trace: Γ_S facets with p = 0.
+        robin: Γ_S facets with σ·n + βp = 0.
         changed: Facets whose condition differs from iteration n − 1.
+        clipped: Facets whose negative σ·n Algorithm 3 set to 0 (36).
         sigma_change: ‖σ^(n) − σ^(n−1)‖_V.
         u_change: ‖u^(n) − u^(n−1)‖_Q.
         linear_iterations: Iterations of the linear solver.
@@ -33,7 +35,9 @@ class Step:
     iteration: int
     no_flux: int
     zero_trace: int
+    robin: int
     changed: int
+    clipped: int
     sigma_change: float
     u_change: float
     linear_iterations: int
@@ -42,22 +46,28 @@ class Step:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the loop ended.
+    """How a solve ended.
 
     Attributes:
         iterate: Last solution.
         conditions: Facet conditions it was solved with.
         history: One step per iteration.
-        failure: Why the sets did not settle, or None if they did.
+        reason: Why it ended, in words.
+        converged: Whether the sets settled.
+        dofs: Unknowns of the linear systems.
+        linear_solver: Name of their solver.
     """
 
     iterate: Iterate
     conditions: FacetConditions
     history: list[Step]
-    failure: str | None
+    reason: str
+    converged: bool
+    dofs: int
+    linear_solver: str
 
 
-class _ChangeNorms:
+class ChangeNorms:
     """‖σ − σ'‖_V and ‖u − u'‖_Q of successive iterates, with the forms compiled once."""
 
     def __init__(self, spaces: Spaces):
@@ -66,6 +76,7 @@ class _ChangeNorms:
         self._forms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
 
     def __call__(self, new: Iterate, old: Iterate) -> tuple[float, float]:
+        """The two norms (collective)."""
         self._sigma.x.array[:] = new.sigma.x.array - old.sigma.x.array
         self._u.x.array[:] = new.u.x.array - old.u.x.array
         local = np.array([fem.assemble_scalar(form) for form in self._forms])
@@ -73,54 +84,106 @@ class _ChangeNorms:
         return sigma_change, u_change
 
 
+class FluxClip:
+    """Step 3 of Algorithm 3: σ·n ≥ 0 on the ROBIN facets (36), and the trace that belongs to it (37)."""
+
+    def __init__(self, spaces: Spaces):
+        self._spaces = spaces
+        self._change = fem.Function(spaces.V)
+        self._form = fem.form(ufl.inner(self._change, ufl.TestFunction(spaces.V)) * ufl.dx)
+
+    def __call__(self, iterate: Iterate, conditions: FacetConditions) -> tuple[Iterate, int]:
+        """Clip an iterate (collective).
+
+        A clipped flux moves p on every Γ_S facet of its cell, by (δσ, τ_h) of that facet's basis function τ_h.
+
+        Returns:
+            The clipped iterate and the number of clipped facets over all ranks.
+        """
+        spaces = self._spaces
+        negative = (conditions.kind == Condition.ROBIN) & (iterate.flux < 0)
+        clipped = spaces.mesh.comm.allreduce(int(np.count_nonzero(negative)))
+        if clipped == 0:
+            return iterate, 0
+        dofs = spaces.flux_dofs[negative]
+        self._change.x.array[:] = 0.0
+        self._change.x.array[dofs] = -iterate.sigma.x.array[dofs]
+        sigma = iterate.sigma.copy()
+        sigma.x.array[dofs] = 0.0
+        moved = fem.assemble_vector(self._form)
+        moved.scatter_reverse(la.InsertMode.add)
+        p = iterate.p + moved.array[spaces.flux_dofs] / spaces.basis_flux
+        return replace(iterate, sigma=sigma, p=p, flux=np.where(negative, 0.0, iterate.flux)), clipped
+
+
 def iterate_sets(
     backend: Backend,
     algorithm: Algorithm,
     *,
     rho: float,
+    eps: float,
     max_iterations: int,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Outcome:
     """Run an algorithm until the facet sets repeat (collective).
 
     A set that equals its predecessor ends the loop without another solve: the same set has the same solution. A set
-    seen earlier means that the algorithm cycles, because the next set depends on the present one only.
+    seen earlier means that the algorithm cycles, because the next set depends on the present one only. If it is the
+    clip of Algorithm 3 that cycles, the loop goes on without it, as full-step semismooth Newton for (25).
 
     Args:
         backend: Solves under given facet conditions.
         algorithm: Start and rule.
         rho: ρ > 0 of the rule.
+        eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
         on_step: Called on all ranks after each iteration.
 
     Raises:
         LinearSolveFailure: If the start cannot be solved. Later failures end the loop and are told in the outcome.
     """
-    comm = backend.spaces.mesh.comm
-    change_norms = _ChangeNorms(backend.spaces)
-    facets = len(backend.spaces.facets)
-    start = FacetConditions(np.full(facets, algorithm.start, dtype=np.int8))
-    solved_with, iterate = start, backend.solve(start)
-    conditions = FacetConditions(algorithm.rule(np.zeros(facets), np.zeros(facets), rho))
+    spaces = backend.spaces
+    comm = spaces.mesh.comm
+    beta = 1.0 if algorithm.penalty is None else algorithm.penalty.beta(eps)
+    change_norms = ChangeNorms(spaces)
+    clip = FluxClip(spaces) if algorithm.clips else None
+
+    def end(reason: str, *, converged: bool) -> Outcome:
+        return Outcome(iterate, solved_with, history, reason, converged, backend.dofs, backend.solver())
+
+    def next_conditions(p: np.ndarray, flux: np.ndarray) -> FacetConditions:
+        return FacetConditions(algorithm.rule(p, flux, rho), beta)
+
+    nothing = np.zeros(len(spaces.facets))
+    solved_with = FacetConditions(np.full(len(spaces.facets), algorithm.start, dtype=np.int8), beta)
+    iterate = backend.solve(solved_with)
+    conditions = (
+        next_conditions(nothing, nothing) if algorithm.forgets_start else next_conditions(iterate.p, iterate.flux)
+    )
     seen: list[FacetConditions] = []
     history: list[Step] = []
+    remark = ""
 
     while True:
         began = time.perf_counter()
         changed = int(conditions.changes([solved_with], comm)[0])
-        previous = iterate
+        previous, clipped = iterate, 0
         if changed:
             try:
                 iterate = backend.solve(conditions)
             except LinearSolveFailure as failure:
-                return Outcome(previous, solved_with, history, str(failure))
+                return end(str(failure), converged=False)
+            if clip is not None:
+                iterate, clipped = clip(iterate, conditions)
         solved_with = conditions
         counts = conditions.counts(comm)
         step = Step(
             len(history) + 1,
             counts[Condition.NO_FLUX],
             counts[Condition.ZERO_TRACE],
+            counts[Condition.ROBIN],
             changed,
+            clipped,
             *change_norms(iterate, previous),
             iterate.linear_iterations if changed else 0,
             time.perf_counter() - began,
@@ -129,14 +192,15 @@ def iterate_sets(
         on_step(step)
 
         seen.append(conditions)
-        conditions = FacetConditions(algorithm.rule(iterate.p, iterate.flux, rho))
+        conditions = next_conditions(iterate.p, iterate.flux)
         *earlier, last = conditions.changes(seen, comm).tolist()
         if last == 0:
-            return Outcome(iterate, solved_with, history, None)
+            return end("the facet sets repeat" + remark, converged=True)
         if 0 in earlier:
-            period = len(seen) - earlier.index(0)
-            return Outcome(iterate, solved_with, history, f"the facet sets cycle with period {period}")
+            cycle = f"the facet sets cycle with period {len(seen) - earlier.index(0)}"
+            if clip is None:
+                return end(cycle, converged=False)
+            remark = f", without the clip (36) from iteration {len(history) + 1} on: with it {cycle}"
+            clip, seen = None, []
         if len(history) == max_iterations:
-            return Outcome(
-                iterate, solved_with, history, f"{last} facets still change after {max_iterations} iterations"
-            )
+            return end(f"{last} facets still change after {max_iterations} iterations", converged=False)

@@ -1,16 +1,20 @@
 """The active/inactive-set algorithms: each is a start and a rule, a pure function of the facet values p and σ·n.
 
-| algorithm | formulation | rule, per facet of Γ_S                         |
-|-----------|-------------|------------------------------------------------|
-| alg1      | (MLM-I)_h   | σ·n = 0 where σ·n − ρp < 0, else p = 0         |
-| alg2      | (MLM-II)_h  | p = 0 where p − ρσ·n < 0, else σ·n = 0         |
+| algorithm | formulation | rule, per facet of Γ_S                                    | start          |
+|-----------|-------------|-----------------------------------------------------------|----------------|
+| alg1      | (MLM-I)_h   | σ·n = 0 where σ·n − ρp < 0, else p = 0                    | σ·n = 0, p := 0|
+| alg2      | (MLM-II)_h  | p = 0 where p − ρσ·n < 0, else σ·n = 0                    | as alg1        |
+| alg3      | (MPε-I)_h   | σ·n = 0 where p > 0, else p = −εσ·n; then σ·n clipped ≥ 0 | σ·n = 0        |
+| alg4      | (MPε-II)_h  | p = 0 where σ·n > 0, else σ·n = −εp                       | p = 0          |
+| snes1     | (MPε-I)_h   | none: PETSc SNES solves (25)                              | 0              |
+| snes2     | (MPε-II)_h  | none: PETSc SNES solves (26)                              | 0              |
 
-Both start from the solution with σ·n = 0 on Γ_S, whose trace is then set to 0. After one step one of p and σ·n is 0
-on each facet, so only signs matter and ρ changes no iterate.
+After one step of alg1 and alg2 one of p and σ·n is 0 on each facet, so only signs matter and ρ changes no iterate.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -18,21 +22,52 @@ import numpy.typing as npt
 from signorini_fenicsx.conditions import Condition
 
 type Array = npt.NDArray[np.float64]
+type Rule = Callable[[Array, Array, float], npt.NDArray[np.int8]]
+
+
+class Penalty(Enum):
+    """The two penalty laws on Γ_S.
+
+    Either is the Signorini condition itself with a shifted quantity, which `shift` adds:
+    TRACE, σ·n = [p]_-/ε, says p + εσ·n ≥ 0, σ·n ≥ 0, one of them 0;
+    FLUX, p = [σ·n]_-/ε, says p ≥ 0, σ·n + εp ≥ 0, one of them 0.
+    """
+
+    TRACE = "I"
+    FLUX = "II"
+
+    def beta(self, eps: float) -> float:
+        """β of σ·n + βp = 0 where the penalty acts."""
+        return 1 / eps if self is Penalty.TRACE else eps
+
+    def shift(self, p: Array, flux: Array, eps: float) -> tuple[Array, Array]:
+        """The pair (p, σ·n), shifted so that a penalty solution satisfies the Signorini condition."""
+        return (p + eps * flux, flux) if self is Penalty.TRACE else (p, flux + eps * p)
 
 
 @dataclass(frozen=True)
 class Algorithm:
-    """An active/inactive-set algorithm.
+    """An active/inactive-set algorithm, or a formulation to be solved by SNES.
 
     Attributes:
         title: What it solves and where it is defined.
         start: Condition of all Γ_S facets in the start solve (Step 1).
         rule: From p, σ·n and ρ per facet to the next conditions (Step 2).
+        contact: Condition of the facets in contact.
+        forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
+        penalty: Its penalty law, if it has one.
+        clips: Whether Step 3 clips σ·n to ≥ 0 (36).
+        newton: Whether SNES solves it; the rule then only names the sets of the result.
     """
 
     title: str
     start: Condition
-    rule: Callable[[Array, Array, float], npt.NDArray[np.int8]]
+    rule: Rule
+    contact: Condition = Condition.ZERO_TRACE
+    forgets_start: bool = False
+    penalty: Penalty | None = None
+    clips: bool = False
+    newton: bool = False
 
 
 def mlm1_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
@@ -45,7 +80,37 @@ def mlm2_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
     return np.where(p - rho * flux < 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
 
 
+def trace_penalty_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
+    """Algorithm 3, Step 2: the active set, where p > 0, gets σ·n = 0 (35a); the rest σ·n + p/ε = 0 (35b)."""
+    return np.where(p > 0, Condition.NO_FLUX, Condition.ROBIN).astype(np.int8)
+
+
+def flux_penalty_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
+    """Algorithm 4, Step 2: the active set, where σ·n > 0, gets p = 0; the rest σ·n + εp = 0."""
+    return np.where(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN).astype(np.int8)
+
+
 ALGORITHMS: Mapping[str, Algorithm] = {
-    "alg1": Algorithm("Algorithm 1 for (MLM-I)_h", Condition.NO_FLUX, mlm1_rule),
-    "alg2": Algorithm("Algorithm 2 for (MLM-II)_h", Condition.NO_FLUX, mlm2_rule),
+    "alg1": Algorithm("Algorithm 1 for (MLM-I)_h", Condition.NO_FLUX, mlm1_rule, forgets_start=True),
+    "alg2": Algorithm("Algorithm 2 for (MLM-II)_h", Condition.NO_FLUX, mlm2_rule, forgets_start=True),
+    "alg3": Algorithm(
+        "Algorithm 3 for (MPε-I)_h",
+        Condition.NO_FLUX,
+        trace_penalty_rule,
+        Condition.ROBIN,
+        penalty=Penalty.TRACE,
+        clips=True,
+    ),
+    "alg4": Algorithm("Algorithm 4 for (MPε-II)_h", Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX),
+    "snes1": Algorithm(
+        "PETSc SNES for (MPε-I)_h",
+        Condition.NO_FLUX,
+        trace_penalty_rule,
+        Condition.ROBIN,
+        penalty=Penalty.TRACE,
+        newton=True,
+    ),
+    "snes2": Algorithm(
+        "PETSc SNES for (MPε-II)_h", Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX, newton=True
+    ),
 }

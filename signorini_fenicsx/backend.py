@@ -38,14 +38,14 @@ class LinearSolveFailure(NumericalFailure):
     """A Krylov or direct solver of PETSc gave up."""
 
 
-def take_options(ksp: PETSc.KSP) -> None:
+def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     """Let the user's PETSc options change a solver that has its defaults (collective).
 
     Raises:
         InputError: If PETSc refuses an option.
     """
     try:
-        ksp.setFromOptions()
+        solver.setFromOptions()
     except PETSc.Error as error:
         raise InputError(f"PETSc options: {petsc_reason(error)}") from None
 

@@ -102,6 +102,7 @@ class Solve(_Section):
     backend: Literal["mixed"] = "mixed"
     h: Positive = 2**-5
     rho: Positive = 1.0
+    eps: Annotated[Positive, Field(ge=1e-14, le=1e6)] = 1e-8
     max_iterations: int = Field(default=50, ge=1)
 
 

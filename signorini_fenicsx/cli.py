@@ -25,9 +25,10 @@ app = typer.Typer(
 )
 
 CaseName = Annotated[str, typer.Argument(help="Name of a shipped case (example1 … example6) or path of a .toml file.")]
-AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1 or alg2.")]
+AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, alg2, alg3, alg4, snes1 or snes2.")]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
 Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
+Epsilon = Annotated[str | None, typer.Option("--eps", help="Penalty ε of alg3, alg4, snes1, snes2.")]
 BackendName = Annotated[str | None, typer.Option("--backend", help="mixed: the saddle-point system.")]
 Settings = Annotated[
     list[str] | None,
@@ -52,6 +53,7 @@ def solve(
     algorithm: AlgorithmName = None,
     h: MeshSize = None,
     rho: Rho = None,
+    eps: Epsilon = None,
     backend: BackendName = None,
     settings: Settings = None,
     output: OutputFolder = None,
@@ -68,7 +70,7 @@ def solve(
     from signorini_fenicsx.solver import solve as solve_case
 
     comm = MPI.COMM_WORLD
-    values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, backend=backend)
+    values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     problem = on_root(comm, lambda: load_case(case).with_values(values))
     with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
         report.heading(problem, comm)
@@ -88,45 +90,53 @@ def solve(
 @app.command()
 def convergence(
     case: CaseName,
-    levels: Annotated[str, typer.Option("--levels", help="First and last level of the meshes h = 2^-level.")] = "2:6",
-    reference: Annotated[int, typer.Option("--reference", help="Level of the reference solution.")] = 8,
+    vary: Annotated[str, typer.Option("--vary", help="h, eps (same mesh), or with ε tied to h: eps=h, eps=h^2.")] = "h",
+    levels: Annotated[str, typer.Option("--levels", help="FIRST:LAST of h = 2^-level, or of eps = 10^-level.")] = "2:6",
+    reference: Annotated[int, typer.Option("--reference", help="Level of the reference; unused by --vary eps.")] = 8,
     algorithm: AlgorithmName = None,
+    h: MeshSize = None,
     rho: Rho = None,
+    eps: Epsilon = None,
     backend: BackendName = None,
     settings: Settings = None,
     output: OutputFolder = None,
 ) -> None:
-    """Measure errors against a fine solution, beside the slides' tables; into results/<case>-convergence/.
+    """Measure errors against a fine solution, or those of the penalty; into results/<case>-convergence/.
 
-    Example: signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2
+    Examples: signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2;
+    signorini convergence example4 --algorithm alg3 --vary eps --levels 0:8 --h 2^-8
     """
     from signorini_fenicsx import report
+    from signorini_fenicsx.algorithms import ALGORITHMS
     from signorini_fenicsx.case import load_case
-    from signorini_fenicsx.convergence import convergence_study
+    from signorini_fenicsx.convergence import Vary, convergence_study, fitted_slopes
     from signorini_fenicsx.output import write_convergence
     from signorini_fenicsx.results import ResultsFolder
 
     comm = MPI.COMM_WORLD
-    values = _overrides(settings, algorithm=algorithm, rho=rho, backend=backend)
+    values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     problem = on_root(comm, lambda: load_case(case).with_values(values))
-    range_of_levels = _levels(levels, reference)
+    if vary not in (known := [way.value for way in Vary]):
+        raise InputError(f"--vary {vary}: must be one of {', '.join(known)}")
+    way, steps = Vary(vary), _levels(levels)
+    if way is not Vary.EPS and reference <= steps[-1]:
+        raise InputError(f"--reference {reference}: must be finer than the last level, {steps[-1]}")
     with ResultsFolder(comm, output or Path("results", f"{problem.name}-convergence")) as folder:
         report.heading(problem, comm)
         report.convergence_heading()
         rows = convergence_study(
-            problem, range_of_levels, reference, comm, on_start=report.level, on_row=report.convergence_row
+            problem, way, steps, reference, comm, on_start=report.about_to_solve, on_row=report.convergence_row
         )
-        write_convergence(problem, reference, rows, folder.path, comm)
+        write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()
+        report.convergence_slopes(fitted_slopes(rows, way), way, ALGORITHMS[problem.solve.algorithm])
         report.console.print(f"results  {folder.target}")
 
 
-def _levels(text: str, reference: int) -> range:
+def _levels(text: str) -> range:
     first, separator, last = text.partition(":")
     if not (separator and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
         raise InputError(f"--levels {text}: must be FIRST:LAST with FIRST ≤ LAST, such as 2:6")
-    if reference <= int(last):
-        raise InputError(f"--reference {reference}: must be finer than the last level, {last}")
     return range(int(first), int(last) + 1)
 
 

@@ -17,6 +17,7 @@ class Condition(IntEnum):
 
     NO_FLUX = 0
     ZERO_TRACE = 1
+    ROBIN = 2
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,11 @@ class FacetConditions:
 
     Attributes:
         kind: A Condition per owned facet, in the order of `Spaces.facets`.
+        beta: β > 0 of all ROBIN facets.
     """
 
     kind: npt.NDArray[np.int8]
+    beta: float = 1.0
 
     def clean(self, p: Array, flux: Array) -> tuple[Array, Array]:
         """Replace what the conditions prescribe by its exact value, so that no rule decides on the solver's error.
@@ -37,9 +40,15 @@ class FacetConditions:
             flux: σ·n per facet.
 
         Returns:
-            Trace and flux; one of them is exactly 0 on each NO_FLUX or ZERO_TRACE facet.
+            Trace and flux; one of them is exactly 0 on each NO_FLUX or ZERO_TRACE facet, and on ROBIN facets the
+            smaller one, which carries the larger relative error, is computed from the other.
         """
-        return np.where(self.kind == Condition.ZERO_TRACE, 0.0, p), np.where(self.kind == Condition.NO_FLUX, 0.0, flux)
+        robin = self.kind == Condition.ROBIN
+        p = np.where(self.kind == Condition.ZERO_TRACE, 0.0, p)
+        flux = np.where(self.kind == Condition.NO_FLUX, 0.0, flux)
+        if self.beta > 1:
+            return np.where(robin, -flux / self.beta, p), flux
+        return p, np.where(robin, -self.beta * p, flux)
 
     def counts(self, comm: MPI.Comm) -> dict[Condition, int]:
         """Number of facets under each condition over all ranks (collective)."""

@@ -6,10 +6,10 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
-from mpi4py import MPI
 
 from forms.mixed import multiplier_residual
 from forms.norms import l2
+from signorini_fenicsx.algorithms import Penalty
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-8
@@ -19,6 +19,9 @@ TOLERANCE = 1e-8
 @dataclass(frozen=True)
 class KKTResiduals:
     """Residuals of (MLM-I)_h and (MLM-II)_h, with S = ‖σ‖ and L = |Ω|^(1/d); all 0 if S = 0.
+
+    A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
+    its primal and dual residuals and its complementarity refer to.
 
     Attributes:
         primal: ‖[p]_-‖_Λ / (√L S), the violation of p ≥ 0.
@@ -45,7 +48,13 @@ class KKTResiduals:
 
 
 def kkt_residuals(
-    spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, f_h: fem.Function
+    spaces: Spaces,
+    sigma: fem.Function,
+    u: fem.Function,
+    p: fem.Function,
+    f_h: fem.Function,
+    penalty: Penalty | None = None,
+    eps: float = 0.0,
 ) -> KKTResiduals:
     """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
     comm = spaces.mesh.comm
@@ -55,6 +64,8 @@ def kkt_residuals(
     length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
 
     e, trace, flux = spaces.facet_measure, p.x.array[: len(spaces.facets)], spaces.normal_flux(sigma)
+    if penalty is not None:
+        trace, flux = penalty.shift(trace, flux, eps)
     primal, dual, complementarity = comm.allreduce(
         np.array([e @ np.minimum(trace, 0) ** 2, e @ np.minimum(flux, 0) ** 2, e @ np.abs(trace * flux)])
     )
@@ -77,4 +88,6 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
     mass = assemble_matrix(fem.form(ufl.inner(ufl.TrialFunction(V), tau) * ufl.dx))
     mass.assemble()
     owned = residual.array[: V.dofmap.index_map.size_local]
-    return float(np.sqrt(V.mesh.comm.allreduce(owned @ (owned / mass.getDiagonal().array_r), op=MPI.SUM)))
+    square = V.mesh.comm.allreduce(owned @ (owned / mass.getDiagonal().array_r))
+    mass.destroy()
+    return float(np.sqrt(square))

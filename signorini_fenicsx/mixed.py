@@ -16,8 +16,8 @@ class MixedBackend:
     """The mixed method as it is written: unknowns σ_h and u_h, then p_h from the identity (12).
 
     The matrix [(σ, τ), (u, ∇·τ); (∇·σ, v), 0] is assembled once. A NO_FLUX facet is an essential condition on its
-    flux degree of freedom, a ZERO_TRACE facet a natural one, so a step changes rows and columns of facets only and
-    the sparsity pattern, with its symbolic factorisation, stays.
+    flux degree of freedom, a ZERO_TRACE facet a natural one, a ROBIN facet adds to the diagonal: a step changes rows
+    and columns of facets only and the sparsity pattern, with its symbolic factorisation, stays.
     """
 
     name = "mixed"
@@ -69,6 +69,7 @@ class MixedBackend:
         spaces = self.spaces
         self._assembled.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         first_row = self._matrix.getOwnershipRange()[0]
+        self._add_robin(conditions)
         no_flux = spaces.flux_dofs[conditions.kind == Condition.NO_FLUX]
         self._matrix.zeroRowsColumns(first_row + no_flux)
 
@@ -83,6 +84,17 @@ class MixedBackend:
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         p, flux = conditions.clean(p, spaces.normal_flux(sigma))
         return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
+
+    def _add_robin(self, conditions: FacetConditions) -> None:
+        """Add (1/β)(σ·n, τ·n)_e, one diagonal entry per ROBIN facet: its basis function alone has a flux there."""
+        spaces = self.spaces
+        robin = conditions.kind == Condition.ROBIN
+        diagonal = self._load.duplicate()
+        diagonal.set(0.0)
+        diagonal.array_w[spaces.flux_dofs[robin]] = (spaces.basis_flux**2 / spaces.facet_measure)[
+            robin
+        ] / conditions.beta
+        self._matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
 
 
 def _owned(vector: la.Vector, space: fem.FunctionSpace) -> np.ndarray:

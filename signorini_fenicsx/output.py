@@ -21,7 +21,7 @@ from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import Condition
-from signorini_fenicsx.convergence import ErrorRow, write_table
+from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
 from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution, Stopwatch
@@ -57,29 +57,29 @@ def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False
     on_root(solution.spaces.mesh.comm, write)
 
 
-def write_convergence(case: Case, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm) -> None:
+def write_convergence(
+    case: Case, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+) -> None:
     """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
 
     def write() -> None:
         from signorini_fenicsx import plots
 
         write_table(folder / "convergence.csv", rows)
-        plots.draw_errors(
-            folder / "convergence.png",
-            rows,
-            f"{case.name}, {case.solve.algorithm}, reference h = 2^-{reference}",
-        )
-        _write_summary(
-            folder,
-            {
-                "case": case.name,
-                "algorithm": case.solve.algorithm,
-                "backend": case.solve.backend,
-                "reference": reference,
-                "rows": [asdict(row) for row in rows],
-                "ranks": comm.size,
-            },
-        )
+        against = "alg1 on the same mesh" if vary is Vary.EPS else f"h = 2^-{reference}"
+        title = f"{case.name}, {case.solve.algorithm}, against {against}"
+        plots.draw_errors(folder / "convergence.png", rows, vary, title)
+        summary = {
+            "case": case.name,
+            "algorithm": case.solve.algorithm,
+            "backend": case.solve.backend,
+            "vary": vary.value,
+            "reference": against,
+            "rows": [asdict(row) for row in rows],
+            "slopes": fitted_slopes(rows, vary),
+            "ranks": comm.size,
+        }
+        _write_summary(folder, summary)
 
     on_root(comm, write)
 

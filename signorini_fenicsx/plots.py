@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.active_set import Step
-from signorini_fenicsx.convergence import ErrorRow
+from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.gather import FacetTable, Fields
 from signorini_fenicsx.solver import Solution
 
@@ -144,26 +144,23 @@ def draw_iterations(path: Path, history: list[Step], algorithm: str) -> None:
     figure.savefig(path)
 
 
-def draw_errors(path: Path, rows: list[ErrorRow], title: str) -> None:
-    """Errors over h on logarithmic axes, with the slides' and a line of slope 1 (rank 0)."""
-    figure = Figure(figsize=(5.4, 4.2), layout="constrained")
+def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> None:
+    """Errors over h or ε on logarithmic axes, with the slides' and lines of slope 1 and ½ (rank 0)."""
+    figure = Figure(figsize=(5.6, 4.4), layout="constrained")
     axes = figure.add_subplot()
-    h = np.array([2.0**-row.level for row in rows])
-    for index, (label, own, theirs) in enumerate(
-        [
-            ("‖σ_ref − σ_h‖_V", "sigma_V", "slides_sigma_V"),
-            ("‖u_ref − u_h‖_Q", "u_Q", "slides_u_Q"),
-            ("‖p_ref − p_h‖_Λ", "p_Lambda", None),
-        ]
-    ):
-        axes.loglog(h, [getattr(row, own) for row in rows], "o-", color=f"C{index}", label=label)
-        known = [row for row in rows if theirs is not None and getattr(row, theirs) is not None]
-        if theirs is not None and known:
-            at = [2.0**-row.level for row in known]
-            axes.loglog(at, [getattr(row, theirs) for row in known], "x:", color=f"C{index}", label=f"{label}, slides")
-    axes.loglog(h, rows[0].sigma_V * 0.5 * h / h[0], "k--", linewidth=0.8, label="slope 1")
-    axes.set_xscale("log", base=2)
-    axes.set(xlabel="h", title=title)
+    base = 10.0 if vary is Vary.EPS else 2.0
+    x = np.array([base**-row.level for row in rows])
+    for index, (name, label) in enumerate(ERRORS.items()):
+        drawn = [getattr(row, name) or np.nan for row in rows]
+        if not np.all(np.isnan(drawn)):
+            axes.loglog(x, drawn, "o-", color=f"C{index}", label=label)
+        theirs = [getattr(row, f"slides_{name}", None) or np.nan for row in rows]
+        if not np.all(np.isnan(theirs)):
+            axes.loglog(x, theirs, "x:", color=f"C{index}", label=f"{label}, slides")
+    for slope, style in ((1.0, "k--"), (0.5, "k:")):
+        axes.loglog(x, rows[0].sigma_V * 0.5 * (x / x[0]) ** slope, style, linewidth=0.8, label=f"slope {slope:g}")
+    axes.set_xscale("log", base=int(base))
+    axes.set(xlabel="ε" if vary is Vary.EPS else "h", title=title)
     axes.legend(fontsize=8)
     figure.savefig(path)
 

@@ -4,12 +4,13 @@ from pathlib import Path
 
 from mpi4py import MPI
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from signorini_fenicsx.active_set import Step
-from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
 from signorini_fenicsx.case import Case
-from signorini_fenicsx.convergence import ErrorRow
+from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.solver import Solution
 
 console = Console(highlight=False, soft_wrap=True)
@@ -24,15 +25,15 @@ def heading(case: Case, comm: MPI.Comm) -> None:
 
 def iteration_heading() -> None:
     """Name the columns of the iterations."""
-    console.print(f"{'n':>4} {'σ·n = 0':>9} {'p = 0':>9} {'changed':>9} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
+    counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
+    console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
 
 def step(row: Step) -> None:
     """Show an iteration as soon as it is done."""
-    console.print(
-        f"{row.iteration:4d} {row.no_flux:9d} {row.zero_trace:9d} {row.changed:9d} "
-        f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
-    )
+    counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
+    changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
+    console.print(f"{row.iteration:4d}{counts} {changes}")
 
 
 def solution(result: Solution, folder: Path) -> None:
@@ -45,36 +46,44 @@ def solution(result: Solution, folder: Path) -> None:
     table.add_row("contact", f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}")
     table.add_row("norms", "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()))
     table.add_row("KKT", "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()))
+    if "violation" in summary:
+        left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
+        table.add_row("penalty", escape(f"ε = {summary['eps']:g} leaves {left}"))
     table.add_row("seconds", "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items()))
     table.add_row("results", str(folder))
     console.print(table)
 
 
-def level(number: int) -> None:
-    """Say which mesh is being solved, until its row replaces the line."""
+def about_to_solve(case: Case) -> None:
+    """Say which problem is being solved, until its row replaces the line."""
     if console.is_terminal:
-        console.print(f"solving h = 2^-{number} …", end="\r")
+        console.print(f"solving h = {case.solve.h:g}, {case.solve.algorithm} …", end="\r")
 
 
 def convergence_heading() -> None:
     """Name the columns of a convergence study."""
-    errors = "".join(f" {name:>10} {'order':>6}" for name in ("‖δσ‖_V", "‖δu‖_Q", "‖δp‖_Λ"))
-    console.print(f"{'level':>5} {'h':>8} {'cells':>8} {'n':>3}{errors} {'slides σ':>9} {'slides u':>9}")
+    errors = "".join(f" {name:>11} {'order':>5}" for name in ERRORS.values())
+    console.print(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{errors} {'slides σ':>9} {'slides u':>9}")
 
 
 def convergence_row(row: ErrorRow) -> None:
-    """Show the errors of one level."""
-
-    def cell(value: float | None, width: int, form: str) -> str:
-        return f"{'-' if value is None else format(value, form):>{width}}"
-
+    """Show the errors of one run."""
     errors = "".join(
-        f" {cell(error, 10, '.3g')} {cell(order, 6, '.2f')}"
-        for error, order in (
-            (row.sigma_V, row.sigma_order),
-            (row.u_Q, row.u_order),
-            (row.p_Lambda, row.p_order),
-        )
+        f" {_cell(getattr(row, name), 11, '.3g')} {_cell(getattr(row, name + '_order'), 5, '.2f')}" for name in ERRORS
     )
-    slides = f" {cell(row.slides_sigma_V, 9, '.3g')} {cell(row.slides_u_Q, 9, '.3g')}"
-    console.print(f"{row.level:5d} {row.h:8.5f} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
+    slides = f" {_cell(row.slides_sigma_V, 9, '.3g')} {_cell(row.slides_u_Q, 9, '.3g')}"
+    console.print(f"{row.h:8.5f} {_cell(row.eps, 8, '.1e')} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
+
+
+def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorithm) -> None:
+    """Show fitted slopes beside those of the theory."""
+    theory = {
+        Vary.H: "h (8)" if algorithm.penalty is None else "h (30), (32)",
+        Vary.EPS: "√ε in general, ε for a regular flux (21)-(24)",
+    }.get(vary, "h + √ε (29), (31)")
+    fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
+    console.print(f"fitted slopes  {fitted}   theory: {theory}")
+
+
+def _cell(value: float | None, width: int, form: str) -> str:
+    return f"{'-' if value is None else format(value, form):>{width}}"

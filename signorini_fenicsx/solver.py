@@ -9,18 +9,20 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from forms.norms import l2
-from signorini_fenicsx.active_set import Step, iterate_sets
+from signorini_fenicsx.active_set import Outcome, Step, iterate_sets
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.backend import Backend
 from signorini_fenicsx.case import Case
-from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.geometry import Domain, build_domain
 from signorini_fenicsx.kkt import KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
+from signorini_fenicsx.newton import PenaltyNewton
 from signorini_fenicsx.spaces import Spaces, build_spaces, project_load
 
 BACKENDS: dict[str, Callable[[Spaces, fem.Function], Backend]] = {"mixed": MixedBackend}
@@ -76,15 +78,26 @@ class Solution:
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact, by their final condition (collective)."""
-        touching = self.conditions.kind == Condition.ZERO_TRACE
+        touching = self.conditions.kind == ALGORITHMS[self.case.solve.algorithm].contact
         comm = self.spaces.mesh.comm
         count = comm.allreduce(int(np.count_nonzero(touching)))
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
+
+    def violation(self) -> dict[str, float]:
+        """What a penalty leaves of the Signorini condition: ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ (collective)."""
+        spaces = self.spaces
+        negative = [
+            spaces.facet_measure @ np.minimum(values, 0) ** 2
+            for values in (self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma))
+        ]
+        trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
+        return {"trace": trace, "flux": flux}
 
     def summary(self) -> dict[str, Any]:
         """Everything about the run that fits into numbers, ready for JSON (collective)."""
         spaces, solve = self.spaces, self.case.solve
         contact_facets, contact_measure = self.contact()
+        penalised = ALGORITHMS[solve.algorithm].penalty is not None
         return {
             "case": self.case.name,
             "title": self.case.title,
@@ -102,6 +115,7 @@ class Solution:
             "reason": self.reason,
             "norms": self.norms(),
             "kkt": vars(self.kkt),
+            **({"eps": solve.eps, "violation": self.violation()} if penalised else {}),
             "timings": self.timings,
             "ranks": spaces.mesh.comm.size,
         }
@@ -163,24 +177,18 @@ def solve(
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini)
     f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(domain.mesh)), spaces.Q)
-    backend = BACKENDS[case.solve.backend](spaces, f_h)
-    watch.lap("assembly")
-    outcome = iterate_sets(
-        backend,
-        ALGORITHMS[case.solve.algorithm],
-        rho=case.solve.rho,
-        max_iterations=case.solve.max_iterations,
-        on_step=on_step,
-    )
+    outcome = _run(case, spaces, f_h, watch, on_step)
     watch.lap("solve")
 
     iterate = outcome.iterate
     p = fem.Function(spaces.Lambda, name="p")
     p.x.array[: len(iterate.p)] = iterate.p
     p.x.scatter_forward()
-    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, f_h)
+    penalty = ALGORITHMS[case.solve.algorithm].penalty
+    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, f_h, penalty, case.solve.eps)
+    PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
-    failure = outcome.failure or kkt.violation()
+    failure = kkt.violation() if outcome.converged else outcome.reason
     solution = Solution(
         case=case,
         spaces=spaces,
@@ -191,12 +199,31 @@ def solve(
         conditions=outcome.conditions,
         history=outcome.history,
         kkt=kkt,
-        reason=failure or "the facet sets repeat",
+        reason=failure or outcome.reason,
         converged=failure is None,
-        dofs=backend.dofs,
-        linear_solver=backend.solver(),
+        dofs=outcome.dofs,
+        linear_solver=outcome.linear_solver,
         timings=watch.longest(comm),
     )
     if failure is not None:
         raise NumericalFailure(failure, solution)
     return solution
+
+
+def _run(case: Case, spaces: Spaces, f_h: fem.Function, watch: Stopwatch, on_step: Callable[[Step], None]) -> Outcome:
+    """Set up the case's solver, run it and let it go (collective)."""
+    options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
+    if algorithm.newton:
+        newton = PenaltyNewton(spaces, f_h, algorithm, eps=options.eps, max_iterations=options.max_iterations)
+        watch.lap("assembly")
+        return newton.solve(on_step)
+    backend = BACKENDS[options.backend](spaces, f_h)
+    watch.lap("assembly")
+    return iterate_sets(
+        backend,
+        algorithm,
+        rho=options.rho,
+        eps=options.eps,
+        max_iterations=options.max_iterations,
+        on_step=on_step,
+    )

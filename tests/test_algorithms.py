@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
-from signorini_fenicsx.algorithms import ALGORITHMS, mlm1_rule, mlm2_rule
+from signorini_fenicsx.algorithms import (
+    ALGORITHMS,
+    Penalty,
+    flux_penalty_rule,
+    mlm1_rule,
+    mlm2_rule,
+    trace_penalty_rule,
+)
 from signorini_fenicsx.conditions import Condition, FacetConditions
 
-NO_FLUX, ZERO_TRACE = Condition.NO_FLUX, Condition.ZERO_TRACE
+NO_FLUX, ZERO_TRACE, ROBIN = Condition
 
 P = np.array([0.0, 1.0, -1.0, 0.0, 0.0])
 FLUX = np.array([0.0, 0.0, 0.0, 1.0, -1.0])
@@ -20,6 +27,40 @@ def test_algorithm_1():
 def test_algorithm_2():
     """The same but for ties, which are open."""
     np.testing.assert_array_equal(mlm2_rule(P, FLUX, 1.0), [NO_FLUX, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
+
+
+def test_algorithm_3():
+    """Facets with p > 0 are open, ties are penalised."""
+    np.testing.assert_array_equal(trace_penalty_rule(P, FLUX, 1.0), [ROBIN, NO_FLUX, ROBIN, ROBIN, ROBIN])
+
+
+def test_algorithm_4():
+    """Facets with σ·n > 0 are in contact, ties are penalised."""
+    np.testing.assert_array_equal(flux_penalty_rule(P, FLUX, 1.0), [ROBIN, ROBIN, ROBIN, ZERO_TRACE, ROBIN])
+
+
+@pytest.mark.parametrize("penalty", Penalty)
+def test_a_penalty_solution_is_a_shifted_signorini_solution(penalty: Penalty):
+    eps = 0.25
+    contact, gap = (-eps * 2.0, 2.0) if penalty is Penalty.TRACE else (0.0, 2.0), (3.0, 0.0)
+    if penalty is Penalty.FLUX:
+        gap = (3.0, -eps * 3.0)
+    p, flux = penalty.shift(*np.array([contact, gap]).T, eps)
+    assert min(p.min(), flux.min()) >= 0
+    np.testing.assert_array_equal(p * flux, [0, 0])
+    assert penalty.beta(eps) * (contact if penalty is Penalty.TRACE else gap)[0] == pytest.approx(
+        -(contact if penalty is Penalty.TRACE else gap)[1]
+    )
+
+
+@pytest.mark.parametrize("beta", [1e8, 1e-8])
+def test_clean_computes_the_smaller_robin_value(beta: float):
+    conditions = FacetConditions(np.array([ROBIN], dtype=np.int8), beta)
+    p, flux = conditions.clean(np.array([-3.0]), np.array([-5.0]))
+    if beta > 1:
+        assert (p[0], flux[0]) == (5.0 / beta, -5.0)
+    else:
+        assert (p[0], flux[0]) == (-3.0, 3.0 * beta)
 
 
 @pytest.mark.parametrize("name", ["alg1", "alg2"])

@@ -155,6 +155,12 @@ BAD_INPUT = [
     (["solve", "example1", "--colour"], "No such option"),
     (["convergence", "example1", "--levels", "5:2"], "FIRST:LAST"),
     (["convergence", "example1", "--levels", "2:4", "--reference", "4"], "finer"),
+    (["convergence", "example1", "--vary", "rho"], "must be one of"),
+    (["convergence", "example1", "--vary", "eps"], "alg1 has no penalty"),
+    (["solve", "example4", "--eps", "0"], "greater than"),
+    (["solve", "example4", "--eps", "nan"], "not a number"),
+    (["solve", "example4", "--eps", "1e-15"], "greater than or equal to 1e-14"),
+    (["solve", "example4", "--eps", "1e7"], "less than or equal to 1000000"),
 ]
 
 
@@ -222,6 +228,6 @@ def test_convergence(tmp_path: Path):
     rows = read_rows(tmp_path / "results" / "example1-convergence" / "convergence.csv")
     assert [row["level"] for row in rows] == ["2", "3"]
     assert float(rows[0]["slides_sigma_V"]) == 1.65
-    for name in ("sigma", "u", "p"):
+    for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
     assert (tmp_path / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
