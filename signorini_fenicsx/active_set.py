@@ -54,6 +54,7 @@ class Outcome:
         history: One step per iteration.
         reason: Why it ended, in words.
         converged: Whether the sets settled.
+        backend: Name of the discrete system it was solved with.
         dofs: Unknowns of the linear systems.
         linear_solver: Name of their solver.
     """
@@ -63,6 +64,7 @@ class Outcome:
     history: list[Step]
     reason: str
     converged: bool
+    backend: str
     dofs: int
     linear_solver: str
 
@@ -149,7 +151,7 @@ def iterate_sets(
     clip = FluxClip(spaces) if algorithm.clips else None
 
     def end(reason: str, *, converged: bool) -> Outcome:
-        return Outcome(iterate, solved_with, history, reason, converged, backend.dofs, backend.solver())
+        return Outcome(iterate, solved_with, history, reason, converged, backend.name, backend.dofs, backend.solver())
 
     def next_conditions(p: np.ndarray, flux: np.ndarray) -> FacetConditions:
         return FacetConditions(algorithm.rule(p, flux, rho), beta)

@@ -5,7 +5,7 @@ import sysconfig
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import basix.ufl
 import ufl
@@ -99,7 +99,7 @@ class Solve(_Section):
     """`[solve]`: the algorithm and its parameters."""
 
     algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
-    backend: Literal["mixed"] = "mixed"
+    backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
     h: Positive = 2**-5
     rho: Positive = 1.0
     eps: Annotated[Positive, Field(ge=1e-14, le=1e6)] = 1e-8

@@ -29,7 +29,7 @@ AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, al
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
 Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
 Epsilon = Annotated[str | None, typer.Option("--eps", help="Penalty ε of alg3, alg4, snes1, snes2.")]
-BackendName = Annotated[str | None, typer.Option("--backend", help="mixed: the saddle-point system.")]
+BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid (facet system) or mixed (saddle point).")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
@@ -74,7 +74,7 @@ def solve(
     problem = on_root(comm, lambda: load_case(case).with_values(values))
     with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
         report.heading(problem, comm)
-        report.iteration_heading()
+        report.iteration_heading(problem)
         try:
             solution = solve_case(problem, comm, on_step=report.step)
         except NumericalFailure as failure:

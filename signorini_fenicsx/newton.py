@@ -89,7 +89,7 @@ class PenaltyNewton:
         reason = (failure or "SNES changes nothing any more") + remark
         solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
         dofs = self._problem.x.getSize()
-        return Outcome(iterate, self._conditions(iterate), history, reason, failure is None, dofs, solver)
+        return Outcome(iterate, self._conditions(iterate), history, reason, failure is None, "mixed", dofs, solver)
 
     def _newton(self, eps: float, record: Callable[[PETSc.SNES, int, float], None]) -> str | None:
         """One run of SNES from the present fields; the reason of its failure, or None."""

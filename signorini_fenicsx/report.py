@@ -20,11 +20,13 @@ def heading(case: Case, comm: MPI.Comm) -> None:
     """Say what is about to be solved."""
     console.print(f"[bold]{case.title or case.name}[/]")
     ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
-    console.print(f"{ALGORITHMS[case.solve.algorithm].title}, {case.solve.backend} backend, {ranks}")
+    console.print(f"{ALGORITHMS[case.solve.algorithm].title}, {ranks}")
 
 
-def iteration_heading() -> None:
-    """Name the columns of the iterations."""
+def iteration_heading(case: Case) -> None:
+    """Say what the run is about and name the columns of the iterations."""
+    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].penalty is not None else ""
+    console.print(f"h ≤ {case.solve.h:g}{penalty}")
     counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
     console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
@@ -42,7 +44,7 @@ def solution(result: Solution, folder: Path) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_row("converged", f"{summary['reason']} after {summary['iterations']} iterations")
     table.add_row("mesh", f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets")
-    table.add_row("system", f"{summary['dofs']} unknowns, {summary['linear_solver']}")
+    table.add_row("system", f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}")
     table.add_row("contact", f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}")
     table.add_row("norms", "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()))
     table.add_row("KKT", "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()))

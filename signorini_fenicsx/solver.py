@@ -20,12 +20,13 @@ from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.geometry import Domain, build_domain
+from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.kkt import KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
 from signorini_fenicsx.spaces import Spaces, build_spaces, project_load
 
-BACKENDS: dict[str, Callable[[Spaces, fem.Function], Backend]] = {"mixed": MixedBackend}
+BACKENDS: dict[str, Callable[[Spaces, fem.Function], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Solution:
         kkt: Residuals of the discrete Signorini problem.
         reason: Why it ended, in words.
         converged: Whether the facet sets repeated and all residuals are small.
+        backend: Name of the discrete system it was solved with; SNES always takes the mixed one.
         dofs: Unknowns of the linear system.
         linear_solver: Name of the linear solver.
         timings: Seconds per phase, the longest over all ranks.
@@ -60,6 +62,7 @@ class Solution:
     kkt: KKTResiduals
     reason: str
     converged: bool
+    backend: str
     dofs: int
     linear_solver: str
     timings: dict[str, float] = field(default_factory=dict)
@@ -102,7 +105,7 @@ class Solution:
             "case": self.case.name,
             "title": self.case.title,
             "algorithm": solve.algorithm,
-            "backend": solve.backend,
+            "backend": self.backend,
             "linear_solver": self.linear_solver,
             "h": spaces.domain.h,
             "cells": spaces.mesh.topology.index_map(spaces.mesh.topology.dim).size_global,
@@ -201,6 +204,7 @@ def solve(
         kkt=kkt,
         reason=failure or outcome.reason,
         converged=failure is None,
+        backend=outcome.backend,
         dofs=outcome.dofs,
         linear_solver=outcome.linear_solver,
         timings=watch.longest(comm),

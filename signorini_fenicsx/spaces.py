@@ -40,6 +40,7 @@ class Spaces:
         flux_dofs: RT0 degree of freedom of each.
         basis_flux: ∫_e φ·n of that basis function φ, with its sign.
         facet_measure: |e|.
+        dirichlet_facets: Mesh facets of Γ_D on this rank.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
     """
@@ -56,6 +57,7 @@ class Spaces:
     flux_dofs: npt.NDArray[np.int32]
     basis_flux: Array
     facet_measure: Array
+    dirichlet_facets: npt.NDArray[np.int32]
     n: ufl.FacetNormal
     ds: ufl.Measure
 
@@ -95,7 +97,7 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(SIGNORINI, sides)])(SIGNORINI)
     n = ufl.FacetNormal(mesh)
 
-    cells, flux_dofs = _cells_and_dofs(V, facets)
+    cells, flux_dofs = cells_and_dofs(V, facets)
     part_of_facet = np.empty(len(facets), dtype=np.int32)
     for index, name in enumerate(signorini):
         part_of_facet[np.isin(facets, domain.facets[name])] = index
@@ -114,15 +116,16 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
         flux_dofs=flux_dofs,
         basis_flux=flux_of_basis[flux_dofs],
         facet_measure=measure[: len(facets)],
+        dirichlet_facets=np.setdiff1d(dolfinx.mesh.exterior_facet_indices(mesh.topology), facets),
         n=n,
         ds=ds,
     )
 
 
-def _cells_and_dofs(
+def cells_and_dofs(
     V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """The cell behind each boundary facet and the RT0 degree of freedom on it."""
+    """The cell behind each boundary facet and the degree of freedom on it, in a space with one per facet."""
     topology = V.mesh.topology
     dim = topology.dim
     topology.create_connectivity(dim - 1, dim)
@@ -131,13 +134,18 @@ def _cells_and_dofs(
     cells = facet_cells.array[facet_cells.offsets[facets]]
     cell_facets = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
     local = np.argmax(cell_facets == facets[:, None], axis=1)
-    return cells, V.dofmap.list[cells, local]  # RT0 numbers one degree of freedom per local facet
+    return cells, V.dofmap.list[cells, local]  # RT0 and CR number their degrees of freedom as the cell its facets
 
 
 def _assembled(form: ufl.Form, entity_maps: list[dolfinx.mesh.EntityMap]) -> Array:
     vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array
+
+
+def cell_measures(Q: fem.FunctionSpace) -> Array:
+    """|T| of the owned and ghost cells."""
+    return _assembled(fem.Constant(Q.mesh, 1.0) * ufl.TestFunction(Q) * ufl.dx, [])
 
 
 def project_load(f: ufl.core.expr.Expr, Q: fem.FunctionSpace) -> fem.Function:
@@ -152,7 +160,7 @@ def project_load(f: ufl.core.expr.Expr, Q: fem.FunctionSpace) -> fem.Function:
     f = f + fem.Constant(mesh, 0.0)  # UFL would drop the integral of a plain 0
     v = ufl.TestFunction(Q)
     f_h = fem.Function(Q, name="f_h")
-    f_h.x.array[:] = _assembled(f * v * dx, []) / _assembled(fem.Constant(mesh, 1.0) * v * dx, [])
+    f_h.x.array[:] = _assembled(f * v * dx, []) / cell_measures(Q)
     if not mesh.comm.allreduce(bool(np.isfinite(f_h.x.array).all()), op=MPI.LAND):
         raise InputError("[problem] f: not finite everywhere in the domain")
     return f_h

@@ -1,0 +1,99 @@
+"""The hybrid backend against the mixed one, iterate by iterate, with both of its linear solvers."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import make_case
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx import hybrid
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.solver import mesh_case, solve
+
+COMM = MPI.COMM_WORLD
+
+
+def assert_same_iterates(case: Case, tolerance: float) -> None:
+    """Every algorithm takes the same sets and ends in the same σ, u, p with both backends (collective)."""
+    domain = mesh_case(case, COMM)
+    for algorithm in ("alg1", "alg2", "alg3", "alg4"):
+        mixed, facet = (
+            solve(
+                case.with_values({"solve.algorithm": algorithm, "solve.backend": backend, "solve.eps": 1e-6}),
+                COMM,
+                domain=domain,
+            )
+            for backend in ("mixed", "hybrid")
+        )
+        for a, b in zip(mixed.history, facet.history, strict=True):
+            assert (a.no_flux, a.zero_trace, a.robin, a.changed, a.clipped) == (
+                b.no_flux,
+                b.zero_trace,
+                b.robin,
+                b.changed,
+                b.clipped,
+            )
+            assert a.sigma_change == pytest.approx(b.sigma_change, abs=1e-8)
+        np.testing.assert_array_equal(mixed.conditions.kind, facet.conditions.kind)
+        for one, two in [(mixed.sigma, facet.sigma), (mixed.u, facet.u), (mixed.p, facet.p)]:
+            np.testing.assert_allclose(one.x.array, two.x.array, atol=tolerance)
+
+
+@pytest.mark.parallel([1, 2])
+def test_direct_solver():
+    for name in [f"example{i}" for i in range(1, 7)] if COMM.size == 1 else ["example3", "example5"]:
+        assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 8}), 1e-12)
+
+
+@pytest.mark.parallel([1, 2])
+def test_multigrid(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(hybrid, "DIRECT_UP_TO", 0)
+    for name in ["example2", "example4", "example6"] if COMM.size == 1 else ["example6"]:
+        assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 16}), 1e-10)
+
+
+@pytest.mark.parallel([1, 2])
+def test_cube_and_random_loads(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(3)
+    for direct_up_to, mesh in itertools.product((0, 10**6), ("structured", "unstructured")[: 3 - COMM.size]):
+        monkeypatch.setattr(hybrid, "DIRECT_UP_TO", direct_up_to)
+        a, b, c = rng.uniform(1, 8, 3)
+        f = f"50*sin({a}*x + {b}*y)*cos({c}*z)"
+        case = make_case(folder, shape="cube", mesh=mesh, parts=["bottom", "left"], f=f, h=0.4)
+        assert_same_iterates(case, 1e-10)
+
+
+@pytest.mark.parallel([1, 2])
+def test_multigrid_iterations_do_not_grow(monkeypatch: pytest.MonkeyPatch):
+    """CG to 1e-12 takes at most 20 iterations in 2D, on every step and mesh."""
+    monkeypatch.setattr(hybrid, "DIRECT_UP_TO", 0)
+    for h in (1 / 8, 1 / 32, 1 / 64)[: 4 - COMM.size]:
+        solution = solve(load_case("example1").with_values({"solve.h": h}), COMM)
+        assert solution.linear_solver == "cg+mg"
+        assert max(step.linear_iterations for step in solution.history) <= 20
+        assert max(vars(solution.kkt).values()) < 1e-9
+
+
+def test_user_options_choose_the_solver():
+    """Any KSP and PC can be asked for; one that does not solve the problem is a failure, not a result."""
+    options = PETSc.Options()
+    case = load_case("example1").with_values({"solve.h": 1 / 8})
+    chosen = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": "1e-13"}
+    for name, value in chosen.items():
+        options[name] = value
+    try:
+        assert solve(case).linear_solver == "cg+gamg"
+        options["ksp_max_it"] = 1
+        with pytest.raises(NumericalFailure, match=r"cg\+gamg stopped"):
+            solve(case)
+        del options["ksp_max_it"]
+        options["ksp_type"] = "preonly"
+        with pytest.raises(NumericalFailure, match="KKT residuals above"):
+            solve(case)
+    finally:
+        for name in (*chosen, "ksp_max_it"):
+            options.delValue(name)
