@@ -69,21 +69,48 @@ class Outcome:
     linear_solver: str
 
 
-class ChangeNorms:
-    """‖σ − σ'‖_V and ‖u − u'‖_Q of successive iterates, with the forms compiled once."""
+class Recorder:
+    """Builds the history: one step per iteration, each compared with the one before."""
 
-    def __init__(self, spaces: Spaces):
+    def __init__(self, spaces: Spaces, iterate: Iterate, conditions: FacetConditions, on_step: Callable[[Step], None]):
+        """Begin with the start, which is not a step itself (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            iterate: The start.
+            conditions: Its facet conditions.
+            on_step: Called on all ranks with each step.
+        """
+        self.steps: list[Step] = []
         self._comm = spaces.mesh.comm
+        self._last, self._last_conditions, self._on_step = iterate, conditions, on_step
         self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
-        self._forms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
+        self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
+        self._began = time.perf_counter()
 
-    def __call__(self, new: Iterate, old: Iterate) -> tuple[float, float]:
-        """The two norms (collective)."""
-        self._sigma.x.array[:] = new.sigma.x.array - old.sigma.x.array
-        self._u.x.array[:] = new.u.x.array - old.u.x.array
-        local = np.array([fem.assemble_scalar(form) for form in self._forms])
+    def add(self, iterate: Iterate, conditions: FacetConditions, *, clipped: int = 0) -> None:
+        """Record an iteration (collective)."""
+        self._sigma.x.array[:] = iterate.sigma.x.array - self._last.sigma.x.array
+        self._u.x.array[:] = iterate.u.x.array - self._last.u.x.array
+        local = np.array([fem.assemble_scalar(form) for form in self._norms])
         sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
-        return sigma_change, u_change
+        counts = conditions.counts(self._comm)
+        now = time.perf_counter()
+        step = Step(
+            iteration=len(self.steps) + 1,
+            no_flux=counts[Condition.NO_FLUX],
+            zero_trace=counts[Condition.ZERO_TRACE],
+            robin=counts[Condition.ROBIN],
+            changed=int(conditions.changes([self._last_conditions], self._comm)[0]),
+            clipped=clipped,
+            sigma_change=sigma_change,
+            u_change=u_change,
+            linear_iterations=0 if iterate is self._last else iterate.linear_iterations,
+            seconds=now - self._began,
+        )
+        self.steps.append(step)
+        self._last, self._last_conditions, self._began = iterate, conditions, now
+        self._on_step(step)
 
 
 class FluxClip:
@@ -147,30 +174,27 @@ def iterate_sets(
     spaces = backend.spaces
     comm = spaces.mesh.comm
     beta = 1.0 if algorithm.penalty is None else algorithm.penalty.beta(eps)
-    change_norms = ChangeNorms(spaces)
     clip = FluxClip(spaces) if algorithm.clips else None
 
     def end(reason: str, *, converged: bool) -> Outcome:
-        return Outcome(iterate, solved_with, history, reason, converged, backend.name, backend.dofs, backend.solver())
+        return Outcome(
+            iterate, solved_with, recorder.steps, reason, converged, backend.name, backend.dofs, backend.solver()
+        )
 
     def next_conditions(p: np.ndarray, flux: np.ndarray) -> FacetConditions:
         return FacetConditions(algorithm.rule(p, flux, rho), beta)
 
-    nothing = np.zeros(len(spaces.facets))
     solved_with = FacetConditions(np.full(len(spaces.facets), algorithm.start, dtype=np.int8), beta)
     iterate = backend.solve(solved_with)
-    conditions = (
-        next_conditions(nothing, nothing) if algorithm.forgets_start else next_conditions(iterate.p, iterate.flux)
-    )
+    recorder = Recorder(spaces, iterate, solved_with, on_step)
+    remembered = 0.0 if algorithm.forgets_start else 1.0
+    conditions = next_conditions(remembered * iterate.p, remembered * iterate.flux)
     seen: list[FacetConditions] = []
-    history: list[Step] = []
     remark = ""
 
     while True:
-        began = time.perf_counter()
-        changed = int(conditions.changes([solved_with], comm)[0])
-        previous, clipped = iterate, 0
-        if changed:
+        clipped = 0
+        if conditions.changes([solved_with], comm)[0] > 0:
             try:
                 iterate = backend.solve(conditions)
             except LinearSolveFailure as failure:
@@ -178,31 +202,19 @@ def iterate_sets(
             if clip is not None:
                 iterate, clipped = clip(iterate, conditions)
         solved_with = conditions
-        counts = conditions.counts(comm)
-        step = Step(
-            len(history) + 1,
-            counts[Condition.NO_FLUX],
-            counts[Condition.ZERO_TRACE],
-            counts[Condition.ROBIN],
-            changed,
-            clipped,
-            *change_norms(iterate, previous),
-            iterate.linear_iterations if changed else 0,
-            time.perf_counter() - began,
-        )
-        history.append(step)
-        on_step(step)
+        recorder.add(iterate, conditions, clipped=clipped)
 
         seen.append(conditions)
         conditions = next_conditions(iterate.p, iterate.flux)
         *earlier, last = conditions.changes(seen, comm).tolist()
         if last == 0:
             return end("the facet sets repeat" + remark, converged=True)
+        iterations = len(recorder.steps)
         if 0 in earlier:
             cycle = f"the facet sets cycle with period {len(seen) - earlier.index(0)}"
             if clip is None:
                 return end(cycle, converged=False)
-            remark = f", without the clip (36) from iteration {len(history) + 1} on: with it {cycle}"
+            remark = f", without the clip (36) from iteration {iterations + 1} on: with it {cycle}"
             clip, seen = None, []
-        if len(history) == max_iterations:
+        if iterations == max_iterations:
             return end(f"{last} facets still change after {max_iterations} iterations", converged=False)

@@ -8,6 +8,7 @@
 | alg4      | (MPε-II)_h  | p = 0 where σ·n > 0, else σ·n = −εp                       | p = 0          |
 | snes1     | (MPε-I)_h   | none: PETSc SNES solves (25)                              | 0              |
 | snes2     | (MPε-II)_h  | none: PETSc SNES solves (26)                              | 0              |
+| vi        | (MLM-I)_h   | none: PETSc SNESVI minimises over p ≥ 0                   | 0              |
 
 After one step of alg1 and alg2 one of p and σ·n is 0 on each facet, so only signs matter and ρ changes no iterate.
 """
@@ -23,6 +24,14 @@ from signorini_fenicsx.conditions import Condition
 
 type Array = npt.NDArray[np.float64]
 type Rule = Callable[[Array, Array, float], npt.NDArray[np.int8]]
+
+
+class By(Enum):
+    """What runs an algorithm: the active-set loop, SNES on the block system, or SNESVI on the facet system."""
+
+    SETS = "sets"
+    SNES = "snes"
+    SNESVI = "snesvi"
 
 
 class Penalty(Enum):
@@ -47,7 +56,7 @@ class Penalty(Enum):
 
 @dataclass(frozen=True)
 class Algorithm:
-    """An active/inactive-set algorithm, or a formulation to be solved by SNES.
+    """An active/inactive-set algorithm, or a formulation that PETSc's nonlinear solvers take.
 
     Attributes:
         title: What it solves and where it is defined.
@@ -57,7 +66,7 @@ class Algorithm:
         forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
         penalty: Its penalty law, if it has one.
         clips: Whether Step 3 clips σ·n to ≥ 0 (36).
-        newton: Whether SNES solves it; the rule then only names the sets of the result.
+        by: What solves it; without the loop the rule is not used.
     """
 
     title: str
@@ -67,7 +76,7 @@ class Algorithm:
     forgets_start: bool = False
     penalty: Penalty | None = None
     clips: bool = False
-    newton: bool = False
+    by: By = By.SETS
 
 
 def mlm1_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
@@ -108,9 +117,10 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         trace_penalty_rule,
         Condition.ROBIN,
         penalty=Penalty.TRACE,
-        newton=True,
+        by=By.SNES,
     ),
     "snes2": Algorithm(
-        "PETSc SNES for (MPε-II)_h", Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX, newton=True
+        "PETSc SNES for (MPε-II)_h", Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX, by=By.SNES
     ),
+    "vi": Algorithm("PETSc SNESVI for (MLM-I)_h", Condition.NO_FLUX, mlm1_rule, by=By.SNESVI),
 }

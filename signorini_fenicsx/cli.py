@@ -25,7 +25,7 @@ app = typer.Typer(
 )
 
 CaseName = Annotated[str, typer.Argument(help="Name of a shipped case (example1 … example6) or path of a .toml file.")]
-AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, alg2, alg3, alg4, snes1 or snes2.")]
+AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, alg2, alg3, alg4, snes1, snes2 or vi.")]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
 Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
 Epsilon = Annotated[str | None, typer.Option("--eps", help="Penalty ε of alg3, alg4, snes1, snes2.")]

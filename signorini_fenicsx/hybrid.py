@@ -25,6 +25,13 @@ class HybridBackend:
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. Small systems go to MUMPS (Cholesky), larger
     ones to CG with auxiliary-space multigrid; PETSc options override either.
+
+    Attributes:
+        matrix: The Crouzeix-Raviart matrix under the conditions last applied.
+        b: Its right side.
+        x: Its solution, the start of the next iterative solve.
+        trace_dofs: The unknown of each Γ_S facet.
+        large: Whether iterative solvers are the default at this size.
     """
 
     name = "hybrid"
@@ -39,22 +46,23 @@ class HybridBackend:
         self.spaces = spaces
         mesh = spaces.mesh
         self._space = fem.functionspace(mesh, ("CR", 1))
-        self._trace_dofs = cells_and_dofs(self._space, spaces.facets)[1]
+        self.trace_dofs = cells_and_dofs(self._space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self._space, spaces.dirichlet_facets)[1]
         self.dofs = self._space.dofmap.index_map.size_global
+        self.large = self.dofs > DIRECT_UP_TO
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
         self._assembled = assemble_matrix(fem.form(stiffness(u, v)))
         self._assembled.assemble()
-        self._matrix = self._assembled.duplicate(copy=True)
-        self._matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+        self.matrix = self._assembled.duplicate(copy=True)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix.setOption(PETSc.Mat.Option.SPD, True)
         self._load = fem.assemble_vector(fem.form(load(f_h, v)))
         self._load.scatter_reverse(la.InsertMode.add)
-        self._x, self._b = create_vector(self._space), create_vector(self._space)
-        self._x.set(0.0)
+        self.x, self.b = create_vector(self._space), create_vector(self._space)
+        self.x.set(0.0)
         self._recovery = _Recovery(spaces, self._space, f_h)
         self._ksp = PETSc.KSP().create(mesh.comm)
-        self._ksp.setOperators(self._matrix)
+        self._ksp.setOperators(self.matrix)
         self._auxiliary = self._set_up_solver()
 
     def solver(self) -> str:
@@ -67,30 +75,37 @@ class HybridBackend:
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        spaces = self.spaces
-        zero_trace = conditions.kind == Condition.ZERO_TRACE
-        essential = np.concatenate([self._dirichlet_dofs, self._trace_dofs[zero_trace]])
-        self._assembled.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._add_robin(conditions)
-        self._matrix.zeroRowsColumns(essential + self._matrix.getOwnershipRange()[0])
-        self._b.array_w[:] = self._load.array[: self._b.getLocalSize()]
-        self._b.array_w[essential] = 0.0
-        self._x.array_w[essential] = 0.0
+        essential = self.apply(conditions)
+        self.x.array_w[essential] = 0.0
         if self._auxiliary is not None:
             self._auxiliary.update(self._ksp.getPC(), conditions, essential)
-        solve_linear(self._ksp, self._b, self._x)
+        solve_linear(self._ksp, self.b, self.x)
+        return self.recover(conditions, self._ksp.getIterationNumber())
 
-        sigma, u = self._recovery(self._x)
-        p, flux = conditions.clean(self._x.array_r[self._trace_dofs], spaces.normal_flux(sigma))
+    def apply(self, conditions: FacetConditions) -> npt.NDArray[np.int32]:
+        """Make `matrix` and `b` those of these conditions and return the owned unknowns they fix (collective)."""
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
+        essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
+        self._assembled.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._add_robin(conditions)
+        self.matrix.zeroRowsColumns(essential + self.matrix.getOwnershipRange()[0])
+        self.b.array_w[:] = self._load.array[: self.b.getLocalSize()]
+        self.b.array_w[essential] = 0.0
+        return essential
+
+    def recover(self, conditions: FacetConditions, linear_iterations: int) -> Iterate:
+        """σ_h, u_h and p_h from the present `x`, a solution under these conditions (collective)."""
+        spaces = self.spaces
+        sigma, u = self._recovery(self.x)
+        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], spaces.normal_flux(sigma))
         sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
         sigma.x.scatter_forward()
-        return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
+        return Iterate(sigma, u, p, flux, linear_iterations)
 
     def _set_up_solver(self) -> AuxiliarySpace | None:
         """Defaults by size, then the user's options; the coarse space, if multigrid is what came out."""
         ksp, pc = self._ksp, self._ksp.getPC()
-        large = self.dofs > DIRECT_UP_TO
-        if large:
+        if self.large:
             ksp.setType("cg")
             ksp.setTolerances(rtol=TOLERANCE)
             ksp.setInitialGuessNonzero(True)
@@ -99,7 +114,7 @@ class HybridBackend:
             ksp.setType("preonly")
             pc.setType("cholesky")
             pc.setFactorSolverType("mumps")
-        auxiliary = AuxiliarySpace(self.spaces, self._space, pc) if large else None
+        auxiliary = AuxiliarySpace(self.spaces, self._space, pc) if self.large else None
         take_options(ksp)
         if ksp.getType() == "preonly":
             ksp.setInitialGuessNonzero(False)
@@ -107,9 +122,10 @@ class HybridBackend:
 
     def _add_robin(self, conditions: FacetConditions) -> None:
         robin = conditions.kind == Condition.ROBIN
-        diagonal = self._matrix.createVecLeft()
-        diagonal.array_w[self._trace_dofs[robin]] = conditions.beta * self.spaces.facet_measure[robin]
-        self._matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
+        diagonal = self.matrix.createVecLeft()
+        diagonal.set(0.0)
+        diagonal.array_w[self.trace_dofs[robin]] = conditions.beta * self.spaces.facet_measure[robin]
+        self.matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
 
 
 class _Recovery:

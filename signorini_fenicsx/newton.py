@@ -1,6 +1,5 @@
 """The penalty formulations (25) and (26) handed to PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,11 +11,10 @@ from petsc4py import PETSc
 
 from forms.mixed import multiplier_residual
 from forms.penalty import flux_penalty_law, trace_penalty_law
-from signorini_fenicsx.active_set import ChangeNorms, Outcome, Step
-from signorini_fenicsx.algorithms import Algorithm, Penalty
+from signorini_fenicsx.active_set import Outcome, Recorder, Step
+from signorini_fenicsx.algorithms import Penalty
 from signorini_fenicsx.backend import Iterate, petsc_reason, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.spaces import Spaces
 
 CONTINUATION = 10.0
@@ -30,19 +28,19 @@ class PenaltyNewton:
     are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type newtontr, …
     """
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function, algorithm: Algorithm, *, eps: float, max_iterations: int):
+    def __init__(self, spaces: Spaces, f_h: fem.Function, penalty: Penalty, *, eps: float, max_iterations: int):
         """Compile the forms and set up SNES (collective).
 
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self._spaces, self._algorithm, self._eps = spaces, algorithm, eps
+        self._spaces, self._penalty, self._eps = spaces, penalty, eps
         V, Q, Lambda = spaces.V, spaces.Q, spaces.Lambda
         self._fields = fem.Function(V, name="sigma"), fem.Function(Q, name="u"), fem.Function(Lambda, name="p")
         sigma, u, p = self._fields
         tau, v, q = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TestFunction(Lambda)
         self._eps_now = fem.Constant(spaces.mesh, eps)
-        law = trace_penalty_law if algorithm.penalty is Penalty.TRACE else flux_penalty_law
+        law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
         residual = [
             *multiplier_residual(sigma, u, p, f_h, tau, v, spaces.n, spaces.ds),
             law(sigma, p, q, self._eps_now, spaces.n, spaces.ds),
@@ -73,8 +71,15 @@ class PenaltyNewton:
 
     def solve(self, on_step: Callable[[Step], None] = lambda step: None) -> Outcome:
         """Solve, directly or, if that fails, by continuation in ε from 1 down (collective)."""
-        history: list[Step] = []
-        record = self._recorder(history, on_step)
+        start = self._iterate()
+        recorder = Recorder(self._spaces, start, self._conditions(start), on_step)
+
+        def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
+            if iteration > 0:
+                assign(snes.getSolution(), list(self._fields))
+                iterate = self._iterate()
+                recorder.add(iterate, self._conditions(iterate))
+
         failure = self._newton(self._eps, record)
         remark = ""
         if failure is not None and self._eps < 1:
@@ -89,7 +94,9 @@ class PenaltyNewton:
         reason = (failure or "SNES changes nothing any more") + remark
         solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
         dofs = self._problem.x.getSize()
-        return Outcome(iterate, self._conditions(iterate), history, reason, failure is None, "mixed", dofs, solver)
+        return Outcome(
+            iterate, self._conditions(iterate), recorder.steps, reason, failure is None, "mixed", dofs, solver
+        )
 
     def _newton(self, eps: float, record: Callable[[PETSc.SNES, int, float], None]) -> str | None:
         """One run of SNES from the present fields; the reason of its failure, or None."""
@@ -103,40 +110,6 @@ class PenaltyNewton:
             return f"PETSc: {petsc_reason(error)}"
         reason = self._snes.getConvergedReason()
         return None if reason > 0 else f"SNES reason {reason} after {self._snes.getIterationNumber()} iterations"
-
-    def _recorder(
-        self, history: list[Step], on_step: Callable[[Step], None]
-    ) -> Callable[[PETSc.SNES, int, float], None]:
-        change_norms = ChangeNorms(self._spaces)
-        comm = self._spaces.mesh.comm
-        previous = self._iterate()
-        conditions = FacetConditions(np.full(len(self._spaces.facets), self._algorithm.start, dtype=np.int8))
-        began = time.perf_counter()
-
-        def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
-            nonlocal previous, conditions, began
-            if iteration == 0:
-                return
-            assign(snes.getSolution(), list(self._fields))
-            iterate = self._iterate()
-            new = self._conditions(iterate)
-            counts = new.counts(comm)
-            step = Step(
-                len(history) + 1,
-                counts[Condition.NO_FLUX],
-                counts[Condition.ZERO_TRACE],
-                counts[Condition.ROBIN],
-                int(new.changes([conditions], comm)[0]),
-                0,
-                *change_norms(iterate, previous),
-                snes.getKSP().getIterationNumber(),
-                time.perf_counter() - began,
-            )
-            history.append(step)
-            on_step(step)
-            previous, conditions, began = iterate, new, time.perf_counter()
-
-        return record
 
     def _iterate(self) -> Iterate:
         """A copy of the present fields, the values that their facet conditions prescribe made exact."""
@@ -152,12 +125,9 @@ class PenaltyNewton:
 
     def _conditions(self, iterate: Iterate) -> FacetConditions:
         """The branch of min that each facet is on, as facet conditions."""
-        penalty = self._algorithm.penalty
-        if penalty is None:
-            raise InputError("SNES solves penalty formulations only")
-        p, flux = penalty.shift(iterate.p, iterate.flux, self._eps)
-        if penalty is Penalty.TRACE:
+        p, flux = self._penalty.shift(iterate.p, iterate.flux, self._eps)
+        if self._penalty is Penalty.TRACE:
             kind = np.where(flux < p, Condition.NO_FLUX, Condition.ROBIN)
         else:
             kind = np.where(p < flux, Condition.ZERO_TRACE, Condition.ROBIN)
-        return FacetConditions(kind.astype(np.int8), penalty.beta(self._eps))
+        return FacetConditions(kind.astype(np.int8), self._penalty.beta(self._eps))

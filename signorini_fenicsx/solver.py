@@ -13,8 +13,9 @@ from petsc4py import PETSc
 
 from forms.norms import l2
 from signorini_fenicsx.active_set import Outcome, Step, iterate_sets
-from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.backend import Backend
+from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.errors import NumericalFailure
@@ -45,7 +46,7 @@ class Solution:
         kkt: Residuals of the discrete Signorini problem.
         reason: Why it ended, in words.
         converged: Whether the facet sets repeated and all residuals are small.
-        backend: Name of the discrete system it was solved with; SNES always takes the mixed one.
+        backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
         dofs: Unknowns of the linear system.
         linear_solver: Name of the linear solver.
         timings: Seconds per phase, the longest over all ranks.
@@ -217,10 +218,14 @@ def solve(
 def _run(case: Case, spaces: Spaces, f_h: fem.Function, watch: Stopwatch, on_step: Callable[[Step], None]) -> Outcome:
     """Set up the case's solver, run it and let it go (collective)."""
     options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
-    if algorithm.newton:
-        newton = PenaltyNewton(spaces, f_h, algorithm, eps=options.eps, max_iterations=options.max_iterations)
+    if algorithm.by is By.SNES and algorithm.penalty is not None:
+        newton = PenaltyNewton(spaces, f_h, algorithm.penalty, eps=options.eps, max_iterations=options.max_iterations)
         watch.lap("assembly")
         return newton.solve(on_step)
+    if algorithm.by is By.SNESVI:
+        system = HybridBackend(spaces, f_h)
+        watch.lap("assembly")
+        return solve_bound_constrained(system, max_iterations=options.max_iterations, on_step=on_step)
     backend = BACKENDS[options.backend](spaces, f_h)
     watch.lap("assembly")
     return iterate_sets(

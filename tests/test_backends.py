@@ -78,6 +78,21 @@ def test_multigrid_iterations_do_not_grow(monkeypatch: pytest.MonkeyPatch):
         assert max(vars(solution.kkt).values()) < 1e-9
 
 
+@pytest.mark.parallel([1, 2])
+def test_snesvi_finds_the_same(monkeypatch: pytest.MonkeyPatch):
+    """SNESVI, which shares neither rule nor loop, ends in the sets and fields of Algorithm 1."""
+    for direct_up_to, name in itertools.product((0, 10**6), ("example2", "example3")):
+        monkeypatch.setattr(hybrid, "DIRECT_UP_TO", direct_up_to)
+        case = load_case(name).with_values({"solve.h": 1 / 16})
+        loop = solve(case, COMM)
+        vi = solve(case.with_values({"solve.algorithm": "vi"}), COMM, domain=loop.spaces.domain)
+        assert vi.linear_solver.startswith("vinewtonrsls")
+        np.testing.assert_array_equal(loop.conditions.kind, vi.conditions.kind)
+        for one, two in [(loop.sigma, vi.sigma), (loop.u, vi.u), (loop.p, vi.p)]:
+            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
+        assert len(vi.history) <= 15
+
+
 def test_user_options_choose_the_solver():
     """Any KSP and PC can be asked for; one that does not solve the problem is a failure, not a result."""
     options = PETSc.Options()

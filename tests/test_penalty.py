@@ -10,7 +10,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.penalty import flux_penalty_residual, trace_penalty_residual
-from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.convergence import Vary, convergence_study, fitted_slopes, half_norm
 from signorini_fenicsx.errors import InputError
@@ -208,7 +207,3 @@ def test_half_norm():
     facet = solution.spaces.facet_measure.max(initial=0.0)
     assert half_norm(solution, np.ones_like(x)) == pytest.approx(1.0)
     assert half_norm(solution, x) ** 2 == pytest.approx(4 / 3 - COMM.allreduce(facet, MPI.MAX), rel=1e-3)
-
-
-def test_all_algorithms_are_described():
-    assert set(ALGORITHMS) == {"alg1", "alg2", "alg3", "alg4", "snes1", "snes2"}

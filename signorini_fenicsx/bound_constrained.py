@@ -1,0 +1,93 @@
+"""The facet problem as what it is, a quadratic programme with p ≥ 0 on Γ_S, by PETSc SNESVI.
+
+½(∇_h u, ∇_h u) − (f_h, u) is minimised over Crouzeix-Raviart functions with u = 0 on Γ_D and facet means ≥ 0 on Γ_S.
+Its solution is that of (MLM-I)_h, found without the set rules or the active-set loop: an independent nonlinear solver.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from petsc4py import PETSc
+
+from signorini_fenicsx.active_set import Outcome, Recorder, Step
+from signorini_fenicsx.backend import Iterate, petsc_reason, solver_name, take_options
+from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.hybrid import HybridBackend
+
+
+def solve_bound_constrained(
+    system: HybridBackend, *, max_iterations: int, on_step: Callable[[Step], None] = lambda step: None
+) -> Outcome:
+    """Solve by the reduced-space active-set method of SNESVI, vinewtonrsls (collective).
+
+    All SNES, KSP and PC options are the user's, without a prefix.
+
+    Args:
+        system: The facet system.
+        max_iterations: Iterations of SNES.
+        on_step: Called on all ranks after each iteration.
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    everywhere_free = FacetConditions(np.full(len(system.spaces.facets), Condition.NO_FLUX, dtype=np.int8))
+    system.apply(everywhere_free)
+    system.x.set(0.0)
+    snes = _snes(system, max_iterations)
+    recorder = Recorder(system.spaces, *_recovered(system, 0), on_step)
+
+    def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
+        if iteration > 0:
+            recorder.add(*_recovered(system, snes.getKSP().getIterationNumber()))
+
+    snes.setMonitor(record)
+    try:
+        snes.solve(None, system.x)
+        reason = snes.getConvergedReason()
+        converged = reason > 0
+        ending = "SNESVI converged" if converged else f"SNESVI stopped with PETSc's reason {reason}"
+    except PETSc.Error as error:
+        ending, converged = f"PETSc: {petsc_reason(error)}", False
+    iterate, conditions = _recovered(system, snes.getKSP().getIterationNumber())
+    name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
+    snes.destroy()
+    return Outcome(iterate, conditions, recorder.steps, ending, converged, system.name, system.dofs, name)
+
+
+def _snes(system: HybridBackend, max_iterations: int) -> PETSc.SNES:
+    """SNESVI on the system as it is applied now, with its bounds."""
+    snes = PETSc.SNES().create(system.matrix.getComm())
+    matrix, b = system.matrix, system.b
+
+    def residual(snes: PETSc.SNES, x: PETSc.Vec, out: PETSc.Vec) -> None:
+        matrix.mult(x, out)
+        out.axpy(-1.0, b)
+
+    snes.setFunction(residual, b.duplicate())
+    snes.setJacobian(lambda snes, x, jacobian, preconditioner: None, matrix)
+    lower, upper = b.duplicate(), b.duplicate()
+    lower.set(-PETSc.INFINITY)
+    upper.set(PETSc.INFINITY)
+    lower.array_w[system.trace_dofs] = 0.0
+    snes.setVariableBounds(lower, upper)
+    snes.setType("vinewtonrsls")
+    snes.setTolerances(rtol=1e-11, atol=0.0, stol=0.0, max_it=max_iterations)
+    ksp, pc = snes.getKSP(), snes.getKSP().getPC()
+    if system.large:
+        ksp.setType("cg")
+        ksp.setTolerances(rtol=1e-12)
+        pc.setType("gamg")
+    else:
+        ksp.setType("preonly")
+        pc.setType("cholesky")
+        pc.setFactorSolverType("mumps")
+    take_options(snes)
+    return snes
+
+
+def _recovered(system: HybridBackend, linear_iterations: int) -> tuple[Iterate, FacetConditions]:
+    """The present solution; a facet is in contact where p is at its bound."""
+    p = system.x.array_r[system.trace_dofs]
+    kind = np.where(p <= 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
+    conditions = FacetConditions(kind)
+    return system.recover(conditions, linear_iterations), conditions
