@@ -152,6 +152,7 @@ def iterate_sets(
     rho: float,
     eps: float,
     max_iterations: int,
+    predicted: FacetConditions | None = None,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Outcome:
     """Run an algorithm until the facet sets repeat (collective).
@@ -166,6 +167,7 @@ def iterate_sets(
         rho: ρ > 0 of the rule.
         eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
+        predicted: Conditions to start from, instead of the algorithm's own start.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -184,10 +186,11 @@ def iterate_sets(
     def next_conditions(p: np.ndarray, flux: np.ndarray) -> FacetConditions:
         return FacetConditions(algorithm.rule(p, flux, rho), beta)
 
-    solved_with = FacetConditions(np.full(len(spaces.facets), algorithm.start, dtype=np.int8), beta)
+    cold = FacetConditions(np.full(len(spaces.facets), algorithm.start, dtype=np.int8), beta)
+    solved_with = predicted or cold
     iterate = backend.solve(solved_with)
     recorder = Recorder(spaces, iterate, solved_with, on_step)
-    remembered = 0.0 if algorithm.forgets_start else 1.0
+    remembered = 0.0 if algorithm.forgets_start and predicted is None else 1.0
     conditions = next_conditions(remembered * iterate.p, remembered * iterate.flux)
     seen: list[FacetConditions] = []
     remark = ""

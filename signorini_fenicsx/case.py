@@ -96,7 +96,7 @@ class Problem(_Section):
 
 
 class Solve(_Section):
-    """`[solve]`: the algorithm and its parameters."""
+    """`[solve]`: the algorithm and its parameters; `predict` starts large problems from a coarser mesh's sets."""
 
     algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
     backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
@@ -104,6 +104,7 @@ class Solve(_Section):
     rho: Positive = 1.0
     eps: Annotated[Positive, Field(ge=1e-14, le=1e6)] = 1e-8
     max_iterations: int = Field(default=50, ge=1)
+    predict: bool = True
 
 
 class Case(_Section):

@@ -55,6 +55,7 @@ def solve(
     rho: Rho = None,
     eps: Epsilon = None,
     backend: BackendName = None,
+    predict: Annotated[bool, typer.Option(help="Start large problems from a coarser mesh's sets.")] = True,
     settings: Settings = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
@@ -71,7 +72,8 @@ def solve(
 
     comm = MPI.COMM_WORLD
     values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
-    problem = on_root(comm, lambda: load_case(case).with_values(values))
+    cold = {} if predict else {"solve.predict": False}
+    problem = on_root(comm, lambda: load_case(case).with_values(values | cold))
     with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
         report.heading(problem, comm)
         report.iteration_heading(problem)

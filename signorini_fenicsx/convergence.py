@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 from enum import Enum
 from pathlib import Path
 
-import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +19,11 @@ from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, data_folder
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.parallel import gather_rows
+from signorini_fenicsx.sampling import QUADRATURE_DEGREE, curve_gap, sampled
 from signorini_fenicsx.solver import Solution, mesh_case, solve
 
 type Array = npt.NDArray[np.float64]
 
-QUADRATURE_DEGREE = 2
-"""Exact for squares of RT0 differences on fine cells that one coarse cell covers."""
 ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
 ASYMPTOTIC_EPS = 1e-2
 """Slopes in ε are fitted from here down."""
@@ -111,11 +109,11 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
     The coarse fields are evaluated at the quadrature points. Where a curved boundary is cut differently by the two
     meshes, the nearest coarse cell is taken.
     """
-    padding = coarse.spaces.domain.h**2  # more than the gap between two polygons that approximate one curve
+    padding = curve_gap(coarse.spaces.domain.h)
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
-    sigma, u, div_sigma = _sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, padding)
-    p, flux = _sampled([coarse.p, _normal_flux(coarse)], gamma, padding)
-    (p_middle,) = _sampled([coarse.p], gamma, padding, degree=0)
+    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, padding)
+    p, flux = sampled([coarse.p, _normal_flux(coarse)], gamma, padding)
+    (p_middle,) = sampled([coarse.p], gamma, padding, degree=0)
 
     metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
     dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
@@ -167,27 +165,6 @@ def _normal_flux(solution: Solution) -> fem.Function:
     flux = fem.Function(solution.spaces.Lambda)
     flux.x.array[: len(solution.spaces.facets)] = solution.spaces.normal_flux(solution.sigma)
     return flux
-
-
-def _sampled(
-    functions: Sequence[fem.Function], mesh: dolfinx.mesh.Mesh, padding: float, *, degree: int = QUADRATURE_DEGREE
-) -> list[fem.Function]:
-    """Functions of one other mesh at the quadrature points of this one; those of this mesh as they are (collective)."""
-    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-    samples = []
-    search = None  # finding the points is the expensive part, and the same for all functions
-    for function in functions:
-        if function.function_space.mesh is mesh:
-            samples.append(function)
-            continue
-        element = basix.ufl.quadrature_element(mesh.basix_cell(), function.ufl_shape, degree=degree)
-        sample = fem.Function(fem.functionspace(mesh, element))
-        search = search or fem.create_interpolation_data(
-            sample.function_space, function.function_space, cells, padding=padding
-        )
-        sample.interpolate_nonmatching(function, cells, search)
-        samples.append(sample)
-    return samples
 
 
 def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:

@@ -9,8 +9,11 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import hybrid
+from signorini_fenicsx import hybrid, solver
+from signorini_fenicsx.active_set import iterate_sets
+from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.solver import mesh_case, solve
 
@@ -91,6 +94,34 @@ def test_snesvi_finds_the_same(monkeypatch: pytest.MonkeyPatch):
         for one, two in [(loop.sigma, vi.sigma), (loop.u, vi.u), (loop.p, vi.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
         assert len(vi.history) <= 15
+
+
+@pytest.mark.parallel([1, 2])
+def test_prediction_changes_the_number_of_steps_only(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """Starting from a coarser mesh's sets ends in the sets and fields of a cold start, in fewer steps."""
+    monkeypatch.setattr(solver, "PREDICT_FROM", 300)
+    cube = make_case(folder, shape="cube", parts=["bottom"], f="20*(x - 0.5)", h=0.25)
+    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
+    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
+        cold = solve(case.with_values({"solve.predict": False}), COMM)
+        warm = solve(case, COMM)
+        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
+        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
+            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
+        assert len(warm.history) <= min(3, len(cold.history))
+
+
+def test_wrong_prediction_is_corrected():
+    """From any conditions whatever Algorithm 1 ends in the same solution."""
+    case = load_case("example1").with_values({"solve.h": 1 / 16})
+    expected = solve(case)
+    backend = hybrid.HybridBackend(expected.spaces, expected.f_h)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        random = FacetConditions(rng.integers(0, 2, len(expected.spaces.facets)).astype(np.int8))
+        outcome = iterate_sets(backend, ALGORITHMS["alg1"], rho=1.0, eps=1.0, max_iterations=50, predicted=random)
+        np.testing.assert_array_equal(outcome.conditions.kind, expected.conditions.kind)
+        np.testing.assert_allclose(outcome.iterate.sigma.x.array, expected.sigma.x.array, atol=1e-11)
 
 
 def test_user_options_choose_the_solver():
