@@ -20,11 +20,6 @@ def stiffness(u: Expr, v: Expr) -> Form:
     return inner(grad(u), grad(v)) * dx
 
 
-def load(f_h: Expr, v: Expr) -> Form:
-    """(f_h, v)."""
-    return f_h * v * dx
-
-
 def recovered_flux(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate) -> Expr:
     """σ_h = ∇u_CR − (f_h/d)(x − x_T), an RT0 field."""
     return grad(u_cr) - f_h / len(x) * (x - centroid)

@@ -190,8 +190,10 @@ def iterate_sets(
     solved_with = predicted or cold
     iterate = backend.solve(solved_with)
     recorder = Recorder(spaces, iterate, solved_with, on_step)
-    remembered = 0.0 if algorithm.forgets_start and predicted is None else 1.0
-    conditions = next_conditions(remembered * iterate.p, remembered * iterate.flux)
+    if algorithm.forgets_start and predicted is None:
+        conditions = next_conditions(np.zeros_like(iterate.p), np.zeros_like(iterate.flux))
+    else:
+        conditions = next_conditions(iterate.p, iterate.flux)
     seen: list[FacetConditions] = []
     remark = ""
 

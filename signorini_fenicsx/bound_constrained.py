@@ -71,7 +71,7 @@ def _snes(system: HybridBackend, max_iterations: int) -> PETSc.SNES:
     lower.array_w[system.trace_dofs] = 0.0
     snes.setVariableBounds(lower, upper)
     snes.setType("vinewtonrsls")
-    snes.setTolerances(rtol=1e-11, atol=0.0, stol=0.0, max_it=max_iterations)
+    snes.setTolerances(rtol=1e-11, atol=1e-200, stol=0.0, max_it=max_iterations)
     ksp, pc = snes.getKSP(), snes.getKSP().getPC()
     if system.large:
         ksp.setType("cg")

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self
 import basix.ufl
 import ufl
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -26,6 +27,8 @@ from signorini_fenicsx.geometry import SHAPES
 
 
 def _number(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("must be a number, not true or false")
     if isinstance(value, str):
         try:
             value = parse_number(value)
@@ -47,6 +50,15 @@ def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
         return value
 
     return BeforeValidator(check)
+
+
+def _within(low: float, high: float) -> AfterValidator:
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"must be between {low:g} and {high:g}, not {value:g}")
+        return value
+
+    return AfterValidator(check)
 
 
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
@@ -101,9 +113,9 @@ class Solve(_Section):
     algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
     backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
     h: Positive = 2**-5
-    rho: Positive = 1.0
-    eps: Annotated[Positive, Field(ge=1e-14, le=1e6)] = 1e-8
-    max_iterations: int = Field(default=50, ge=1)
+    rho: Annotated[Positive, _within(1e-100, 1e100)] = 1.0
+    eps: Annotated[Positive, _within(1e-14, 1e6)] = 1e-8
+    max_iterations: Annotated[int, BeforeValidator(_number), _within(1, 10**6)] = 50
     predict: bool = True
 
 
@@ -187,7 +199,7 @@ def load_case(name_or_path: str | Path) -> Case:
     if text.endswith(".toml") or "/" in text:
         path = Path(text)
         if not path.is_file():
-            raise InputError(f"{path}: no such file")
+            raise InputError(f"{path}: is a folder, not a case file" if path.is_dir() else f"{path}: no such file")
     else:
         path = data_folder("cases") / f"{text}.toml"
         if text not in case_names():
@@ -198,12 +210,12 @@ def load_case(name_or_path: str | Path) -> Case:
         raise InputError(f"{path}: not a TOML file: {error}") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    if "name" in tree:
-        raise InputError(f"{path}: unknown key 'name'; known are {', '.join(_keys(Case))}")
     return _validated(Case, tree, path.stem, str(path))
 
 
 def _validated[C: Case](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
+    if "name" in tree:
+        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(_keys(Case))}")
     try:
         return model.model_validate(tree | {"name": name})
     except ValidationError as error:
@@ -220,6 +232,8 @@ def _sentence(error: ValidationError) -> str:
             return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(sections, last)}"
         case "missing":
             return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
+        case "model_type" | "model_attributes_type":
+            return f"'{last}' must be a section, [{last}], not {_shown(first['input'])}"
         case "value_error":
             message = str(first["ctx"]["error"])
             return f"{place}: {message}" if last else message

@@ -1,7 +1,9 @@
 """The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
+import io
 import os
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +18,7 @@ from signorini_fenicsx.parallel import abort_all_on_exception, on_root
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
+MAX_LEVEL = 30
 
 app = typer.Typer(
     help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
@@ -29,7 +32,7 @@ AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, al
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
 Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
 Epsilon = Annotated[str | None, typer.Option("--eps", help="Penalty ε of alg3, alg4, snes1, snes2.")]
-BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid (facet system) or mixed (saddle point).")]
+BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; of alg1 to alg4 only.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
@@ -37,14 +40,23 @@ Settings = Annotated[
 OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
 
 
-def _overrides(settings: list[str] | None, **options: str | None) -> dict[str, str]:
-    values = {}
+def _overrides(settings: list[str] | None, **options: str | None) -> dict[str, object]:
+    values: dict[str, object] = {}
     for setting in settings or []:
         key, separator, value = setting.partition("=")
         if not separator or not key:
             raise InputError(f"--set {setting}: must be KEY=VALUE, such as geometry.mesh=structured")
-        values[key] = value
+        values[key] = _toml_value(value)
     return values | {f"solve.{name}": value for name, value in options.items() if value is not None}
+
+
+def _toml_value(text: str) -> object:
+    """A value as TOML writes it, such as ["top", "left"], or else the text itself."""
+    try:
+        tree = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text
+    return tree["value"] if len(tree) == 1 else text
 
 
 @app.command()
@@ -121,8 +133,8 @@ def convergence(
     if vary not in (known := [way.value for way in Vary]):
         raise InputError(f"--vary {vary}: must be one of {', '.join(known)}")
     way, steps = Vary(vary), _levels(levels)
-    if way is not Vary.EPS and reference <= steps[-1]:
-        raise InputError(f"--reference {reference}: must be finer than the last level, {steps[-1]}")
+    if way is not Vary.EPS and not steps[-1] < reference <= MAX_LEVEL:
+        raise InputError(f"--reference {reference}: must be finer than the last level, {steps[-1]}, up to {MAX_LEVEL}")
     with ResultsFolder(comm, output or Path("results", f"{problem.name}-convergence")) as folder:
         report.heading(problem, comm)
         report.convergence_heading()
@@ -132,34 +144,39 @@ def convergence(
         write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()
         report.convergence_slopes(fitted_slopes(rows, way), way, ALGORITHMS[problem.solve.algorithm])
-        report.console.print(f"results  {folder.target}")
+        report.results(folder.target)
 
 
 def _levels(text: str) -> range:
     first, separator, last = text.partition(":")
-    if not (separator and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
-        raise InputError(f"--levels {text}: must be FIRST:LAST with FIRST ≤ LAST, such as 2:6")
+    known = [str(level) for level in range(MAX_LEVEL + 1)]
+    if not (separator and first in known and last in known and int(first) <= int(last)):
+        raise InputError(f"--levels {text}: must be FIRST:LAST with FIRST ≤ LAST ≤ {MAX_LEVEL}, such as 2:6")
     return range(int(first), int(last) + 1)
 
 
-def _run(command: Callable[[], object], comm: MPI.Comm) -> int:
-    """Run the command on all ranks and turn the two expected failures into exit statuses."""
-    errors = Console(stderr=True, highlight=False, soft_wrap=True)
+def _run(command: Callable[[], object]) -> int:
+    """Run the command on all ranks and turn the failures that can be expected into exit statuses."""
     try:
         command()
     except InputError as error:
-        errors.print(f"[bold red]error:[/] {_plain(error)}")
+        _complain("error", str(error))
         return EXIT_BAD_INPUT
     except NumericalFailure as failure:
-        errors.print(f"[bold red]failed:[/] {_plain(failure)}")
+        _complain("failed", str(failure))
+        return EXIT_FAILED
+    except OSError as error:  # a full disk, a folder that vanished
+        _complain("failed", f"{error.filename or 'file system'}: {error.strerror or error}")
         return EXIT_FAILED
     except SystemExit as request:  # typer: usage errors and --help
         return request.code if isinstance(request.code, int) else EXIT_BAD_INPUT
     return 0
 
 
-def _plain(error: Exception) -> str:
-    return " ".join(str(error).split()).replace("[", r"\[")
+def _complain(kind: str, message: str) -> None:
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console.print(f"{kind}:", style="bold red", end=" ")
+    console.print(" ".join(message.split()), markup=False)
 
 
 def main() -> None:
@@ -173,4 +190,8 @@ def main() -> None:
     abort_all_on_exception(comm)
     if comm.rank != 0:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
-    sys.exit(_run(lambda: app(args=arguments, prog_name="signorini"), comm))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Unicode is no reason to fail
+    command = typer.main.get_command(app)  # calling app itself would replace sys.excepthook
+    sys.exit(_run(lambda: command(args=arguments, prog_name="signorini")))

@@ -11,6 +11,8 @@ from signorini_fenicsx.errors import InputError
 
 MAX_LENGTH = 2000
 MAX_INTEGER_POWER = 30
+MAX_DEPTH = 150
+"""Terms of a sum or nested brackets that UFL and FFCx follow without running out of stack."""
 
 type Value = float | Expr
 """Constant sub-expressions stay Python floats, so that errors such as 1/0 show while reading."""
@@ -87,8 +89,20 @@ class _Reader:
 
     def __init__(self, names: dict[str, Value]):
         self.names = names
+        self.depth = 0
 
     def value(self, node: ast.expr) -> Value:
+        """Value of a node; constants must be finite, and the nesting such that UFL can follow it."""
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise RecursionError
+        value = self._value(node)
+        self.depth -= 1
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"{ast.unparse(node)} is not finite")
+        return value
+
+    def _value(self, node: ast.expr) -> Value:
         match node:
             case ast.Constant(value=bool() | str() | bytes() | complex() | None):
                 raise InputError(f"{ast.unparse(node)} is not a number")
@@ -168,7 +182,7 @@ def parse_expression(text: str, x: Expr) -> Expr:
         raise InputError(f"expression of {len(text)} characters; at most {MAX_LENGTH} are read")
     names: dict[str, Value] = {"pi": math.pi} | dict(zip("xyz", x, strict=False))
     try:
-        return ufl.as_ufl(_finite(_Reader(names).value(_tree(text))))
+        return ufl.as_ufl(_Reader(names).value(_tree(text)))
     except InputError as error:
         raise InputError(f"expression '{_shortened(text)}': {error}") from None
     except SyntaxError:
@@ -177,12 +191,6 @@ def parse_expression(text: str, x: Expr) -> Expr:
         raise InputError(f"expression '{_shortened(text)}' cannot be evaluated: {error}") from None
     except (RecursionError, MemoryError):
         raise InputError(f"expression '{_shortened(text)}' is nested too deeply") from None
-
-
-def _finite(value: Value) -> Value:
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError("the value is not finite")
-    return value
 
 
 def _shortened(text: str) -> str:

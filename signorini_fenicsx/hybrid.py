@@ -7,7 +7,8 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 
-from forms.crouzeix_raviart import load, recovered_flux, recovered_scalar, stiffness
+from forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
+from forms.mixed import load
 from signorini_fenicsx.auxiliary_space import AuxiliarySpace
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import platform
 import shlex
 import sys
@@ -66,13 +67,15 @@ def write_convergence(
         from signorini_fenicsx import plots
 
         write_table(folder / "convergence.csv", rows)
-        against = "alg1 on the same mesh" if vary is Vary.EPS else f"h = 2^-{reference}"
+        against = {
+            Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
+            Vary.EPS: "alg1 on the same mesh",
+        }.get(vary, f"alg1, h = 2^-{reference}")
         title = f"{case.name}, {case.solve.algorithm}, against {against}"
         plots.draw_errors(folder / "convergence.png", rows, vary, title)
         summary = {
             "case": case.name,
             "algorithm": case.solve.algorithm,
-            "backend": case.solve.backend,
             "vary": vary.value,
             "reference": against,
             "rows": [asdict(row) for row in rows],
@@ -85,8 +88,17 @@ def write_convergence(
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
+    summary = _without_nan(summary) | {"versions": versions(), "command": shlex.join(sys.argv)}
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _without_nan(value: Any) -> Any:
+    """Replace numbers that JSON does not know by null, at any depth: a failed state may hold them."""
+    if isinstance(value, dict):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def versions() -> dict[str, str]:

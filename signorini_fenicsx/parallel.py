@@ -1,6 +1,7 @@
 """What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
 
 import sys
+import traceback
 from collections.abc import Callable
 from types import TracebackType
 
@@ -15,20 +16,19 @@ def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
     """Run an action on rank 0 and give its result to all ranks (collective).
 
     Raises:
-        InputError: On all ranks, if the action raised it (or an OSError, whose text it then carries) on rank 0.
+        InputError: On all ranks, if the action raised it on rank 0.
+        OSError: Likewise.
     """
     result: T | None = None
-    failure: str | None = None
+    failure: InputError | OSError | None = None
     if comm.rank == 0:
         try:
             result = action()
-        except InputError as error:
-            failure = str(error)
-        except OSError as error:
-            failure = f"{error.filename or 'file system'}: {error.strerror or error}"
+        except (InputError, OSError) as error:
+            failure = error
     failure = comm.bcast(failure)
     if failure is not None:
-        raise InputError(failure)
+        raise failure
     return comm.bcast(result)
 
 
@@ -44,8 +44,10 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
         return
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        sys.__excepthook__(kind, error, trace)
-        sys.__stderr__.flush() if sys.__stderr__ else None
+        print(f"error on rank {comm.rank}:", file=sys.__stderr__)  # sys.stderr may be silenced on this rank
+        traceback.print_exception(kind, error, trace, file=sys.__stderr__)
+        if sys.__stderr__ is not None:
+            sys.__stderr__.flush()
         comm.Abort(1)
 
     sys.excepthook = hook

@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.gather import FacetTable, Fields
 from signorini_fenicsx.solver import Solution
@@ -29,7 +31,7 @@ def draw_all(folder: Path, solution: Solution, fields: Fields, facets: FacetTabl
         draw_traces(folder / "signorini.png", facets, labels)
     else:
         draw_sigma_3d(folder / "sigma.png", fields)
-        draw_traces_3d(folder / "signorini.png", facets)
+        draw_traces_3d(folder / "signorini.png", facets, ALGORITHMS[solution.case.solve.algorithm].contact)
     draw_iterations(folder / "iterations.png", solution.history, solution.case.solve.algorithm)
 
 
@@ -113,11 +115,11 @@ def draw_traces(path: Path, facets: FacetTable, labels: dict[str, str]) -> None:
     figure.savefig(path)
 
 
-def draw_traces_3d(path: Path, facets: FacetTable) -> None:
-    """p_h, σ_h·n and the contact zone (p_h = 0) on Γ_S, at the facet midpoints."""
+def draw_traces_3d(path: Path, facets: FacetTable, contact: Condition) -> None:
+    """p_h, σ_h·n and the contact zone, the facets with that condition, on Γ_S at the facet midpoints."""
     cloud = pyvista.PolyData(facets.x)
     plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(1800, 600))
-    quantities = {"p_h": facets.p, "sigma_h.n": facets.flux, "contact": (facets.condition == 1).astype(float)}
+    quantities = {"p_h": facets.p, "sigma_h.n": facets.flux, "contact": (facets.condition == contact).astype(float)}
     for column, (name, values) in enumerate(quantities.items()):
         plotter.subplot(0, column)
         plotter.add_mesh(cloud.copy(), scalars=values, cmap="viridis", point_size=12, scalar_bar_args={"title": name})

@@ -4,8 +4,6 @@ from pathlib import Path
 
 from mpi4py import MPI
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
@@ -18,7 +16,7 @@ console = Console(highlight=False, soft_wrap=True)
 
 def heading(case: Case, comm: MPI.Comm) -> None:
     """Say what is about to be solved."""
-    console.print(f"[bold]{case.title or case.name}[/]")
+    console.print(case.title or case.name, style="bold", markup=False)
     ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
     console.print(f"{ALGORITHMS[case.solve.algorithm].title}, {ranks}")
 
@@ -41,19 +39,26 @@ def step(row: Step) -> None:
 def solution(result: Solution, folder: Path) -> None:
     """Show the summary of a finished run (collective)."""
     summary = result.summary()
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    table.add_row("converged", f"{summary['reason']} after {summary['iterations']} iterations")
-    table.add_row("mesh", f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets")
-    table.add_row("system", f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}")
-    table.add_row("contact", f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}")
-    table.add_row("norms", "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()))
-    table.add_row("KKT", "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()))
+    lines = {
+        "converged": f"{summary['reason']} after {summary['iterations']} iterations",
+        "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
+        "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
+        "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
+        "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
+        "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
+    }
     if "violation" in summary:
         left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
-        table.add_row("penalty", escape(f"ε = {summary['eps']:g} leaves {left}"))
-    table.add_row("seconds", "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items()))
-    table.add_row("results", str(folder))
-    console.print(table)
+        lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
+    lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
+    for name, text in lines.items():
+        console.print(f"{name:<10} {text}", markup=False)
+    results(folder)
+
+
+def results(folder: Path) -> None:
+    """Say where the results are."""
+    console.print(f"{'results':<10} {folder}", markup=False)
 
 
 def about_to_solve(case: Case) -> None:

@@ -1,5 +1,6 @@
 """A results folder that appears whole or not at all: written beside its target, swapped in on success."""
 
+import contextlib
 import os
 import shutil
 import tempfile
@@ -32,9 +33,8 @@ class ResultsFolder:
             InputError: If the target is a file, is not writable, or is a folder with something else in it.
         """
         self._comm = comm
-        self.target = Path(target).resolve()
-        self._failed = self.target.with_name(self.target.name + ".failed")
-        self.path, self._new_parents = on_root(comm, self._open)
+        self.target, self.path, self._new_parents = on_root(comm, lambda: _open(Path(target)))
+        self._failed = _failed(self.target)
 
     def __enter__(self) -> Self:
         return self
@@ -44,35 +44,20 @@ class ResultsFolder:
     ) -> None:
         if self._comm.rank == 0 and self.path.exists():
             shutil.rmtree(self.path, ignore_errors=True)
-            for parent in self._new_parents:
-                parent.rmdir()
+            with contextlib.suppress(OSError):  # somebody else uses them by now
+                for parent in self._new_parents:
+                    parent.rmdir()
 
     def publish(self) -> None:
-        """Put the staging area in the target's place."""
+        """Put the staging area in the target's place; an earlier failure is then out of date and goes."""
         self._replace(self.target)
+        if self._comm.rank == 0:
+            shutil.rmtree(self._failed, ignore_errors=True)
 
     def keep_failed(self) -> Path:
         """Keep the staging area as `<target>.failed`, leave the target alone and return the new path."""
         self._replace(self._failed)
         return self._failed
-
-    def _open(self) -> tuple[Path, list[Path]]:
-        for place in (self.target, self._failed):
-            if place.exists() and not place.is_dir():
-                raise InputError(f"output {place}: is a file, not a folder")
-            if place.is_dir() and any(place.iterdir()) and not (place / MARK).is_file():
-                raise InputError(f"output {place}: is not empty and holds no {MARK}; choose another folder")
-        parent = self.target.parent
-        missing = [folder for folder in (parent, *parent.parents) if not folder.exists()]
-        try:
-            parent.mkdir(parents=True, exist_ok=True)
-            staging = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", suffix=".partial", dir=parent))
-        except OSError as error:
-            raise InputError(f"output {self.target}: cannot be written ({error.strerror})") from None
-        umask = os.umask(0)
-        os.umask(umask)
-        staging.chmod(0o777 & ~umask)  # mkdtemp makes folders private
-        return staging, missing
 
     def _replace(self, place: Path) -> None:
         self._comm.Barrier()  # all ranks have written
@@ -90,3 +75,41 @@ class ResultsFolder:
                 self.path.rename(place)
 
         on_root(self._comm, swap)
+
+
+def _failed(target: Path) -> Path:
+    return target.with_name(target.name + ".failed")
+
+
+def _open(wanted: Path) -> tuple[Path, Path, list[Path]]:
+    """Resolve and check the target and create the staging area: target, staging area, parents made (rank 0).
+
+    Raises:
+        InputError: If it cannot be a results folder.
+    """
+    try:
+        target = wanted.resolve()
+        _check(target)
+        missing = [folder for folder in target.parents if not folder.exists()]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
+        umask = os.umask(0)
+        os.umask(umask)
+        staging.chmod(0o777 & ~umask)  # mkdtemp makes folders private
+    except OSError as error:
+        raise InputError(f"output {wanted}: cannot be written ({error.strerror})") from None
+    except (RuntimeError, ValueError) as error:  # a loop of links, a null byte
+        raise InputError(f"output {wanted!r}: {error}") from None
+    return target, staging, missing
+
+
+def _check(target: Path) -> None:
+    if os.path.ismount(target):
+        raise InputError(f"output {target}: is a mount point, which cannot be replaced; choose a folder in it")
+    if target == Path.cwd():
+        raise InputError(f"output {target}: is the current folder, which cannot be replaced; choose another")
+    for place in (target, _failed(target)):
+        if place.exists() and not place.is_dir():
+            raise InputError(f"output {place}: is a file, not a folder")
+        if place.is_dir() and any(place.iterdir()) and not (place / MARK).is_file():
+            raise InputError(f"output {place}: is not empty and holds no {MARK}; choose another folder")

@@ -1,8 +1,9 @@
 """From a case to its solution: mesh, spaces, backend, active-set loop, KKT check."""
 
+import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from petsc4py import PETSc
 from forms.norms import l2
 from signorini_fenicsx.active_set import Outcome, Step, iterate_sets
 from signorini_fenicsx.algorithms import ALGORITHMS, By
-from signorini_fenicsx.backend import Backend
+from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
@@ -138,9 +139,9 @@ class Stopwatch:
         self._last = time.perf_counter()
 
     def lap(self, phase: str) -> None:
-        """Attribute the time since the last lap to a phase."""
+        """Add the time since the last lap to a phase."""
         now = time.perf_counter()
-        self.seconds[phase] = now - self._last
+        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._last
         self._last = now
 
     def longest(self, comm: MPI.Comm) -> dict[str, float]:
@@ -187,8 +188,10 @@ def solve(
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini)
     f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(domain.mesh)), spaces.Q)
+    watch.lap("assembly")
     predicted = _predicted(case, spaces) if own_mesh else None
-    watch.lap("prediction")
+    if predicted is not None:
+        watch.lap("prediction")
     outcome = _run(case, spaces, f_h, predicted, watch, on_step)
     watch.lap("solve")
 
@@ -263,8 +266,9 @@ def _run(
         return solve_bound_constrained(system, max_iterations=options.max_iterations, on_step=on_step)
     backend = BACKENDS[options.backend](spaces, f_h)
     watch.lap("assembly")
-    for start in (predicted, None) if predicted is not None else (None,):
-        outcome = iterate_sets(
+
+    def run(start: FacetConditions | None) -> Outcome:
+        return iterate_sets(
             backend,
             algorithm,
             rho=options.rho,
@@ -273,6 +277,12 @@ def _run(
             predicted=start,
             on_step=on_step,
         )
-        if outcome.converged:
-            break
-    return outcome
+
+    if predicted is not None:
+        with contextlib.suppress(LinearSolveFailure):
+            outcome = run(predicted)
+            if outcome.converged:
+                return outcome
+        cold = run(None)
+        return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+    return run(None)

@@ -18,6 +18,7 @@ from signorini_fenicsx.geometry import Domain
 type Array = npt.NDArray[np.float64]
 
 SIGNORINI = 1
+LOAD_RANGE = 1e-100, 1e100
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,8 @@ def project_load(f: ufl.core.expr.Expr, Q: fem.FunctionSpace) -> fem.Function:
     """f_h, the P0 projection of f, by quadrature of the degree UFL estimates, at least 8 (collective).
 
     Raises:
-        InputError: If f is not finite everywhere.
+        InputError: If f is not finite at all quadrature points, or so large or small that squares of the solution leave
+            the range of floating-point numbers.
     """
     mesh = Q.mesh
     degree = min(max(8, ufl.algorithms.estimate_total_polynomial_degree(f)), 30)
@@ -163,4 +165,8 @@ def project_load(f: ufl.core.expr.Expr, Q: fem.FunctionSpace) -> fem.Function:
     f_h.x.array[:] = _assembled(f * v * dx, []) / cell_measures(Q)
     if not mesh.comm.allreduce(bool(np.isfinite(f_h.x.array).all()), op=MPI.LAND):
         raise InputError("[problem] f: not finite everywhere in the domain")
+    largest = mesh.comm.allreduce(float(np.abs(f_h.x.array).max(initial=0.0)), MPI.MAX)
+    if largest != 0 and not LOAD_RANGE[0] <= largest <= LOAD_RANGE[1]:
+        low, high = LOAD_RANGE
+        raise InputError(f"[problem] f: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
     return f_h
