@@ -12,6 +12,7 @@ from forms.mixed import load
 from signorini_fenicsx.auxiliary_space import AuxiliarySpace
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces, cell_measures, cells_and_dofs
 
 DIRECT_UP_TO = 60_000
@@ -30,23 +31,23 @@ class HybridBackend:
     Attributes:
         matrix: The Crouzeix-Raviart matrix under the conditions last applied.
         b: Its right side.
-        x: Its solution, the start of the next iterative solve.
+        x: Its solution, u_CR less the lifting u_Dh of the Dirichlet data; the start of the next iterative solve.
         trace_dofs: The unknown of each Γ_S facet.
         large: Whether iterative solvers are the default at this size.
     """
 
     name = "hybrid"
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            f_h: P0 projection of the load.
+            data: Its means over cells and facets.
         """
         self.spaces = spaces
         mesh = spaces.mesh
-        self._space = fem.functionspace(mesh, ("CR", 1))
+        self._space = data.u_Dh.function_space
         self.trace_dofs = cells_and_dofs(self._space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self._space, spaces.dirichlet_facets)[1]
         self.dofs = self._space.dofmap.index_map.size_global
@@ -57,11 +58,11 @@ class HybridBackend:
         self.matrix = self._assembled.duplicate(copy=True)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(PETSc.Mat.Option.SPD, True)
-        self._load = fem.assemble_vector(fem.form(load(f_h, v)))
+        self._load = fem.assemble_vector(fem.form(load(data.f_h, v) - stiffness(data.u_Dh, v)))
         self._load.scatter_reverse(la.InsertMode.add)
         self.x, self.b = create_vector(self._space), create_vector(self._space)
         self.x.set(0.0)
-        self._recovery = _Recovery(spaces, self._space, f_h)
+        self._recovery = _Recovery(spaces, data)
         self._ksp = PETSc.KSP().create(mesh.comm)
         self._ksp.setOperators(self.matrix)
         self._auxiliary = self._set_up_solver()
@@ -71,7 +72,7 @@ class HybridBackend:
         return solver_name(self._ksp)
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = 0 on Γ_D (collective).
+        """Solve with these conditions on Γ_S and u = u_D on Γ_D (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -132,10 +133,11 @@ class HybridBackend:
 class _Recovery:
     """σ_h and u_h from u_CR, with the forms compiled once."""
 
-    def __init__(self, spaces: Spaces, space: fem.FunctionSpace, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         self._spaces = spaces
-        mesh = spaces.mesh
-        self._u_cr = fem.Function(space)
+        mesh, f_h = spaces.mesh, data.f_h
+        self._u_Dh = data.u_Dh
+        self._u_cr = fem.Function(data.u_Dh.function_space)
         x = ufl.SpatialCoordinate(mesh)
         centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
         centroid.interpolate(lambda x: x[: mesh.geometry.dim])
@@ -149,6 +151,7 @@ class _Recovery:
         owned: npt.NDArray[np.float64] = x.array_r
         self._u_cr.x.array[: len(owned)] = owned
         self._u_cr.x.scatter_forward()
+        self._u_cr.x.array[:] += self._u_Dh.x.array
         sigma, u = fem.Function(self._spaces.V, name="sigma"), fem.Function(self._spaces.Q, name="u")
         sigma.interpolate(self._flux)
         sigma.x.scatter_forward()
