@@ -95,7 +95,7 @@ class Backend(Protocol):
     """Number of unknowns of its linear system."""
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = 0 on Γ_D (collective).
+        """Solve with these conditions on Γ_S and u = u_D on Γ_D (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.

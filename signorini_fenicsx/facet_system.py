@@ -12,6 +12,7 @@ from forms.mixed import load
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces, cell_measures, cells_and_dofs
 
 type Array = npt.NDArray[np.float64]
@@ -31,21 +32,21 @@ class FacetSystem:
         space: Crouzeix-Raviart functions.
         matrix: The Crouzeix-Raviart matrix under the conditions last applied.
         b: Its right side.
-        x: Its solution, the start of the next iterative solve.
+        x: Its solution, u_CR less the lifting u_Dh of the Dirichlet data; the start of the next iterative solve.
         trace_dofs: The unknown of each Γ_S facet.
         dofs: Unknowns over all ranks.
         large: Whether iterative solvers are the default at this size.
     """
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            f_h: P0 projection of the load.
+            data: Its means over cells and facets.
         """
         self.spaces = spaces
-        self.space = fem.functionspace(spaces.mesh, ("CR", 1))
+        self.space = data.u_Dh.function_space
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
@@ -53,11 +54,11 @@ class FacetSystem:
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         self._operator = ConditionedMatrix(fem.form(stiffness(u, v)), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
-        self._load = fem.assemble_vector(fem.form(load(f_h, v)))
+        self._load = fem.assemble_vector(fem.form(load(data.f_h, v) - stiffness(data.u_Dh, v)))
         self._load.scatter_reverse(la.InsertMode.add)
         self.x, self.b = create_vector(self.space), create_vector(self.space)
         self.x.set(0.0)
-        self._recovery = _Recovery(spaces, self.space, f_h)
+        self._recovery = _Recovery(spaces, data)
 
     def apply(self, conditions: FacetConditions) -> npt.NDArray[np.int32]:
         """Make `matrix`, `b` and `x` those of these conditions and return the owned unknowns they fix (collective)."""
@@ -87,10 +88,11 @@ class FacetSystem:
 class _Recovery:
     """σ_h and u_h from u_CR, with the forms compiled once."""
 
-    def __init__(self, spaces: Spaces, space: fem.FunctionSpace, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         self._spaces = spaces
-        mesh = spaces.mesh
-        self._u_cr, self._at_contact = fem.Function(space), fem.Function(spaces.V)
+        mesh, f_h = spaces.mesh, data.f_h
+        self._u_Dh = data.u_Dh
+        self._u_cr, self._at_contact = fem.Function(data.u_Dh.function_space), fem.Function(spaces.V)
         x = ufl.SpatialCoordinate(mesh)
         centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
         centroid.interpolate(lambda x: x[: mesh.geometry.dim])
@@ -118,3 +120,4 @@ class _Recovery:
         owned: Array = x.array_r
         self._u_cr.x.array[: len(owned)] = owned
         self._u_cr.x.scatter_forward()
+        self._u_cr.x.array[:] += self._u_Dh.x.array

@@ -2,12 +2,12 @@
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.auxiliary_space import AuxiliarySpace
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.facet_system import FacetSystem
 from signorini_fenicsx.spaces import Spaces
 
@@ -29,15 +29,15 @@ class HybridBackend:
 
     name = "hybrid"
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         """Assemble and choose the solver (collective).
 
         Args:
             spaces: The discrete spaces.
-            f_h: P0 projection of the load.
+            data: Its means over cells and facets.
         """
         self.spaces = spaces
-        self._system = FacetSystem(spaces, f_h)
+        self._system = FacetSystem(spaces, data)
         self.dofs = self._system.dofs
         self._ksp = PETSc.KSP().create(spaces.mesh.comm)
         self._ksp.setOperators(self._system.matrix)
@@ -49,7 +49,7 @@ class HybridBackend:
         return solver_name(self._ksp)
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = 0 on Γ_D, starting from the last solution (collective).
+        """Solve with these conditions on Γ_S and u = u_D on Γ_D, starting from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.

@@ -2,15 +2,16 @@
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from forms.mixed import flux_equation, load, mass_balance
+from forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.spaces import Spaces
+from signorini_fenicsx.data import Data
+from signorini_fenicsx.spaces import Spaces, assembled
 
 
 class MixedBackend:
@@ -23,12 +24,12 @@ class MixedBackend:
 
     name = "mixed"
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            f_h: P0 projection of the load.
+            data: Its means over cells and facets.
         """
         self.spaces = spaces
         V, Q = spaces.V, spaces.Q
@@ -41,10 +42,10 @@ class MixedBackend:
         self.dofs = self._system.matrix.getSize()[0]
 
         self._load = create_vector([V, Q])
-        self._load.set(0.0)
-        self._load.array_w[self._flux_size :] = -_owned(
-            fem.assemble_vector(fem.form(load(f_h, ufl.TestFunction(Q)))), Q
-        )
+        tau, v = ufl.TestFunction(V), ufl.TestFunction(Q)
+        trace = assembled(trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet))
+        self._load.array_w[: self._flux_size] = trace[: self._flux_size]
+        self._load.array_w[self._flux_size :] = -assembled(load(data.f_h, v))  # no ghost cells
 
         self._ksp = PETSc.KSP().create(V.mesh.comm)
         self._ksp.setOperators(self._system.matrix)
@@ -58,7 +59,7 @@ class MixedBackend:
         return solver_name(self._ksp)
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = 0 on Γ_D (collective).
+        """Solve with these conditions on Γ_S and u = u_D on Γ_D (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -80,10 +81,6 @@ class MixedBackend:
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         p, flux = conditions.clean(p, spaces.normal_flux(sigma))
         return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
-
-
-def _owned(vector: la.Vector, space: fem.FunctionSpace) -> np.ndarray:
-    return vector.array[: space.dofmap.index_map.size_local]
 
 
 def _set_owned(function: fem.Function, values: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import Data, project_data
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.facet_system import FacetSystem
@@ -29,9 +30,9 @@ from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
 from signorini_fenicsx.parallel import peak_memory
 from signorini_fenicsx.sampling import curve_gap, sampled
-from signorini_fenicsx.spaces import Spaces, build_spaces, project_load
+from signorini_fenicsx.spaces import Spaces, build_spaces
 
-BACKENDS: dict[str, Callable[[Spaces, fem.Function], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
+BACKENDS: dict[str, Callable[[Spaces, Data], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
 
 PREDICT_FROM = 60_000
 """Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
@@ -45,7 +46,7 @@ class Solution:
     Attributes:
         case: What was solved.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
-        f_h: P0 projection of f.
+        data: f and u_D, and their means.
         sigma: Flux σ_h in RT0.
         u: u_h in P0.
         p: Trace p_h in P0(Γ_S), on the facet submesh.
@@ -64,7 +65,7 @@ class Solution:
 
     case: Case
     spaces: Spaces
-    f_h: fem.Function
+    data: Data
     sigma: fem.Function
     u: fem.Function
     p: fem.Function
@@ -195,11 +196,12 @@ def solve(
     comm = domain.mesh.comm
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini)
-    f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(domain.mesh)), spaces.Q)
+    x = ufl.SpatialCoordinate(domain.mesh)
+    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
     watch.lap("assembly")
     predicted = _predicted(case, spaces) if own_mesh and _predicts(case, spaces) else None
     watch.lap("prediction")
-    outcome = _run(case, spaces, f_h, predicted, watch, on_step)
+    outcome = _run(case, spaces, data, predicted, watch, on_step)
     watch.lap("solve")
 
     iterate = outcome.iterate
@@ -207,14 +209,14 @@ def solve(
     p.x.array[: len(iterate.p)] = iterate.p
     p.x.scatter_forward()
     penalty = ALGORITHMS[case.solve.algorithm].penalty
-    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, f_h, penalty, case.solve.eps)
+    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = kkt.violation() if outcome.converged else outcome.reason
     solution = Solution(
         case=case,
         spaces=spaces,
-        f_h=f_h,
+        data=data,
         sigma=iterate.sigma,
         u=iterate.u,
         p=p,
@@ -260,7 +262,7 @@ def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
 def _run(
     case: Case,
     spaces: Spaces,
-    f_h: fem.Function,
+    data: Data,
     predicted: FacetConditions | None,
     watch: Stopwatch,
     on_step: Callable[[Step], None],
@@ -268,14 +270,14 @@ def _run(
     """Set up the case's solver, run it and let it go (collective)."""
     options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
     if algorithm.by is By.SNES and algorithm.penalty is not None:
-        newton = PenaltyNewton(spaces, f_h, algorithm.penalty, eps=options.eps, max_iterations=options.max_iterations)
+        newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=options.max_iterations)
         watch.lap("assembly")
         return newton.solve(on_step)
     if algorithm.by is By.SNESVI:
-        system = FacetSystem(spaces, f_h)
+        system = FacetSystem(spaces, data)
         watch.lap("assembly")
         return solve_bound_constrained(system, max_iterations=options.max_iterations, on_step=on_step)
-    backend = BACKENDS[options.backend](spaces, f_h)
+    backend = BACKENDS[options.backend](spaces, data)
     watch.lap("assembly")
     parameters = {"rho": options.rho, "eps": options.eps}
 

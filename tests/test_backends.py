@@ -154,7 +154,7 @@ def test_wrong_prediction_is_corrected():
     """From any conditions whatever Algorithm 1 ends in the same solution."""
     case = load_case("example1").with_values({"solve.h": 1 / 16})
     expected = solve(case)
-    backend = hybrid.HybridBackend(expected.spaces, expected.f_h)
+    backend = hybrid.HybridBackend(expected.spaces, expected.data)
     rng = np.random.default_rng(1)
     for _ in range(5):
         random = FacetConditions(rng.integers(0, 2, len(expected.spaces.facets)).astype(np.int8))
