@@ -50,6 +50,8 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
         "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
         "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
     }
+    if "errors" in summary:
+        lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
     if "violation" in summary:
         left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
         lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
@@ -66,10 +68,11 @@ def bound(certificate: Certificate) -> str:
     """The guaranteed error bound in words."""
     if not math.isfinite(certificate.bound):
         return "no error bound: u_D is negative on Γ_S, or not finite near Γ_D"
-    parts = (
-        f"gap {certificate.gap:.3e}, oscillation {certificate.oscillation:.1e}, remainder {certificate.remainder:.1e}"
+    parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
+    return (
+        f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
     )
-    return f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖ ({parts})"
 
 
 def results(folder: Path) -> None:
