@@ -6,10 +6,12 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pyvista
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
@@ -171,6 +173,47 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
     axes.set_xscale("log", base=int(base))
     axes.set(xlabel="ε" if vary is Vary.EPS else "h", title=title)
     axes.legend(fontsize=8)
+    figure.savefig(path)
+
+
+def draw_bounds(path: Path, rows: list[AdaptRow], dim: int, title: str) -> None:
+    """The certified error over the unknowns, adaptive beside uniform, with a line of the best possible slope −1/d."""
+    figure = Figure(figsize=(5.6, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    for refinement, style in (("adaptive", "o-"), ("uniform", "s--")):
+        chosen = [row for row in rows if row.refinement == refinement]
+        if chosen:
+            axes.loglog([row.unknowns for row in chosen], [row.bound for row in chosen], style, label=refinement)
+    x = np.array([rows[0].unknowns, max(row.unknowns for row in rows)])
+    axes.loglog(x, 0.6 * rows[0].bound * (x / x[0]) ** (-1 / dim), "k:", label=f"slope −1/{dim}")
+    axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
+    axes.legend()
+    figure.savefig(path)
+
+
+def draw_mesh(path: Path, fields: Fields, facets: FacetTable, contact: Condition) -> None:
+    """The mesh, with the facets of Γ_S in contact and not in contact in colours."""
+    if fields.points.shape[1] == 3:
+        plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 1000))
+        surface = _grid(fields).extract_surface(algorithm="dataset_surface")
+        plotter.add_mesh(surface, color="white", lighting=False, show_edges=True, line_width=0.5)
+        add_contact(plotter, facets, contact)
+        plotter.view_vector(_towards(facets, fields), (0, 0, 1))
+        plotter.screenshot(path)
+        plotter.close()
+        return
+    width, height = np.ptp(fields.points, axis=0)
+    figure = Figure(figsize=(6.4, 0.6 + 6.0 * height / width), layout="constrained")
+    axes = figure.add_subplot()
+    axes.grid(False)
+    axes.triplot(Triangulation(*fields.points.T, fields.cells), color="grey", linewidth=0.3)
+    touching = facets.condition == contact
+    for label, chosen, color in (("contact", touching, "firebrick"), ("no contact", ~touching, "C0")):
+        axes.add_collection(
+            LineCollection(list(facets.corners[chosen, :, :2]), colors=color, linewidths=2.5, label=label)
+        )
+    axes.set(aspect="equal", title=f"{len(fields.cells)} cells")
+    axes.legend()
     figure.savefig(path)
 
 
