@@ -129,5 +129,5 @@ def rate(rows: Sequence[AdaptRow]) -> float | None:
     fine = [row for row in rows[len(rows) // 2 :] if 0 < row.bound < np.inf]
     if len(fine) < 2:
         return None
-    logarithms = np.log([(row.unknowns, row.bound) for row in fine])
-    return float(np.polyfit(*logarithms.T, 1)[0])
+    unknowns, bound = np.log([row.unknowns for row in fine]), np.log([row.bound for row in fine])
+    return float(np.polyfit(unknowns, bound, 1)[0])

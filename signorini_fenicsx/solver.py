@@ -219,10 +219,11 @@ def solve(
     x = ufl.SpatialCoordinate(domain.mesh)
     data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
     watch.lap("assembly")
+    predicted = None
     if start is not None:
         predicted = _carried_over(start, spaces)
-    else:
-        predicted = _predicted(case, spaces) if own_mesh and _predicts(case, spaces) else None
+    elif own_mesh and _predicts(case, spaces):
+        predicted = _predicted(case, spaces)
     watch.lap("prediction")
     outcome = _run(case, spaces, data, predicted, watch, on_step)
     watch.lap("solve")
