@@ -73,10 +73,10 @@ class MixedBackend:
         no_flux = spaces.flux_dofs[conditions.kind == Condition.NO_FLUX]
         self._matrix.zeroRowsColumns(first_row + no_flux)
 
-        x = self._load.duplicate()
+        x = self._matrix.createVecRight()  # PETSc never frees a duplicate of a vector with ghosts, such as the load
         solve_linear(self._ksp, self._load, x)
 
-        residual = self._load.duplicate()
+        residual = self._matrix.createVecLeft()
         self._assembled.mult(x, residual)
         sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
         _set_owned(sigma, x.array_r[: self._flux_size])
@@ -89,7 +89,7 @@ class MixedBackend:
         """Add (1/β)(σ·n, τ·n)_e, one diagonal entry per ROBIN facet: its basis function alone has a flux there."""
         spaces = self.spaces
         robin = conditions.kind == Condition.ROBIN
-        diagonal = self._load.duplicate()
+        diagonal = self._matrix.createVecLeft()
         diagonal.set(0.0)
         diagonal.array_w[spaces.flux_dofs[robin]] = (spaces.basis_flux**2 / spaces.facet_measure)[
             robin
