@@ -147,6 +147,38 @@ def convergence(
         report.results(folder.target)
 
 
+@app.command()
+def study(
+    study: Annotated[str, typer.Argument(help="Name of a shipped study or path of a .toml file.")],
+    output: OutputFolder = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and their sizes; run nothing.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again.")] = False,
+) -> None:
+    """Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
+
+    Example: mpirun -n 4 signorini study my-study.toml
+    """
+    from signorini_fenicsx import study_report
+    from signorini_fenicsx.study import load_study
+    from signorini_fenicsx.study_folder import StudyFolder
+    from signorini_fenicsx.study_runner import check_all_succeeded, run_study
+
+    comm = MPI.COMM_WORLD
+    declared, runs = on_root(comm, lambda: load_study(study))
+    folder = StudyFolder(comm, output or Path("results", f"{declared.name}-study"))
+    study_report.heading(declared, runs, comm)
+    if dry_run:
+        study_report.plan(runs, folder)
+        return
+    with folder:
+        if retry_failed:
+            on_root(comm, lambda: folder.forget_failures(runs))
+        with study_report.Progress(runs, folder, comm) as progress:
+            run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
+        study_report.ended(folder)
+        check_all_succeeded(runs, folder, comm)
+
+
 def _levels(text: str) -> range:
     first, separator, last = text.partition(":")
     known = [str(level) for level in range(MAX_LEVEL + 1)]

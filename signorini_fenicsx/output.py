@@ -28,17 +28,19 @@ from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution, Stopwatch
 
 
-def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False) -> None:
+def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False, fields: bool = True) -> None:
     """Write all files of a solution into an existing folder (collective).
 
     Args:
         solution: What to write.
         folder: Where; files of the same names are overwritten.
         plot: Also draw PNGs.
+        fields: Also write the fields for ParaView.
     """
     folder = Path(folder)
     watch = Stopwatch()
-    write_fields(solution, folder)
+    if fields:
+        write_fields(solution, folder)
     table = gather_facets(solution)
     pictures = gather_fields(solution) if plot else None
     summary = solution.summary()
@@ -53,7 +55,7 @@ def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False
         write_history(folder / "history.csv", solution.history)
         watch.lap("output")
         summary["timings"] |= watch.seconds
-        _write_summary(folder, summary)
+        write_summary(folder, summary)
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -82,12 +84,13 @@ def write_convergence(
             "slopes": fitted_slopes(rows, vary),
             "ranks": comm.size,
         }
-        _write_summary(folder, summary)
+        write_summary(folder, summary)
 
     on_root(comm, write)
 
 
-def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """Write `summary.json`, with versions and the command (rank 0)."""
     summary = _without_nan(summary) | {"versions": versions(), "command": shlex.join(sys.argv)}
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
