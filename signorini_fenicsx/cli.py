@@ -69,6 +69,9 @@ def solve(
     backend: BackendName = None,
     predict: Annotated[bool, typer.Option(help="Start large problems from a coarser mesh's sets.")] = True,
     settings: Settings = None,
+    start_from: Annotated[
+        Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
+    ] = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
 ) -> None:
@@ -78,6 +81,7 @@ def solve(
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.checkpoint import load_solution, shared_domain
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
     from signorini_fenicsx.solver import solve as solve_case
@@ -90,12 +94,38 @@ def solve(
         report.heading(problem, comm)
         report.iteration_heading(problem)
         try:
-            solution = solve_case(problem, comm, on_step=report.step)
+            start = None if start_from is None else load_solution(start_from, comm)
+            domain = None if start is None else shared_domain(start, problem)
+            solution = solve_case(problem, comm, domain=domain, start=start, on_step=report.step)
         except NumericalFailure as failure:
             if failure.solution is not None:
                 write_solution(failure.solution, folder.path, plot=plot)
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
+        write_solution(solution, folder.path, plot=plot)
+        folder.publish()
+        report.solution(solution, folder.target)
+
+
+@app.command()
+def export(
+    results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+) -> None:
+    """Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
+
+    Example: mpirun -n 2 signorini export results/example2 --plot
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.checkpoint import load_solution
+    from signorini_fenicsx.output import write_solution
+    from signorini_fenicsx.results import ResultsFolder
+
+    comm = MPI.COMM_WORLD
+    solution = load_solution(results, comm)
+    with ResultsFolder(comm, output or results) as folder:
+        report.heading(solution.case, comm)
         write_solution(solution, folder.path, plot=plot)
         folder.publish()
         report.solution(solution, folder.target)

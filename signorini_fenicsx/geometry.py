@@ -255,7 +255,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
         return points, cells
 
     simplices = on_root_only(comm, generate, shape.dim)
-    return label_parts(_distribute(comm, *simplices, shape.dim), shape)
+    return label_parts(distribute(comm, *simplices, shape.dim), shape)
 
 
 def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
@@ -265,7 +265,8 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
-def _distribute(comm: MPI.Comm, points: Array, cells: npt.NDArray[np.int64], dim: int) -> dolfinx.mesh.Mesh:
+def distribute(comm: MPI.Comm, points: Array, cells: npt.NDArray[np.int64], dim: int) -> dolfinx.mesh.Mesh:
+    """Distribute a mesh of simplices that rank 0 has, the others passing empty arrays (collective)."""
     cell = {2: "triangle", 3: "tetrahedron"}[dim]
     element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
     return dolfinx.mesh.create_mesh(comm, cells, element, points)

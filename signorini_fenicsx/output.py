@@ -21,6 +21,7 @@ from petsc4py import PETSc
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
@@ -41,17 +42,17 @@ def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False
     watch = Stopwatch()
     if fields:
         write_fields(solution, folder)
-    table = gather_facets(solution)
-    pictures = gather_fields(solution) if plot else None
+    table, cells = gather_facets(solution), gather_fields(solution)
     summary = solution.summary()
 
     def write() -> None:
-        if table is not None:
+        if table is not None and cells is not None:
             write_facets(folder / "facets.csv", solution.spaces.part_names, table)
-            if pictures is not None:
+            write_checkpoint(folder / FILE, solution, cells, table)
+            if plot:
                 from signorini_fenicsx import plots  # costs two seconds, which a run without pictures need not wait
 
-                plots.draw_all(folder, solution, pictures, table)
+                plots.draw_all(folder, solution, cells, table)
         write_history(folder / "history.csv", solution.history)
         watch.lap("output")
         summary["timings"] |= watch.seconds

@@ -166,6 +166,7 @@ def solve(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
+    start: Solution | None = None,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Solution:
     """Solve a case (collective).
@@ -174,6 +175,7 @@ def solve(
         case: The problem, its discretisation and algorithm.
         comm: Communicator to run on, if there is no mesh yet.
         domain: Mesh to solve on, instead of the case's own.
+        start: Solution whose contact set is taken for the first one.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -189,7 +191,10 @@ def solve(
     spaces = build_spaces(domain, case.boundary.signorini)
     f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(domain.mesh)), spaces.Q)
     watch.lap("assembly")
-    predicted = _predicted(case, spaces) if own_mesh else None
+    if start is not None:
+        predicted: FacetConditions | None = _transferred(start, case, spaces)
+    else:
+        predicted = _predicted(case, spaces) if own_mesh else None
     if predicted is not None:
         watch.lap("prediction")
     outcome = _run(case, spaces, f_h, predicted, watch, on_step)
@@ -229,8 +234,7 @@ def solve(
 def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
     """Conditions of the same case on a mesh COARSENING times as coarse, None where not worth it (collective).
 
-    A facet takes the condition of the coarse facet at its midpoint. The prediction changes the number of steps only:
-    the loop ends where the sets repeat, wherever it starts.
+    The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
     """
     options = case.solve
     facets = spaces.V.dofmap.index_map.size_global
@@ -240,10 +244,30 @@ def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
         coarse = solve(case.with_values({"solve.h": COARSENING * options.h}), spaces.mesh.comm)
     except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
         return None
-    kind = fem.Function(coarse.spaces.Lambda)
-    kind.x.array[: len(coarse.conditions.kind)] = coarse.conditions.kind
-    (sample,) = sampled([kind], spaces.Lambda.mesh, curve_gap(coarse.spaces.domain.h), degree=0)
-    return FacetConditions(np.rint(sample.x.array[: len(spaces.facets)]).astype(np.int8), coarse.conditions.beta)
+    return _transferred(coarse, case, spaces)
+
+
+def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions:
+    """The contact set of another solution as conditions of this case's algorithm (collective).
+
+    A facet is taken to be in contact where the other's facet at its midpoint is.
+
+    Raises:
+        InputError: If the domains differ, or the algorithm has no sets to start from.
+    """
+    shape, other = case.geometry.shape, start.case.geometry.shape
+    if shape != other:
+        raise InputError(f"the start was solved on shape '{other}', not on '{shape}'")
+    algorithm = ALGORITHMS[case.solve.algorithm]
+    if algorithm.by is not By.SETS:
+        raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
+    touching = fem.Function(start.spaces.Lambda)
+    kind = start.conditions.kind
+    touching.x.array[: len(kind)] = kind == ALGORITHMS[start.case.solve.algorithm].contact
+    (sample,) = sampled([touching], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0)
+    contact = np.rint(sample.x.array[: len(spaces.facets)])
+    beta = 1.0 if algorithm.penalty is None else algorithm.penalty.beta(case.solve.eps)
+    return FacetConditions(algorithm.rule(1 - contact, contact, case.solve.rho), beta)  # either p or σ·n is 0
 
 
 def _run(

@@ -230,7 +230,7 @@ def test_a_full_disk_loses_nothing(tmp_path: Path, finished: Path):
     script.write_text(
         "import resource, sys\n"
         "from signorini_fenicsx import cli\n"  # MPI, which needs larger files, starts here
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (2500, 2500))\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))\n"
         "sys.argv = ['signorini', 'study', 'study.toml']\n"
         "cli.main()\n"
     )
