@@ -110,8 +110,8 @@ def compare(case: str, h: str, repeats: int) -> list[Row]:
         for _ in range(repeats):
             for run, results in measured.items():
                 if not results or results[0]["seconds"] < RUN_ONCE_FROM:
-                    console.print(f"{case}, h = {h}, {cells} cells: {run[0]}, {run[1]} ranks …", end="\r")
-                    results.append(launch(case, h, mesh, *run))
+                    with console.status(f"{case}, h = {h}, {cells} cells: {run[0]}, {run[1]} ranks"):
+                        results.append(launch(case, h, mesh, *run))
     rows = [summarise(case, method, ranks, results) for (method, ranks), results in measured.items()]
     check(rows)
     console.print(table(rows))
@@ -301,4 +301,6 @@ def draw(rows: list[Row], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(main)
+    app()
