@@ -108,6 +108,12 @@ class Problem(_Section):
     u_D: Expression = "0"
 
 
+class Exact(_Section):
+    """`[exact]`: the solution u, where it is known, as text in x, y, z; then σ = ∇u and p = u on Γ_S."""
+
+    u: Expression | None = None
+
+
 class Solve(_Section):
     """`[solve]`: the algorithm and its parameters; `predict` starts large problems from a coarser mesh's sets."""
 
@@ -132,6 +138,7 @@ class Case(_Section):
     geometry: Geometry
     boundary: Boundary
     problem: Problem
+    exact: Exact = Exact()
     solve: Solve = Solve()
 
     @model_validator(mode="after")
@@ -149,11 +156,12 @@ class Case(_Section):
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
             )
-        for name, text in self.problem:
-            try:
-                parse_expression(text, reference_coordinate(shape.dim))
-            except InputError as error:
-                raise ValueError(f"[problem] {name}: {error}") from None
+        for section in ("problem", "exact"):
+            for name, text in getattr(self, section):
+                try:
+                    parse_expression(text or "0", reference_coordinate(shape.dim))
+                except InputError as error:
+                    raise ValueError(f"[{section}] {name}: {error}") from None
         return self
 
     def with_values(self, values: Mapping[str, Any]) -> Self:

@@ -78,6 +78,7 @@ def solve(
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.certificate import certify
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
     from signorini_fenicsx.solver import solve as solve_case
@@ -96,9 +97,10 @@ def solve(
                 write_solution(failure.solution, folder.path, plot=plot)
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
-        write_solution(solution, folder.path, plot=plot)
+        certificate = certify(solution)
+        write_solution(solution, folder.path, certificate=certificate, plot=plot)
         folder.publish()
-        report.solution(solution, folder.target)
+        report.solution(solution, folder.target, certificate)
 
 
 @app.command()

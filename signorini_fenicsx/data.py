@@ -47,13 +47,13 @@ def project_data(spaces: Spaces, f: Expr, u_D: Expr) -> Data:
     """
     mesh = spaces.mesh
     f_h = fem.Function(spaces.Q, name="f_h")
-    dx = ufl.Measure("dx", domain=mesh, metadata=_quadrature(f))
+    dx = ufl.Measure("dx", domain=mesh, metadata=quadrature(f))
     zero = fem.Constant(mesh, 0.0)  # UFL would drop the integral of a plain 0
     f_h.x.array[:] = assembled((f + zero) * ufl.TestFunction(spaces.Q) * dx) / cell_measures(spaces.Q)
     _check("f", "in the domain", f_h, mesh.comm)
 
     tau = ufl.TestFunction(spaces.V)
-    ds = spaces.ds_dirichlet(metadata=_quadrature(u_D))
+    ds = spaces.ds_dirichlet(metadata=quadrature(u_D))
     flux_dofs = cells_and_dofs(spaces.V, spaces.dirichlet_facets)[1]
     weighted, plain = (assembled(trace_term(value, tau, spaces.n, ds))[flux_dofs] for value in (u_D + zero, 1.0 + zero))
     u_Dh = fem.Function(fem.functionspace(mesh, ("CR", 1)), name="u_D")
@@ -63,7 +63,8 @@ def project_data(spaces: Spaces, f: Expr, u_D: Expr) -> Data:
     return Data(f, u_D, f_h, u_Dh)
 
 
-def _quadrature(value: Expr) -> dict[str, int]:
+def quadrature(value: Expr) -> dict[str, int]:
+    """Metadata of a measure for the integral of an expression: the degree UFL estimates, between 8 and 30."""
     return {"quadrature_degree": min(max(8, ufl.algorithms.estimate_total_polynomial_degree(value)), 30)}
 
 

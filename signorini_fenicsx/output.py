@@ -21,6 +21,7 @@ from petsc4py import PETSc
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
@@ -28,12 +29,15 @@ from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution, Stopwatch
 
 
-def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False) -> None:
+def write_solution(
+    solution: Solution, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False
+) -> None:
     """Write all files of a solution into an existing folder (collective).
 
     Args:
         solution: What to write.
         folder: Where; files of the same names are overwritten.
+        certificate: Its error bound, if it has one.
         plot: Also draw PNGs.
     """
     folder = Path(folder)
@@ -42,6 +46,9 @@ def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False
     table = gather_facets(solution)
     pictures = gather_fields(solution) if plot else None
     summary = solution.summary()
+    if certificate is not None:
+        summary["certificate"] = certificate.summary()
+        summary["timings"] |= {"certificate": certificate.seconds}
 
     def write() -> None:
         if table is not None:

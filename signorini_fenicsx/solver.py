@@ -19,7 +19,7 @@ from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
-from signorini_fenicsx.data import Data, project_data
+from signorini_fenicsx.data import Data, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.facet_system import FacetSystem
@@ -93,6 +93,22 @@ class Solution:
         }
         return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
 
+    def errors(self) -> dict[str, float] | None:
+        """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, None without an exact solution (collective)."""
+        if self.case.exact.u is None:
+            return None
+        spaces = self.spaces
+        u = parse_expression(self.case.exact.u, ufl.SpatialCoordinate(spaces.mesh))
+        metadata = quadrature(u)
+        dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
+        squares = {
+            "sigma_L2": l2(ufl.grad(u) - self.sigma, dx),
+            "div_sigma_L2": l2(self.data.f + ufl.div(self.sigma), dx),
+            "u_L2": l2(u - self.u, dx),
+            "p_L2": l2(u - self.p, spaces.ds(metadata=metadata)),
+        }
+        return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
+
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact, by their final condition (collective)."""
         touching = self.conditions.kind == ALGORITHMS[self.case.solve.algorithm].contact
@@ -114,6 +130,7 @@ class Solution:
         """Everything about the run that fits into numbers, ready for JSON (collective)."""
         spaces, solve = self.spaces, self.case.solve
         contact_facets, contact_measure = self.contact()
+        errors = self.errors()
         penalised = ALGORITHMS[solve.algorithm].penalty is not None
         return {
             "case": self.case.name,
@@ -132,6 +149,7 @@ class Solution:
             "converged": self.converged,
             "reason": self.reason,
             "norms": self.norms(),
+            **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **({"eps": solve.eps, "violation": self.violation()} if penalised else {}),
             "timings": self.timings,
