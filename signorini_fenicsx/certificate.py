@@ -103,15 +103,15 @@ def certify(solution: Solution) -> Certificate:
     dx = ufl.Measure("dx", domain=spaces.mesh, metadata=quadrature(data.f**2))
     oscillation = assembled(oscillation_squared(data.f, data.f_h, ufl.CellDiameter(spaces.mesh), q, dx))
     indicator = fem.Function(spaces.Q, name="indicator")
-    indicator.x.array[:] = np.sqrt(2 * gap + oscillation)  # no ghost cells
+    indicator.x.array[:] = np.sqrt(np.maximum(2 * gap + oscillation, 0.0))  # no ghost cells; < 0 only without a bound
 
     comm = spaces.mesh.comm
     total_gap, total_oscillation = comm.allreduce(np.array([gap.sum(), oscillation.sum()])).tolist()
     remainder = _remainder(solution, y)
-    bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
-    sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    if not feasible or not np.isfinite(bound):
-        bound = sigma_bound = np.inf
+    bound = sigma_bound = np.inf
+    if feasible and np.isfinite(total_gap):
+        bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
+        sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
     size = np.sqrt(spaces.integrate(l2(solution.sigma, ufl.dx)))
     watch.lap("certificate")
     return Certificate(
