@@ -41,8 +41,9 @@ def step(row: Step) -> None:
 def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     """Show the summary of a finished run (collective)."""
     summary = result.summary()
+    rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
     lines = {
-        "converged": f"{summary['reason']} after {summary['iterations']} iterations",
+        "converged": f"{summary['reason']} after {summary['iterations']} iterations{rough}",
         "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
         "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
         "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
@@ -56,6 +57,8 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
         lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
     lines["certified"] = bound(certificate)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
+    memory = summary["peak_memory"]
+    lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
     for name, text in lines.items():
         console.print(f"{name:<10} {text}", markup=False)
     results(folder)

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.norms import l2
-from signorini_fenicsx.active_set import Outcome, Step, iterate_sets
+from signorini_fenicsx.active_set import Outcome, Step, iterate_sets, settle_sets
 from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
@@ -22,18 +22,20 @@ from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.data import Data, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.facet_system import FacetSystem
 from signorini_fenicsx.geometry import Domain, build_domain
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.kkt import KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
+from signorini_fenicsx.parallel import peak_memory
 from signorini_fenicsx.sampling import curve_gap, sampled
 from signorini_fenicsx.spaces import Spaces, build_spaces
 
 BACKENDS: dict[str, Callable[[Spaces, Data], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
 
 PREDICT_FROM = 60_000
-"""Facets of the mesh from which a coarser mesh predicts the sets; below, a cold start costs nothing."""
+"""Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
 COARSENING = 4.0
 
 
@@ -56,7 +58,9 @@ class Solution:
         backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
         dofs: Unknowns of the linear system.
         linear_solver: Name of the linear solver.
+        rough_steps: Set updates by rough solves that went before the history.
         timings: Seconds per phase, the longest over all ranks.
+        peak_memory: Bytes that the processes have held at most so far, summed over ranks.
     """
 
     case: Case
@@ -73,7 +77,9 @@ class Solution:
     backend: str
     dofs: int
     linear_solver: str
+    rough_steps: int = 0
     timings: dict[str, float] = field(default_factory=dict)
+    peak_memory: int = 0
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -139,6 +145,7 @@ class Solution:
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
             "iterations": len(self.history),
+            "rough_steps": self.rough_steps,
             "converged": self.converged,
             "reason": self.reason,
             "norms": self.norms(),
@@ -146,6 +153,7 @@ class Solution:
             "kkt": vars(self.kkt),
             **({"eps": solve.eps, "violation": self.violation()} if penalised else {}),
             "timings": self.timings,
+            "peak_memory": self.peak_memory,
             "ranks": spaces.mesh.comm.size,
         }
 
@@ -209,9 +217,8 @@ def solve(
     x = ufl.SpatialCoordinate(domain.mesh)
     data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
     watch.lap("assembly")
-    predicted = _predicted(case, spaces) if own_mesh else None
-    if predicted is not None:
-        watch.lap("prediction")
+    predicted = _predicted(case, spaces) if own_mesh and _predicts(case, spaces) else None
+    watch.lap("prediction")
     outcome = _run(case, spaces, data, predicted, watch, on_step)
     watch.lap("solve")
 
@@ -239,25 +246,29 @@ def solve(
         backend=outcome.backend,
         dofs=outcome.dofs,
         linear_solver=outcome.linear_solver,
+        rough_steps=outcome.rough_steps,
         timings=watch.longest(comm),
+        peak_memory=peak_memory(comm),
     )
     if failure is not None:
         raise NumericalFailure(failure, solution)
     return solution
 
 
+def _predicts(case: Case, spaces: Spaces) -> bool:
+    """Whether the sets are worth a prediction."""
+    options, facets = case.solve, spaces.V.dofmap.index_map.size_global
+    return options.predict and ALGORITHMS[options.algorithm].by is By.SETS and facets >= PREDICT_FROM
+
+
 def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
-    """Conditions of the same case on a mesh COARSENING times as coarse, None where not worth it (collective).
+    """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
 
     A facet takes the condition of the coarse facet at its midpoint. The prediction changes the number of steps only:
     the loop ends where the sets repeat, wherever it starts.
     """
-    options = case.solve
-    facets = spaces.V.dofmap.index_map.size_global
-    if not options.predict or ALGORITHMS[options.algorithm].by is not By.SETS or facets < PREDICT_FROM:
-        return None
     try:
-        coarse = solve(case.with_values({"solve.h": COARSENING * options.h}), spaces.mesh.comm)
+        coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), spaces.mesh.comm)
     except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
         return None
     kind = fem.Function(coarse.spaces.Lambda)
@@ -281,28 +292,33 @@ def _run(
         watch.lap("assembly")
         return newton.solve(on_step)
     if algorithm.by is By.SNESVI:
-        system = HybridBackend(spaces, data)
+        system = FacetSystem(spaces, data)
         watch.lap("assembly")
         return solve_bound_constrained(system, max_iterations=options.max_iterations, on_step=on_step)
     backend = BACKENDS[options.backend](spaces, data)
     watch.lap("assembly")
+    parameters = {"rho": options.rho, "eps": options.eps}
 
     def run(start: FacetConditions | None) -> Outcome:
         return iterate_sets(
             backend,
             algorithm,
-            rho=options.rho,
-            eps=options.eps,
+            **parameters,
             max_iterations=options.max_iterations,
             predicted=start,
             on_step=on_step,
         )
 
-    if predicted is not None:
-        with contextlib.suppress(LinearSolveFailure):
-            outcome = run(predicted)
+    with contextlib.suppress(LinearSolveFailure):
+        steps = 0
+        if isinstance(backend, HybridBackend) and backend.iterative and _predicts(case, spaces):
+            predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted)
+            watch.lap("prediction")
+        if predicted is not None:
+            outcome = replace(run(predicted), rough_steps=steps)
             if outcome.converged:
                 return outcome
-        cold = run(None)
-        return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
-    return run(None)
+    cold = run(None)
+    if predicted is None:
+        return cold
+    return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")

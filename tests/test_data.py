@@ -11,7 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.norms import l2
-from signorini_fenicsx import hybrid
+from signorini_fenicsx import facet_system
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.solver import solve
@@ -26,7 +26,7 @@ AFFINE = [("2 + x", (1, 0), ["bottom", "top"]), ("-y", (0, -1), ["bottom"]), ("5
 @pytest.mark.parametrize("direct_up_to", [0, 10**6])
 def test_affine_solutions(folder: Path, monkeypatch: pytest.MonkeyPatch, direct_up_to: int):
     """σ_h = ∇u, the cell means u_h and the facet means p_h are exact, but for the ε of a penalty."""
-    monkeypatch.setattr(hybrid, "DIRECT_UP_TO", direct_up_to)
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
     ways = [("alg1", "hybrid"), ("alg4", "hybrid")]
     if direct_up_to and COMM.size == 1:
         ways += [(name, "hybrid") for name in ("alg2", "alg3", "snes1", "snes2", "vi")]
