@@ -47,12 +47,14 @@ class Fields:
         cells: Shape (cells, dim + 1).
         u: Shape (cells,).
         sigma: At the centroids, shape (cells, dim).
+        indicator: η_T of the certificate, shape (cells,), or None without one.
     """
 
     points: Array
     cells: npt.NDArray[np.int64]
     u: Array
     sigma: Array
+    indicator: Array | None
 
 
 def gather_facets(solution: Solution) -> FacetTable | None:
@@ -99,7 +101,7 @@ def centroid_flux(solution: Solution) -> fem.Function:
     return sigma
 
 
-def gather_fields(solution: Solution) -> Fields | None:
+def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> Fields | None:
     """Collect mesh and cell values on rank 0; None on other ranks (collective)."""
     mesh = solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
@@ -109,9 +111,16 @@ def gather_fields(solution: Solution) -> Fields | None:
     cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmap[:size]])
     u = gather_rows(comm, solution.u.x.array[:size])
     sigma = gather_rows(comm, centroid_flux(solution).x.array.reshape(-1, dim)[:size])
+    eta = None if indicator is None else gather_rows(comm, indicator.x.array[:size])
     order = gather_rows(comm, mesh.topology.original_cell_index[:size])
     if ids is None or points is None or cells is None or u is None or sigma is None or order is None:
         return None
     used, first = np.unique(ids, return_index=True)
     rows = np.argsort(order)
-    return Fields(points[first], np.searchsorted(used, cells)[rows], u[rows], sigma[rows])
+    return Fields(
+        points[first],
+        np.searchsorted(used, cells)[rows],
+        u[rows],
+        sigma[rows],
+        None if eta is None else eta[rows],
+    )

@@ -42,9 +42,10 @@ def write_solution(
     """
     folder = Path(folder)
     watch = Stopwatch()
-    write_fields(solution, folder)
+    write_fields(solution, folder, certificate)
     table = gather_facets(solution)
-    pictures = gather_fields(solution) if plot else None
+    indicator = None if certificate is None else certificate.indicator
+    pictures = gather_fields(solution, indicator) if plot else None
     summary = solution.summary()
     if certificate is not None:
         summary["certificate"] = certificate.summary()
@@ -140,8 +141,8 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> 
             writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
 
 
-def write_fields(solution: Solution, folder: Path) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf` (collective).
+def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
 
     A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
     exact. XDMF takes P0: there σ is its value at the centroid.
@@ -170,7 +171,7 @@ def write_fields(solution: Solution, folder: Path) -> None:
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
         file.write_mesh(mesh)
-        for function in (solution.u, sigma, magnitude):
+        for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
             file.write_function(function)
     on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
 
