@@ -26,6 +26,7 @@ class FacetTable:
         p: Trace p_h.
         flux: σ_h·n.
         condition: Final condition.
+        corners: Vertices, shape (facets, dim, 3).
     """
 
     part: npt.NDArray[np.int64]
@@ -36,6 +37,7 @@ class FacetTable:
     p: Array
     flux: Array
     condition: npt.NDArray[np.int64]
+    corners: Array
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,9 @@ class Fields:
 def gather_facets(solution: Solution) -> FacetTable | None:
     """Collect the Γ_S facets on rank 0; None on other ranks (collective)."""
     spaces = solution.spaces
-    size = len(spaces.facets)
-    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets)
+    size, dim = len(spaces.facets), spaces.mesh.topology.dim
+    corners = spaces.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(spaces.mesh, dim - 1, spaces.facets)]
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
         on_part = spaces.part_of_facet == index
@@ -75,6 +78,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         solution.p.x.array[:size],
         spaces.normal_flux(solution.sigma),
         solution.conditions.kind,
+        *corners.reshape(size, 3 * dim).T,
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
     if rows is None:
@@ -90,6 +94,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         p=rows[:, 7],
         flux=rows[:, 8],
         condition=rows[:, 9].astype(np.int64),
+        corners=rows[:, 10:].reshape(-1, dim, 3),
     )
 
 

@@ -20,6 +20,8 @@ from petsc4py import PETSc
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow
+from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.conditions import Condition
@@ -93,6 +95,25 @@ def write_convergence(
         _write_summary(folder, summary)
 
     on_root(comm, write)
+
+
+def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+    table, fields_on_root = gather_facets(solution), gather_fields(solution)
+
+    def write() -> None:
+        from signorini_fenicsx import plots
+
+        with (folder / "adapt.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
+            writer.writeheader()
+            writer.writerows(asdict(row) for row in rows)
+        plots.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
+        if table is not None and fields_on_root is not None:
+            contact = ALGORITHMS[solution.case.solve.algorithm].contact
+            plots.draw_mesh(folder / "mesh.png", fields_on_root, table, contact)
+
+    on_root(solution.spaces.mesh.comm, write)
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:

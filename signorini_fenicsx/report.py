@@ -7,6 +7,7 @@ from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow, rate
 from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
@@ -109,6 +110,35 @@ def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorith
     }.get(vary, "h + √ε (29), (31)")
     fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
     console.print(f"fitted slopes  {fitted}   theory: {theory}")
+
+
+def adapt_heading(target: float | None, max_cells: int) -> None:
+    """Say when refinement ends and name the columns of the meshes."""
+    wanted = "" if target is None else f"relative error ≤ {target:g} or "
+    console.print(f"until {wanted}{max_cells} cells")
+    sizes = "".join(f" {name:>9}" for name in ("cells", "unknowns", "contact"))
+    console.print(f"{'mesh':>13}{sizes} {'n':>3} {'error ≤':>10} {'relative':>9} {'seconds':>9}")
+
+
+def adapt_row(row: AdaptRow) -> None:
+    """Show the certified error on one mesh."""
+    console.print(
+        f"{row.refinement:>9}{row.mesh:4d} {row.cells:9d} {row.unknowns:9d} {row.contact_measure:9.5g} "
+        f"{row.iterations:3d} {row.bound:10.4e} {row.relative:9.3e} {row.seconds:9.2f}"
+    )
+
+
+def adapted(rows: list[AdaptRow], dim: int, certificate: Certificate, folder: Path) -> None:
+    """Show the last certificate, and the fitted rates beside the best possible one."""
+    rates = {
+        name: rate([row for row in rows if row.refinement == name])
+        for name in dict.fromkeys(r.refinement for r in rows)
+    }
+    fitted = "  ".join(f"{name} {value:.2f}" for name, value in rates.items() if value is not None)
+    if fitted:
+        console.print(f"{'slopes':<10} {fitted}, of the error over the unknowns; best possible {-1 / dim:.2f}")
+    console.print(f"{'certified':<10} {bound(certificate)}", markup=False)
+    results(folder)
 
 
 def _cell(value: float | None, width: int, form: str) -> str:

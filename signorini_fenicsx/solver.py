@@ -193,6 +193,7 @@ def solve(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
+    start: Solution | None = None,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Solution:
     """Solve a case (collective).
@@ -201,6 +202,7 @@ def solve(
         case: The problem, its discretisation and algorithm.
         comm: Communicator to run on, if there is no mesh yet.
         domain: Mesh to solve on, instead of the case's own.
+        start: A solution on another mesh, whose facet sets an active-set algorithm starts from.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -217,7 +219,11 @@ def solve(
     x = ufl.SpatialCoordinate(domain.mesh)
     data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
     watch.lap("assembly")
-    predicted = _predicted(case, spaces) if own_mesh and _predicts(case, spaces) else None
+    predicted = None
+    if start is not None:
+        predicted = _carried_over(start, spaces)
+    elif own_mesh and _predicts(case, spaces):
+        predicted = _predicted(case, spaces)
     watch.lap("prediction")
     outcome = _run(case, spaces, data, predicted, watch, on_step)
     watch.lap("solve")
@@ -264,13 +270,17 @@ def _predicts(case: Case, spaces: Spaces) -> bool:
 def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
     """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
 
-    A facet takes the condition of the coarse facet at its midpoint. The prediction changes the number of steps only:
-    the loop ends where the sets repeat, wherever it starts.
+    The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
     """
     try:
         coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), spaces.mesh.comm)
     except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
         return None
+    return _carried_over(coarse, spaces)
+
+
+def _carried_over(coarse: Solution, spaces: Spaces) -> FacetConditions:
+    """To each facet the condition of the coarse facet at its midpoint (collective)."""
     kind = fem.Function(coarse.spaces.Lambda)
     kind.x.array[: len(coarse.conditions.kind)] = coarse.conditions.kind
     (sample,) = sampled([kind], spaces.Lambda.mesh, curve_gap(coarse.spaces.domain.h), degree=0)
