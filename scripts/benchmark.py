@@ -52,7 +52,7 @@ TARGETS = {  # least cells: a / ours, b / ours, ours / f
 FULL = {"transition": ("2^-5", "2^-6", "2^-7", "2^-8", "2^-9"), "transition3d": ("0.14", "0.072", "0.057", "0.039")}
 QUICK = {"transition": ("2^-4", "2^-5", "2^-6"), "transition3d": ("0.28", "0.14", "0.1")}
 
-console = Console(highlight=False, soft_wrap=True)
+console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ def compare(case: str, h: str, repeats: int) -> list[Row]:
         for _ in range(repeats):
             for run, results in measured.items():
                 if not results or results[0]["seconds"] < RUN_ONCE_FROM:
-                    console.print(f"{case}, h = {h}, {cells} cells: {run[0]}, {run[1]} ranks …", end="\r")
-                    results.append(launch(case, h, mesh, *run))
+                    with console.status(f"{case}, h = {h}, {cells} cells: {run[0]}, {run[1]} ranks"):
+                        results.append(launch(case, h, mesh, *run))
     rows = [summarise(case, method, ranks, results) for (method, ranks), results in measured.items()]
     check(rows)
     console.print(table(rows))
@@ -301,4 +301,6 @@ def draw(rows: list[Row], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(main)
+    app()

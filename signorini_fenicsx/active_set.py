@@ -14,6 +14,11 @@ from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure, Roug
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import Spaces
 
+ROUGH_ITERATIONS = 5
+"""Iterations of a rough solve: enough to see on which side of 0 most p and σ·n are."""
+FIRST_ITERATIONS = 10
+"""Iterations of the first one from given conditions, which a worse solution would spoil."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -177,7 +182,8 @@ def settle_sets(
     conditions = start or algorithm.cold_start(len(backend.spaces.facets), eps)
     changed: list[int] = []
     while len(changed) < 3 or changed[-1] < changed[-3]:
-        following = algorithm.next_conditions(*backend.solve_roughly(conditions), rho, eps)
+        iterations = FIRST_ITERATIONS if start is not None and not changed else ROUGH_ITERATIONS
+        following = algorithm.next_conditions(*backend.solve_roughly(conditions, iterations), rho, eps)
         changed.append(int(following.changes([conditions], backend.spaces.mesh.comm)[0]))
         conditions = following
         if changed[-1] == 0:

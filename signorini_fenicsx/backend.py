@@ -121,8 +121,8 @@ class RoughBackend(Protocol):
 
     spaces: Spaces
 
-    def solve_roughly(self, conditions: FacetConditions) -> tuple[Array, Array]:
-        """P and σ·n per Γ_S facet of this rank after a few iterations from the last solution (collective).
+    def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
+        """Trace and σ·n per Γ_S facet of this rank after some more iterations from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.

@@ -17,6 +17,7 @@ covers: where the boundary is curved, on the polygon or polyhedron.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import basix
@@ -33,6 +34,7 @@ from forms.certificate import oscillation_squared, reconstruction, twice_the_gap
 from forms.crouzeix_raviart import stiffness
 from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS, Penalty
+from signorini_fenicsx.backend import LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import project_data, quadrature
 from signorini_fenicsx.hybrid import HybridBackend
@@ -103,16 +105,17 @@ def certify(solution: Solution) -> Certificate:
     dx = ufl.Measure("dx", domain=spaces.mesh, metadata=quadrature(data.f**2))
     oscillation = assembled(oscillation_squared(data.f, data.f_h, ufl.CellDiameter(spaces.mesh), q, dx))
     indicator = fem.Function(spaces.Q, name="indicator")
-    indicator.x.array[:] = np.sqrt(2 * gap + oscillation)  # no ghost cells
+    indicator.x.array[:] = np.sqrt(np.maximum(2 * gap + oscillation, 0.0))  # no ghost cells; < 0 only without a bound
 
     comm = spaces.mesh.comm
     total_gap, total_oscillation = comm.allreduce(np.array([gap.sum(), oscillation.sum()])).tolist()
     remainder = _remainder(solution, y)
-    bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
-    sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    if not feasible or not np.isfinite(bound):
-        bound = sigma_bound = np.inf
+    bound = sigma_bound = np.inf
+    if feasible and np.isfinite(total_gap):
+        bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
+        sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
     size = np.sqrt(spaces.integrate(l2(solution.sigma, ufl.dx)))
+    PETSc.garbage_cleanup(comm)
     watch.lap("certificate")
     return Certificate(
         bound=float(bound),
@@ -134,7 +137,8 @@ def _admissible_flux(solution: Solution) -> fem.Function:
     if ALGORITHMS[solution.case.solve.algorithm].penalty is Penalty.FLUX:
         open_facets = solution.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
-        y = HybridBackend(spaces, solution.data).solve(FacetConditions(kind)).sigma
+        with contextlib.suppress(LinearSolveFailure):
+            y = HybridBackend(spaces, solution.data).solve(FacetConditions(kind)).sigma
     flux = spaces.normal_flux(y)
     negative = flux < 0
     if not spaces.mesh.comm.allreduce(bool(negative.any()), MPI.LOR):
@@ -258,7 +262,7 @@ def _remainder(solution: Solution, y: fem.Function) -> float:
 
 
 def friedrichs_constant(spaces: Spaces) -> float:
-    """A guaranteed C_F with ‖w‖ ≤ C_F‖∇w‖ for all w ∈ H¹ that vanish on Γ_D (collective; one linear solve).
+    """A guaranteed C_F with ‖w‖ ≤ C_F‖∇w‖ for all w ∈ H¹ that vanish on Γ_D; ∞ if its linear solve fails (collective).
 
     For any τ with τ·n ≥ 0 on Γ_S, ‖∇w‖² ≥ (2wτ, ∇w) − ‖wτ‖² ≥ (−∇·τ − |τ|², w²). With τ = tz, z ∈ RT0 the flux for the
     load 1 and z·n = 0 on Γ_S, m = min(−∇·z), s = max|z| and the best t = m/2s² this says C_F = 2s/m.
@@ -266,12 +270,15 @@ def friedrichs_constant(spaces: Spaces) -> float:
     mesh = spaces.mesh
     one, zero = ufl.as_ufl(1.0), ufl.as_ufl(0.0)
     no_flux = FacetConditions(np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8))
-    z = HybridBackend(spaces, project_data(spaces, one, zero)).solve(no_flux).sigma
+    try:
+        z = HybridBackend(spaces, project_data(spaces, one, zero)).solve(no_flux).sigma
+    except LinearSolveFailure:
+        return np.inf
     dim = mesh.geometry.dim
     corners = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
     corners.interpolate(z)
     load = fem.Function(spaces.Q)
     load.interpolate(fem.Expression(-ufl.div(z), spaces.Q.element.interpolation_points))
-    largest = np.linalg.norm(corners.x.array.reshape(-1, dim), axis=1).max(initial=0.0)
-    smallest = load.x.array.min(initial=np.inf)
-    return float(2 * mesh.comm.allreduce(largest, MPI.MAX) / mesh.comm.allreduce(smallest, MPI.MIN))
+    s = mesh.comm.allreduce(np.linalg.norm(corners.x.array.reshape(-1, dim), axis=1).max(initial=0.0), MPI.MAX)
+    m = mesh.comm.allreduce(load.x.array.min(initial=np.inf), MPI.MIN)
+    return float(2 * s / m) if m > 0 else np.inf

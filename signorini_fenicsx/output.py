@@ -52,8 +52,9 @@ def write_solution(
     folder = Path(folder)
     watch = Stopwatch()
     if fields:
-        write_fields(solution, folder)
-    table, cells = gather_facets(solution), gather_fields(solution)
+        write_fields(solution, folder, certificate)
+    indicator = None if certificate is None else certificate.indicator
+    table, cells = gather_facets(solution), gather_fields(solution, indicator)
     summary = solution.summary()
     if certificate is not None:
         summary["certificate"] = certificate.summary()
@@ -170,8 +171,8 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> 
             writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
 
 
-def write_fields(solution: Solution, folder: Path) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf` (collective).
+def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
 
     A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
     exact. XDMF takes P0: there σ is its value at the centroid.
@@ -200,7 +201,7 @@ def write_fields(solution: Solution, folder: Path) -> None:
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
         file.write_mesh(mesh)
-        for function in (solution.u, sigma, magnitude):
+        for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
             file.write_function(function)
     on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
 

@@ -7,6 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import pyvista
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
@@ -25,7 +26,7 @@ mpl.rcParams.update({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "save
 
 
 def draw_all(folder: Path, solution: Solution, fields: Fields, facets: FacetTable) -> None:
-    """Draw `u.png`, `sigma.png`, `signorini.png` and `iterations.png` into a folder."""
+    """Draw `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and, with one, `certificate.png` into a folder."""
     draw_u(folder / "u.png", fields)
     if fields.points.shape[1] == 2:
         draw_sigma(folder / "sigma.png", fields)
@@ -35,6 +36,8 @@ def draw_all(folder: Path, solution: Solution, fields: Fields, facets: FacetTabl
         draw_sigma_3d(folder / "sigma.png", fields)
         draw_traces_3d(folder / "signorini.png", fields, facets, ALGORITHMS[solution.case.solve.algorithm].contact)
     draw_iterations(folder / "iterations.png", solution.history, solution.case.solve.algorithm)
+    if fields.indicator is not None:
+        draw_certificate(folder / "certificate.png", fields, fields.indicator)
 
 
 def nodal_average(fields: Fields) -> np.ndarray:
@@ -95,6 +98,37 @@ def draw_sigma_3d(path: Path, fields: Fields) -> None:
     plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 900))
     plotter.add_mesh(cloud.glyph(orient="sigma", scale="|σ_h|", factor=size), scalars="|σ_h|", cmap="viridis")
     plotter.add_mesh(_grid(fields).outline(), color="black")
+    plotter.add_axes()
+    plotter.view_isometric()
+    plotter.screenshot(path)
+    plotter.close()
+
+
+def draw_certificate(path: Path, fields: Fields, indicator: np.ndarray) -> None:
+    """η_T, what each cell contributes to the certified error, on a logarithmic scale; 3D: half the domain."""
+    largest = max(indicator.max(), 1e-300)
+    norm = LogNorm(max(indicator.min(), 1e-4 * largest), largest)
+    if fields.points.shape[1] == 2:
+        low, high = fields.points.min(axis=0), fields.points.max(axis=0)
+        width, height = high - low
+        figure = Figure(figsize=(6.4, 1.0 + 4.8 * height / width), layout="constrained")
+        axes = figure.add_subplot()
+        axes.grid(False)
+        triangulation = Triangulation(*fields.points.T, fields.cells)
+        image = axes.tripcolor(
+            triangulation, np.maximum(indicator, norm.vmin), norm=norm, cmap="magma", rasterized=True
+        )
+        figure.colorbar(image, ax=axes, label="η_T")
+        axes.set(aspect="equal", xlabel="x", ylabel="y", title="Contributions η_T to the certified error")
+        figure.savefig(path)
+        return
+    grid = _grid(fields)
+    grid.cell_data["η_T"] = np.maximum(indicator, norm.vmin)
+    plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 900))
+    bar = {"title": "eta_T", "vertical": True, "position_x": 0.88, "position_y": 0.25, "height": 0.5, "fmt": "%.1e"}
+    half = grid.clip("y")
+    plotter.add_mesh(half, scalars="η_T", cmap="magma", log_scale=True, lighting=False, scalar_bar_args=bar)
+    plotter.add_mesh(grid.outline(), color="black")
     plotter.add_axes()
     plotter.view_isometric()
     plotter.screenshot(path)

@@ -68,7 +68,7 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
 def bound(certificate: Certificate) -> str:
     """The guaranteed error bound in words."""
     if not math.isfinite(certificate.bound):
-        return "no error bound: u_D is negative on Γ_S, or not finite near Γ_D"
+        return "no error bound: u_D < 0 where Γ_D meets Γ_S, or not finite near Γ_D, or a linear solve for it failed"
     parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
     return (
         f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
