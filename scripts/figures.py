@@ -95,6 +95,7 @@ def draw_solution(runs: list[KeptRun]) -> Figure:
     nodal = np.bincount(cells.ravel(), np.repeat(u, 3)) / weights
     surface.plot_trisurf(triangulation, nodal, cmap="viridis", linewidth=0, antialiased=False, rasterized=True)
     surface.set(xlabel="x", ylabel="y", title="(a) $u_h$")
+    surface.locator_params(nbins=5)
 
     arrows = figure.add_subplot(1, 3, 2)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -124,7 +125,7 @@ def draw_traces(runs: list[KeptRun]) -> Figure:
     for part, (name, label) in enumerate(zip(names, labels, strict=True)):
         for axes, (key, (title, color)) in zip(panels[part], TRACES.items(), strict=True):
             _trace(axes, arrays, part, key, color)
-            axes.set(xlabel=label, title=f"{title} on Γ_S: {name}")
+            axes.set(xlabel=label, title=rf"{title} on $\Gamma_S$: {name}")
     return figure
 
 
@@ -168,7 +169,11 @@ def draw_iterations(runs: list[KeptRun]) -> Figure:
 def draw_errors(runs: list[KeptRun]) -> Figure:
     """Errors of σ, u and p of Algorithms 3 and 4: over h at fixed ε, and over ε at fixed h."""
     figure = Figure(figsize=(11, 4), layout="constrained")
-    series = {"sigma_V": r"$\|\sigma\|_V$", "u_Q": r"$\|u\|_Q$", "p_Lambda": r"$\|p\|_\Lambda$"}
+    series = {
+        "sigma_V": r"$\|\sigma_{ref}-\sigma_h\|_V$",
+        "u_Q": r"$\|u_{ref}-u_h\|_Q$",
+        "p_Lambda": r"$\|p_{ref}-p_h\|_\Lambda$",
+    }
     for axes, over in zip(figure.subplots(1, 2), ("h", "eps"), strict=True):
         shown = [run for run in runs if json.loads((run.folder / "summary.json").read_text())["vary"] == over]
         base = 2.0 if over == "h" else 10.0
