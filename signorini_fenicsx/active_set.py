@@ -10,7 +10,7 @@ from dolfinx import fem, la
 
 from forms.norms import l2, v_norm
 from signorini_fenicsx.algorithms import Algorithm
-from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure
+from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure, RoughBackend
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import Spaces
 
@@ -28,7 +28,8 @@ class Step:
         clipped: Facets whose negative σ·n Algorithm 3 set to 0 (36).
         sigma_change: ‖σ^(n) − σ^(n−1)‖_V.
         u_change: ‖u^(n) − u^(n−1)‖_Q.
-        linear_iterations: Iterations of the linear solver.
+        linear_iterations: Iterations of the linear solver under these conditions; a set that repeats shows those of
+            its only solve.
         seconds: Wall time of the iteration.
     """
 
@@ -57,6 +58,7 @@ class Outcome:
         backend: Name of the discrete system it was solved with.
         dofs: Unknowns of the linear systems.
         linear_solver: Name of their solver.
+        rough_steps: Set updates that went before, by rough solves.
     """
 
     iterate: Iterate
@@ -67,6 +69,7 @@ class Outcome:
     backend: str
     dofs: int
     linear_solver: str
+    rough_steps: int = 0
 
 
 class Recorder:
@@ -105,7 +108,7 @@ class Recorder:
             clipped=clipped,
             sigma_change=sigma_change,
             u_change=u_change,
-            linear_iterations=0 if iterate is self._last else iterate.linear_iterations,
+            linear_iterations=iterate.linear_iterations,
             seconds=now - self._began,
         )
         self.steps.append(step)
@@ -145,6 +148,43 @@ class FluxClip:
         return replace(iterate, sigma=sigma, p=p, flux=np.where(negative, 0.0, iterate.flux)), clipped
 
 
+def settle_sets(
+    backend: RoughBackend,
+    algorithm: Algorithm,
+    *,
+    rho: float,
+    eps: float,
+    start: FacetConditions | None = None,
+) -> tuple[FacetConditions, int]:
+    """Let the sets settle on rough solves, as long as fewer facets change than two steps before (collective).
+
+    What comes out is a prediction: a few iterations of the linear solver per step, each going on from the last
+    solution, move the sets nearly as far as exact solves would.
+
+    Args:
+        backend: Solves roughly under given facet conditions.
+        algorithm: Start and rule.
+        rho: ρ > 0 of the rule.
+        eps: ε > 0 of the penalty.
+        start: Conditions to start from, instead of the algorithm's own start.
+
+    Returns:
+        The last conditions and the number of steps.
+
+    Raises:
+        LinearSolveFailure: If the linear solver breaks down.
+    """
+    conditions = start or algorithm.cold_start(len(backend.spaces.facets), eps)
+    changed: list[int] = []
+    while len(changed) < 3 or changed[-1] < changed[-3]:
+        following = algorithm.next_conditions(*backend.solve_roughly(conditions), rho, eps)
+        changed.append(int(following.changes([conditions], backend.spaces.mesh.comm)[0]))
+        conditions = following
+        if changed[-1] == 0:
+            break
+    return conditions, len(changed)
+
+
 def iterate_sets(
     backend: Backend,
     algorithm: Algorithm,
@@ -175,7 +215,6 @@ def iterate_sets(
     """
     spaces = backend.spaces
     comm = spaces.mesh.comm
-    beta = 1.0 if algorithm.penalty is None else algorithm.penalty.beta(eps)
     clip = FluxClip(spaces) if algorithm.clips else None
 
     def end(reason: str, *, converged: bool) -> Outcome:
@@ -183,17 +222,13 @@ def iterate_sets(
             iterate, solved_with, recorder.steps, reason, converged, backend.name, backend.dofs, backend.solver()
         )
 
-    def next_conditions(p: np.ndarray, flux: np.ndarray) -> FacetConditions:
-        return FacetConditions(algorithm.rule(p, flux, rho), beta)
-
-    cold = FacetConditions(np.full(len(spaces.facets), algorithm.start, dtype=np.int8), beta)
-    solved_with = predicted or cold
+    solved_with = predicted or algorithm.cold_start(len(spaces.facets), eps)
     iterate = backend.solve(solved_with)
     recorder = Recorder(spaces, iterate, solved_with, on_step)
     if algorithm.forgets_start and predicted is None:
-        conditions = next_conditions(np.zeros_like(iterate.p), np.zeros_like(iterate.flux))
+        conditions = algorithm.next_conditions(np.zeros_like(iterate.p), np.zeros_like(iterate.flux), rho, eps)
     else:
-        conditions = next_conditions(iterate.p, iterate.flux)
+        conditions = algorithm.next_conditions(iterate.p, iterate.flux, rho, eps)
     seen: list[FacetConditions] = []
     remark = ""
 
@@ -210,7 +245,7 @@ def iterate_sets(
         recorder.add(iterate, conditions, clipped=clipped)
 
         seen.append(conditions)
-        conditions = next_conditions(iterate.p, iterate.flux)
+        conditions = algorithm.next_conditions(iterate.p, iterate.flux, rho, eps)
         *earlier, last = conditions.changes(seen, comm).tolist()
         if last == 0:
             return end("the facet sets repeat" + remark, converged=True)

@@ -21,6 +21,7 @@ from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import project_data
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.gather import FacetTable, Fields, facet_vertices
@@ -28,7 +29,7 @@ from signorini_fenicsx.geometry import SHAPES, Domain, distribute, label_parts
 from signorini_fenicsx.kkt import kkt_residuals
 from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution
-from signorini_fenicsx.spaces import Spaces, build_spaces, project_load
+from signorini_fenicsx.spaces import Spaces, build_spaces
 
 FILE = "checkpoint.npz"
 
@@ -62,7 +63,7 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         np.savez(file, about=np.array(json.dumps(about)), **arrays)
 
 
-ABOUT = ("reason", "converged", "backend", "dofs", "linear_solver", "timings")
+ABOUT = ("reason", "converged", "backend", "dofs", "linear_solver", "rough_steps", "timings", "peak_memory")
 """What a solution says about how it was found."""
 
 
@@ -95,17 +96,18 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     p = fem.Function(spaces.Lambda, name="p")
     p.x.array[: len(rows)] = facets["facet_p"][rows]
     p.x.scatter_forward()
-    f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(spaces.mesh)), spaces.Q)
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
     return Solution(
         case=case,
         spaces=spaces,
-        f_h=f_h,
+        data=data,
         sigma=sigma,
         u=u,
         p=p,
         conditions=FacetConditions(facets["facet_condition"][rows].astype(np.int8), about["beta"]),
         history=[Step(**step) for step in about["history"]],
-        kkt=kkt_residuals(spaces, sigma, u, p, f_h, ALGORITHMS[case.solve.algorithm].penalty, case.solve.eps),
+        kkt=kkt_residuals(spaces, sigma, u, p, data, ALGORITHMS[case.solve.algorithm].penalty, case.solve.eps),
         **{key: about[key] for key in ABOUT},
     )
 

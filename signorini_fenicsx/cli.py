@@ -81,6 +81,7 @@ def solve(
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.certificate import certify
     from signorini_fenicsx.checkpoint import load_solution, shared_domain
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
@@ -102,9 +103,10 @@ def solve(
                 write_solution(failure.solution, folder.path, plot=plot)
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
-        write_solution(solution, folder.path, plot=plot)
+        certificate = certify(solution)
+        write_solution(solution, folder.path, certificate=certificate, plot=plot)
         folder.publish()
-        report.solution(solution, folder.target)
+        report.solution(solution, folder.target, certificate)
 
 
 @app.command()
@@ -118,6 +120,7 @@ def export(
     Example: mpirun -n 2 signorini export results/example2 --plot
     """
     from signorini_fenicsx import report
+    from signorini_fenicsx.certificate import certify
     from signorini_fenicsx.checkpoint import load_solution
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
@@ -126,9 +129,10 @@ def export(
     solution = load_solution(results, comm)
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution.case, comm)
-        write_solution(solution, folder.path, plot=plot)
+        certificate = certify(solution) if solution.converged else None
+        write_solution(solution, folder.path, certificate=certificate, plot=plot)
         folder.publish()
-        report.solution(solution, folder.target)
+        report.results(folder.target)
 
 
 @app.command()

@@ -21,6 +21,7 @@ from petsc4py import PETSc
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
@@ -29,12 +30,20 @@ from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution, Stopwatch
 
 
-def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False, fields: bool = True) -> None:
+def write_solution(
+    solution: Solution,
+    folder: Path | str,
+    *,
+    certificate: Certificate | None = None,
+    plot: bool = False,
+    fields: bool = True,
+) -> None:
     """Write all files of a solution into an existing folder (collective).
 
     Args:
         solution: What to write.
         folder: Where; files of the same names are overwritten.
+        certificate: Its error bound, if it has one.
         plot: Also draw PNGs.
         fields: Also write the fields for ParaView.
     """
@@ -44,6 +53,9 @@ def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False
         write_fields(solution, folder)
     table, cells = gather_facets(solution), gather_fields(solution)
     summary = solution.summary()
+    if certificate is not None:
+        summary["certificate"] = certificate.summary()
+        summary["timings"] |= {"certificate": certificate.seconds}
 
     def write() -> None:
         if table is not None and cells is not None:

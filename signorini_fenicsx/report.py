@@ -1,5 +1,6 @@
 """What the command line shows; only rank 0 writes."""
 
+import math
 from pathlib import Path
 
 from mpi4py import MPI
@@ -8,6 +9,7 @@ from rich.console import Console
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.solver import Solution
 
@@ -36,24 +38,41 @@ def step(row: Step) -> None:
     console.print(f"{row.iteration:4d}{counts} {changes}")
 
 
-def solution(result: Solution, folder: Path) -> None:
+def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     """Show the summary of a finished run (collective)."""
     summary = result.summary()
+    rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
     lines = {
-        "converged": f"{summary['reason']} after {summary['iterations']} iterations",
+        "converged": f"{summary['reason']} after {summary['iterations']} iterations{rough}",
         "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
         "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
         "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
         "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
         "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
     }
+    if "errors" in summary:
+        lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
     if "violation" in summary:
         left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
         lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
+    lines["certified"] = bound(certificate)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
+    memory = summary["peak_memory"]
+    lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
     for name, text in lines.items():
         console.print(f"{name:<10} {text}", markup=False)
     results(folder)
+
+
+def bound(certificate: Certificate) -> str:
+    """The guaranteed error bound in words."""
+    if not math.isfinite(certificate.bound):
+        return "no error bound: u_D is negative on Γ_S, or not finite near Γ_D"
+    parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
+    return (
+        f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
+    )
 
 
 def results(folder: Path) -> None:

@@ -22,7 +22,8 @@ h = "1/8"
 
 
 def test_examples_are_shipped():
-    assert case_names() == [f"example{i}" for i in range(1, 7)]
+    exact = ["singular", "singular3d", "transition", "transition3d"]
+    assert case_names() == ["biactive", *(f"example{i}" for i in range(1, 7)), *exact]
     for name in case_names():
         assert load_case(name).name == name
 
