@@ -63,7 +63,7 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         np.savez(file, about=np.array(json.dumps(about)), **arrays)
 
 
-ABOUT = ("reason", "converged", "backend", "dofs", "linear_solver", "timings")
+ABOUT = ("reason", "converged", "backend", "dofs", "linear_solver", "rough_steps", "timings", "peak_memory")
 """What a solution says about how it was found."""
 
 

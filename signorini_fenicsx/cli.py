@@ -225,10 +225,10 @@ def export(
     solution = load_solution(results, comm)
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution.case, comm)
-        certificate = certify(solution)
+        certificate = certify(solution) if solution.converged else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot)
         folder.publish()
-        report.solution(solution, folder.target, certificate)
+        report.results(folder.target)
 
 
 @app.command()

@@ -197,18 +197,21 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     task = study.convergence
     if task is not None and task.vary is not Vary.H and ALGORITHMS[case.solve.algorithm].penalty is None:
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use alg3, alg4, snes1 or snes2")
+    return make_run(case, task, fields=study.fields, plot=study.plot)
+
+
+def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
+    """A run, named by what it is."""
     content = {
         "version": __version__,
         "case": case.name,
         "values": case.model_dump(mode="json"),
         "convergence": None if task is None else task.model_dump(mode="json"),
-        "fields": study.fields,
-        "plot": study.plot,
+        "fields": fields,
+        "plot": plot,
     }
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-    return Run(
-        f"{case.name}-{case.solve.algorithm}-{digest}", case, task, study.fields, study.plot, sum(_cells(case, task))
-    )
+    return Run(f"{case.name}-{case.solve.algorithm}-{digest}", case, task, fields, plot, sum(_cells(case, task)))
 
 
 def _cells(case: Case, task: Convergence | None) -> Iterator[float]:

@@ -25,7 +25,10 @@ LOCK = ".lock"
 CLAIMS = ".claims"
 
 RECORD = "run.json"
-NOT_RESULTS = ("case", "title", "algorithm", "versions", "command", "timings", "ranks", "converged", "reason", "rows")
+NOT_RESULTS = (
+    *("case", "title", "algorithm", "converged", "reason", "rows"),
+    *("versions", "command", "ranks", "timings", "peak_memory"),
+)
 """Keys of a summary that stand elsewhere in the tables, or nowhere because they differ from launch to launch."""
 
 type Row = dict[str, Any]

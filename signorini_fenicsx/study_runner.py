@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from signorini_fenicsx.certificate import certify
 from signorini_fenicsx.convergence import convergence_study
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.farm import hand_out
@@ -90,7 +91,8 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
 def _compute(run: Run, folder: Path, comm: MPI.Comm) -> None:
     task = run.convergence
     if task is None:
-        write_solution(solve(run.case, comm), folder, fields=run.fields, plot=run.plot)
+        solution = solve(run.case, comm)
+        write_solution(solution, folder, certificate=certify(solution), fields=run.fields, plot=run.plot)
     else:
         rows = convergence_study(run.case, task.vary, task.levels, task.reference, comm)
         write_convergence(run.case, task.vary, task.reference, rows, folder, comm)
