@@ -229,8 +229,7 @@ def draw_mesh(path: Path, fields: Fields, facets: FacetTable, contact: Condition
     """The mesh, with the facets of Γ_S in contact and not in contact in colours."""
     if fields.points.shape[1] == 3:
         plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 1000))
-        surface = _grid(fields).extract_surface(algorithm="dataset_surface")
-        plotter.add_mesh(surface, color="white", lighting=False, show_edges=True, line_width=0.5)
+        plotter.add_mesh(_other_surface(fields, facets), color="white", lighting=False, show_edges=True, line_width=0.5)
         add_contact(plotter, fields, facets, contact)
         plotter.view_vector(_towards(facets, fields), (0, 0, 1))
         plotter.screenshot(path)
@@ -262,6 +261,13 @@ def _grid(fields: Fields) -> pyvista.UnstructuredGrid | pyvista.PolyData:
 def _surface(fields: Fields, facets: FacetTable) -> pyvista.PolyData:
     """The triangles of Γ_S."""
     return pyvista.PolyData.from_regular_faces(fields.points, facets.vertices)
+
+
+def _other_surface(fields: Fields, facets: FacetTable) -> pyvista.PolyData:
+    """The triangles of the boundary that are not on Γ_S."""
+    faces = np.sort(np.concatenate([np.delete(fields.cells, vertex, axis=1) for vertex in range(4)]), axis=1)
+    triangles, times = np.unique(np.concatenate([faces, facets.vertices]), axis=0, return_counts=True)
+    return pyvista.PolyData.from_regular_faces(fields.points, triangles[times == 1])
 
 
 def add_contact(plotter: pyvista.Plotter, fields: Fields, facets: FacetTable, contact: Condition) -> None:

@@ -16,7 +16,7 @@ from test_cli import signorini
 from signorini_fenicsx.adaptive import AdaptRow, adapt, rate
 from signorini_fenicsx.case import load_case
 from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.geometry import SHAPES, Domain, build_domain, label_parts
+from signorini_fenicsx.geometry import SHAPES, Domain, build_domain, distribute, label_parts
 from signorini_fenicsx.refinement import dorfler, refine
 
 COMM = MPI.COMM_WORLD
@@ -104,15 +104,13 @@ def test_dorfler():
 
 
 def test_a_cell_that_would_be_flattened_is_a_failure():
-    """Two cells cannot fill a half-disk: the midpoint of the arc's chord has too far to go."""
+    """Six cells are too few for an annulus: the midpoints of the inner triangle's edges have too far to go."""
     shape = SHAPES["annulus"]
     angles = np.linspace(0, 2 * np.pi, 4)[:3]
     ring = np.column_stack([np.cos(angles), np.sin(angles)])
     points = np.concatenate([0.5 * ring, ring])
     quads = [(i, (i + 1) % 3, 3 + (i + 1) % 3, 3 + i) for i in range(3)]
     cells = np.array([tri for a, b, c, d in quads for tri in ((a, b, d), (b, c, d))])
-    from signorini_fenicsx.geometry import distribute
-
     domain = label_parts(distribute(MPI.COMM_SELF, points, cells, 2), shape)
     with pytest.raises(NumericalFailure, match="flatten a cell"):
         refine(domain, shape, np.arange(6, dtype=np.int32))
@@ -133,8 +131,8 @@ def test_best_rate_where_uniform_meshes_lose_it():
     assert fast is not None
     assert slow > -0.43
     assert fast < -0.47
-    assert adaptive[-1].unknowns < 0.6 * uniform[-1].unknowns
-    assert adaptive[-1].bound < uniform[-1].bound
+    reached = next(row for row in adaptive if row.bound <= uniform[-1].bound)
+    assert reached.unknowns < 0.5 * uniform[-1].unknowns
     assert all(later.bound < earlier.bound for earlier, later in itertools.pairwise(adaptive))
     assert max(row.iterations for row in adaptive[2:]) <= 3
 
@@ -143,15 +141,13 @@ def test_best_rate_where_uniform_meshes_lose_it():
 def test_adaptive_runs_do_not_depend_on_the_ranks():
     for name, values in [
         ("example2", {"solve.h": 0.6, "solve.algorithm": "alg2"}),
-        ("example6", {"solve.h": 0.5}),
-        ("lprism", {"solve.h": 1.0, "geometry.mesh": "structured"}),
         ("ball", {"solve.h": 0.9}),
     ]:
         case = load_case(name).with_values(values)
         together: list[AdaptRow] = []
         alone: list[AdaptRow] = []
         for comm, rows in ((COMM, together), (MPI.COMM_SELF, alone)):
-            adapt(case, comm, max_cells=1500, on_row=rows.append)
+            adapt(case, comm, max_cells=1000, on_row=rows.append)
         assert len(together) == len(alone) > 1
         for a, b in zip(together, alone, strict=True):
             assert (a.cells, a.unknowns, a.contact_facets, a.iterations) == (
@@ -174,9 +170,9 @@ def test_all_algorithms_and_the_end():
         adapt(case, COMM, max_cells=20)
 
 
-@pytest.mark.parametrize(("case", "ranks"), [("example3", 1), ("lprism", 2)])
-def test_command_line(tmp_path: Path, case: str, ranks: int):
-    done = signorini(tmp_path, "adapt", case, "--max-cells", "1500", "--uniform", ranks=ranks)
+@pytest.mark.parametrize(("case", "h", "ranks"), [("example3", "1/2", 1), ("lprism", "1", 2)])
+def test_command_line(tmp_path: Path, case: str, h: str, ranks: int):
+    done = signorini(tmp_path, "adapt", case, "--h", h, "--max-cells", "1500", "--uniform", ranks=ranks)
     assert done.returncode == 0, done.stderr
     assert "best possible" in done.stdout
     results = tmp_path / "results" / f"{case}-adapt"
