@@ -23,14 +23,16 @@ def heading(case: Case, comm: MPI.Comm) -> None:
 
 def iteration_heading(case: Case) -> None:
     """Say what the run is about and name the columns of the iterations."""
-    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].penalty is not None else ""
+    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].has_eps else ""
     console.print(f"h ≤ {case.solve.h:g}{penalty}")
     counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
     console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
 
 def step(row: Step) -> None:
-    """Show an iteration as soon as it is done."""
+    """Show an iteration as soon as it is done; of more than 20 only those with a number such as 30 or 400."""
+    if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
+        return
     counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
     changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
     console.print(f"{row.iteration:4d}{counts} {changes}")
@@ -49,11 +51,22 @@ def solution(result: Solution, folder: Path) -> None:
     }
     if "violation" in summary:
         left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
-        lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
+        lines["ε"] = f"{summary['eps']:g} leaves {left}"
+    if "own_residual" in summary:
+        lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
+    if summary["details"]:
+        lines["chosen"] = "  ".join(f"{name} {value:.6g}" for name, value in summary["details"].items())
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
     for name, text in lines.items():
         console.print(f"{name:<10} {text}", markup=False)
     results(folder)
+
+
+def methods() -> None:
+    """List the algorithms, one line each."""
+    names, titles = max(map(len, ALGORITHMS)), max(len(algorithm.title) for algorithm in ALGORITHMS.values())
+    for name, algorithm in ALGORITHMS.items():
+        console.print(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}", markup=False)
 
 
 def results(folder: Path) -> None:

@@ -18,12 +18,13 @@ from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.classical import CLASSICAL, Task
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.geometry import Domain, build_domain
 from signorini_fenicsx.hybrid import HybridBackend
-from signorini_fenicsx.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
 from signorini_fenicsx.sampling import curve_gap, sampled
@@ -55,6 +56,8 @@ class Solution:
         backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
         dofs: Unknowns of the linear system.
         linear_solver: Name of the linear solver.
+        own_residual: Residual of the discrete problem that a classical method solves instead of (9), None for others.
+        details: Numbers that the algorithm chose or found, such as ρ.
         timings: Seconds per phase, the longest over all ranks.
     """
 
@@ -72,6 +75,8 @@ class Solution:
     backend: str
     dofs: int
     linear_solver: str
+    own_residual: float | None = None
+    details: dict[str, float] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
 
     def norms(self) -> dict[str, float]:
@@ -107,7 +112,8 @@ class Solution:
         """Everything about the run that fits into numbers, ready for JSON (collective)."""
         spaces, solve = self.spaces, self.case.solve
         contact_facets, contact_measure = self.contact()
-        penalised = ALGORITHMS[solve.algorithm].penalty is not None
+        own = {} if self.own_residual is None else {"own_residual": self.own_residual}
+        has_eps = ALGORITHMS[solve.algorithm].has_eps
         return {
             "case": self.case.name,
             "title": self.case.title,
@@ -125,7 +131,9 @@ class Solution:
             "reason": self.reason,
             "norms": self.norms(),
             "kkt": vars(self.kkt),
-            **({"eps": solve.eps, "violation": self.violation()} if penalised else {}),
+            **own,
+            **({"eps": solve.eps, "violation": self.violation()} if has_eps else {}),
+            "details": self.details,
             "timings": self.timings,
             "ranks": spaces.mesh.comm.size,
         }
@@ -203,7 +211,7 @@ def solve(
     kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, f_h, penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
-    failure = kkt.violation() if outcome.converged else outcome.reason
+    failure = _failure(outcome, kkt)
     solution = Solution(
         case=case,
         spaces=spaces,
@@ -219,11 +227,23 @@ def solve(
         backend=outcome.backend,
         dofs=outcome.dofs,
         linear_solver=outcome.linear_solver,
+        own_residual=outcome.own_residual,
+        details=outcome.details,
         timings=watch.longest(comm),
     )
     if failure is not None:
         raise NumericalFailure(failure, solution)
     return solution
+
+
+def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
+    """Why an outcome is not a solution: by the residual of its own problem, if it has one, else by those of (9)."""
+    if not outcome.converged:
+        return outcome.reason
+    if outcome.own_residual is None:
+        return kkt.violation()
+    within = outcome.own_residual <= TOLERANCE
+    return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
 
 
 def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
@@ -256,14 +276,17 @@ def _run(
 ) -> Outcome:
     """Set up the case's solver, run it and let it go (collective)."""
     options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
+    max_iterations = options.max_iterations or algorithm.max_iterations
+    if algorithm.by is By.CLASSICAL:
+        return CLASSICAL[options.algorithm](Task(spaces, f_h, options.rho, options.eps, max_iterations, on_step))
     if algorithm.by is By.SNES and algorithm.penalty is not None:
-        newton = PenaltyNewton(spaces, f_h, algorithm.penalty, eps=options.eps, max_iterations=options.max_iterations)
+        newton = PenaltyNewton(spaces, f_h, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
         watch.lap("assembly")
         return newton.solve(on_step)
     if algorithm.by is By.SNESVI:
         system = HybridBackend(spaces, f_h)
         watch.lap("assembly")
-        return solve_bound_constrained(system, max_iterations=options.max_iterations, on_step=on_step)
+        return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
     backend = BACKENDS[options.backend](spaces, f_h)
     watch.lap("assembly")
 
@@ -271,9 +294,9 @@ def _run(
         return iterate_sets(
             backend,
             algorithm,
-            rho=options.rho,
+            rho=options.rho or 1.0,
             eps=options.eps,
-            max_iterations=options.max_iterations,
+            max_iterations=max_iterations,
             predicted=start,
             on_step=on_step,
         )
