@@ -13,6 +13,9 @@ from signorini_fenicsx.solver import Solution
 
 console = Console(highlight=False, soft_wrap=True)
 
+VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
+DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
+
 
 def heading(case: Case, comm: MPI.Comm) -> None:
     """Say what is about to be solved."""
@@ -50,12 +53,12 @@ def solution(result: Solution, folder: Path) -> None:
         "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
     }
     if "violation" in summary:
-        left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
+        left = "  ".join(f"{VIOLATIONS[name]} {value:.3e}" for name, value in summary["violation"].items())
         lines["ε"] = f"{summary['eps']:g} leaves {left}"
     if "own_residual" in summary:
         lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
     if summary["details"]:
-        lines["chosen"] = "  ".join(f"{name} {value:.6g}" for name, value in summary["details"].items())
+        lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
     for name, text in lines.items():
         console.print(f"{name:<10} {text}", markup=False)

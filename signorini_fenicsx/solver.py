@@ -99,14 +99,17 @@ class Solution:
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
     def violation(self) -> dict[str, float]:
-        """What a penalty leaves of the Signorini condition: ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ (collective)."""
+        """What ε leaves of the Signorini condition, ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ, or of the mass balance (collective)."""
         spaces = self.spaces
         negative = [
             spaces.facet_measure @ np.minimum(values, 0) ** 2
             for values in (self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma))
         ]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
-        return {"trace": trace, "flux": flux}
+        left = {"trace": trace, "flux": flux}
+        if ALGORITHMS[self.case.solve.algorithm].stabilised:
+            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.f_h, ufl.dx))))
+        return left
 
     def summary(self) -> dict[str, Any]:
         """Everything about the run that fits into numbers, ready for JSON (collective)."""

@@ -21,6 +21,8 @@ POWER_STEPS = 30
 """Power iterations for λ_max; what it is underestimated by then is far below what STEP leaves."""
 STEP = 1.5
 """ρ λ_max(T) if ρ is automatic."""
+DIVERGED = 1e8
+"""Scale-free size of a step that no convergent iteration makes."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def iterate_projection(
         change = size((new - x) / step.rho)
         if change <= TOLERANCE:
             return x, None
-        if not math.isfinite(change):
+        if not change <= DIVERGED:
             return x, "the iteration diverges" + step.warning()
         x = new
         gradient = evaluate(x)

@@ -91,7 +91,9 @@ def _minimise(
     Returns:
         x, the multipliers of both constraints, PIQP's status and its number of iterations.
     """
-    scale = float(np.abs(right).max()) or 1.0
+    scale = float(np.abs(right).max())
+    if scale == 0:
+        return np.zeros(len(sign)), np.zeros(len(right)), np.zeros(len(sign)), piqp.PIQP_SOLVED.name, 0
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = ACCURACY
     solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = ACCURACY
