@@ -27,7 +27,9 @@ DIVERGED = 1e8
 
 @dataclass(frozen=True)
 class StepLength:
-    """ρ, and the end of the range in which the iteration converges.
+    """ρ, and the end of the range in which the iteration is sure to converge.
+
+    Contact takes unknowns out of the iteration, so that it may bear more.
 
     Attributes:
         rho: ρ > 0.
