@@ -1,8 +1,10 @@
 """The mixed multiplier formulations (MLM-I)_h, equation (9), and (MLM-II)_h, equation (10).
 
-Strong form: σ = ∇u, ∇·σ + f = 0 in Ω, u = 0 on Γ_D, and on Γ_S with p = u
+Strong form: σ = ∇u, ∇·σ + f = 0 in Ω, u = u_D on Γ_D, and on Γ_S with p = u
 
     p ≥ 0,   σ·n ≥ 0,   p σ·n = 0.
+
+The Dirichlet data are natural: where u_D ≠ 0, the flux equation gets the trace term of u_D on Γ_D beside that of p.
 
 (9c) and (10c) are variational inequalities; as the elementwise projections below they are equations, for any ρ > 0.
 """

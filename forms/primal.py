@@ -1,6 +1,6 @@
 """The primal formulations in conforming P1: (VI), (VL) and the penalty problem (P_ε).
 
-Strong form: −Δu = f in Ω, u = 0 on Γ_D, u ≥ 0, λ := ∇u·n ≥ 0, uλ = 0 on Γ_S. With v ≥ 0 at the vertices of Γ_S the
+Strong form: −Δu = f in Ω, u = u_D on Γ_D, u ≥ 0, λ := ∇u·n ≥ 0, uλ = 0 on Γ_S. With v ≥ 0 at the vertices of Γ_S the
 discrete (VI) is a complementarity problem between the values u_i ≥ 0 and the reactions (∇u, ∇φ_i) − (f, φ_i) = w_i λ_i
 ≥ 0, where w_i = ∫_ΓS φ_i: the multiplier of (VL) by the trapezoidal rule on Γ_S, which also makes the penalty one value
 per vertex,

@@ -2,9 +2,10 @@
 
 Usage: python scripts/compare_methods.py [--examples 1,2,3,4,5,6] [--levels 3:5] [--reference 7] [--output FOLDER]
 
-For h ≤ 2^-level it prints, and writes into FOLDER/methods.csv, one row per algorithm; the columns are explained in
-`signorini_fenicsx.comparison.MethodRow`. The reference is Algorithm 1 with h ≤ 2^-reference, and ε is 1e-8 in all
-examples. FOLDER/methods.png shows four of the columns over h, as geometric means over the examples.
+For h ≤ 2^-level it prints, and writes into FOLDER/methods.csv, one row per algorithm, then means over the examples; the
+columns are explained in `signorini_fenicsx.comparison.MethodRow`. The reference is Algorithm 1 with h ≤ 2^-reference,
+and ε is 1e-8 in all examples. FOLDER/methods.png shows four of the columns over h, as geometric means over the
+examples.
 """
 
 import argparse
@@ -59,6 +60,18 @@ def show(rows: list[MethodRow]) -> None:
         Console(width=130).print(table)
 
 
+def summarise(rows: dict[int, list[MethodRow]]) -> None:
+    """Print what the figure shows, and for each method its largest distance from Algorithm 1."""
+    if COMM.rank == 0:
+        title = "geometric means over the examples, h ≤ " + " / ".join(f"2^-{level}" for level in rows)
+        table = Table("method", *PANELS, "distance", title=title)
+        for method in ALGORITHMS:
+            means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in PANELS]
+            distance = max(row.distance for some in rows.values() for row in some if row.method == method)
+            table.add_row(method, *means, f"{distance:.1e}")
+        Console(width=130).print(table)
+
+
 def mean(rows: list[MethodRow], method: str, column: str) -> float:
     """Geometric mean of a column over the rows of one method."""
     values = [getattr(row, column) for row in rows if row.method == method]
@@ -100,6 +113,8 @@ def main() -> None:
         for level, of_level in found.items():
             rows[level] += of_level
         show([row for of_level in found.values() for row in of_level])
+
+    summarise(rows)
 
     def write() -> None:
         options.output.mkdir(parents=True, exist_ok=True)

@@ -10,9 +10,14 @@ from dolfinx import fem, la
 
 from forms.norms import l2, v_norm
 from signorini_fenicsx.algorithms import Algorithm
-from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure
+from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure, RoughBackend
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import Spaces
+
+ROUGH_ITERATIONS = 5
+"""Iterations of a rough solve: enough to see on which side of 0 most p and σ·n are."""
+FIRST_ITERATIONS = 10
+"""Iterations of the first one from given conditions, which a worse solution would spoil."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,8 @@ class Step:
         clipped: Facets whose negative σ·n Algorithm 3 set to 0 (36).
         sigma_change: ‖σ^(n) − σ^(n−1)‖_V.
         u_change: ‖u^(n) − u^(n−1)‖_Q.
-        linear_iterations: Iterations of the linear solver.
+        linear_iterations: Iterations of the linear solver under these conditions; a set that repeats shows those of
+            its only solve.
         seconds: Wall time of the iteration.
     """
 
@@ -60,6 +66,7 @@ class Outcome:
         own_residual: Largest residual of the discrete problem that the method solves, scale-free, where that is neither
             (9) nor a penalty of it: what is judged then instead of the KKT residuals.
         details: Numbers of its own that the method chose or found, such as ρ.
+        rough_steps: Set updates that went before, by rough solves.
     """
 
     iterate: Iterate
@@ -72,6 +79,7 @@ class Outcome:
     linear_solver: str
     own_residual: float | None = None
     details: dict[str, float] = field(default_factory=dict)
+    rough_steps: int = 0
 
 
 class History:
@@ -142,9 +150,8 @@ class Recorder(History):
         self._u.x.array[:] = iterate.u.x.array - self._last.u.x.array
         local = np.array([fem.assemble_scalar(form) for form in self._norms])
         sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
-        linear_iterations = 0 if iterate is self._last else iterate.linear_iterations
         self._last = iterate
-        self.append(conditions, sigma_change, u_change, linear_iterations=linear_iterations, clipped=clipped)
+        self.append(conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
 
 class FluxClip:
@@ -179,6 +186,44 @@ class FluxClip:
         return replace(iterate, sigma=sigma, p=p, flux=np.where(negative, 0.0, iterate.flux)), clipped
 
 
+def settle_sets(
+    backend: RoughBackend,
+    algorithm: Algorithm,
+    *,
+    rho: float,
+    eps: float,
+    start: FacetConditions | None = None,
+) -> tuple[FacetConditions, int]:
+    """Let the sets settle on rough solves, as long as fewer facets change than two steps before (collective).
+
+    What comes out is a prediction: a few iterations of the linear solver per step, each going on from the last
+    solution, move the sets nearly as far as exact solves would.
+
+    Args:
+        backend: Solves roughly under given facet conditions.
+        algorithm: Start and rule.
+        rho: ρ > 0 of the rule.
+        eps: ε > 0 of the penalty.
+        start: Conditions to start from, instead of the algorithm's own start.
+
+    Returns:
+        The last conditions and the number of steps.
+
+    Raises:
+        LinearSolveFailure: If the linear solver breaks down.
+    """
+    conditions = start or algorithm.cold_start(len(backend.spaces.facets), eps)
+    changed: list[int] = []
+    while len(changed) < 3 or changed[-1] < changed[-3]:
+        iterations = FIRST_ITERATIONS if start is not None and not changed else ROUGH_ITERATIONS
+        following = algorithm.next_conditions(*backend.solve_roughly(conditions, iterations), rho, eps)
+        changed.append(int(following.changes([conditions], backend.spaces.mesh.comm)[0]))
+        conditions = following
+        if changed[-1] == 0:
+            break
+    return conditions, len(changed)
+
+
 def iterate_sets(
     backend: Backend,
     algorithm: Algorithm,
@@ -209,7 +254,6 @@ def iterate_sets(
     """
     spaces = backend.spaces
     comm = spaces.mesh.comm
-    beta = 1.0 if algorithm.penalty is None else algorithm.penalty.beta(eps)
     clip = FluxClip(spaces) if algorithm.clips else None
 
     def end(reason: str, *, converged: bool) -> Outcome:
@@ -217,17 +261,13 @@ def iterate_sets(
             iterate, solved_with, recorder.steps, reason, converged, backend.name, backend.dofs, backend.solver()
         )
 
-    def next_conditions(p: np.ndarray, flux: np.ndarray) -> FacetConditions:
-        return FacetConditions(algorithm.rule(p, flux, rho), beta)
-
-    cold = FacetConditions(np.full(len(spaces.facets), algorithm.start, dtype=np.int8), beta)
-    solved_with = predicted or cold
+    solved_with = predicted or algorithm.cold_start(len(spaces.facets), eps)
     iterate = backend.solve(solved_with)
     recorder = Recorder(spaces, iterate, solved_with, on_step)
     if algorithm.forgets_start and predicted is None:
-        conditions = next_conditions(np.zeros_like(iterate.p), np.zeros_like(iterate.flux))
+        conditions = algorithm.next_conditions(np.zeros_like(iterate.p), np.zeros_like(iterate.flux), rho, eps)
     else:
-        conditions = next_conditions(iterate.p, iterate.flux)
+        conditions = algorithm.next_conditions(iterate.p, iterate.flux, rho, eps)
     seen: list[FacetConditions] = []
     remark = ""
 
@@ -244,7 +284,7 @@ def iterate_sets(
         recorder.add(iterate, conditions, clipped=clipped)
 
         seen.append(conditions)
-        conditions = next_conditions(iterate.p, iterate.flux)
+        conditions = algorithm.next_conditions(iterate.p, iterate.flux, rho, eps)
         *earlier, last = conditions.changes(seen, comm).tolist()
         if last == 0:
             return end("the facet sets repeat" + remark, converged=True)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.conditions import Condition
+from signorini_fenicsx.conditions import Condition, FacetConditions
 
 type Array = npt.NDArray[np.float64]
 type Rule = Callable[[Array, Array, float], npt.NDArray[np.int8]]
@@ -92,6 +92,17 @@ class Algorithm:
     def has_eps(self) -> bool:
         """Whether its solution depends on ε."""
         return self.penalty is not None or self.stabilised
+
+    def cold_start(self, facets: int, eps: float) -> FacetConditions:
+        """Conditions of the start solve on this rank's Γ_S facets (Step 1)."""
+        return FacetConditions(np.full(facets, self.start, dtype=np.int8), self._beta(eps))
+
+    def next_conditions(self, p: Array, flux: Array, rho: float, eps: float) -> FacetConditions:
+        """What the rule makes of p and σ·n on this rank's Γ_S facets (Step 2)."""
+        return FacetConditions(self.rule(p, flux, rho), self._beta(eps))
+
+    def _beta(self, eps: float) -> float:
+        return 1.0 if self.penalty is None else self.penalty.beta(eps)
 
 
 def mlm1_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:

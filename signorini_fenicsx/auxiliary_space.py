@@ -4,10 +4,11 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem.petsc import assemble_matrix, interpolation_matrix
+from dolfinx.fem.petsc import interpolation_matrix
 from petsc4py import PETSc
 
 from forms.crouzeix_raviart import stiffness
+from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import Spaces
 
@@ -24,24 +25,22 @@ class AuxiliarySpace:
         self._spaces = spaces
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        self._assembled = assemble_matrix(fem.form(stiffness(u, v)))
-        self._assembled.assemble()
-        self._matrix = self._assembled.duplicate(copy=True)
-        self._matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+        self._operator = ConditionedMatrix(fem.form(stiffness(u, v)), PETSc.Mat.Option.SPD)
         self._full_interpolation = interpolation_matrix(self._space, crouzeix_raviart)
         self._full_interpolation.assemble()
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
         self._dirichlet = self._vertices(spaces.dirichlet_facets)
+        self._has_hierarchy = False
+        self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
 
         pc.setMGLevels(2)
         pc.setMGInterpolation(1, self._interpolation)
         smoother, coarse = pc.getMGSmoother(1), pc.getMGCoarseSolve()
         smoother.setType("chebyshev")
         smoother.getPC().setType("jacobi")
-        coarse.setOperators(self._matrix)
+        coarse.setOperators(self._operator.matrix)
         coarse.setType("preonly")
         coarse.getPC().setType("gamg")
 
@@ -53,12 +52,12 @@ class AuxiliarySpace:
             conditions: Conditions of the Γ_S facets.
             essential: Owned Crouzeix-Raviart unknowns that are fixed.
         """
+        if not self._has_hierarchy:
+            self._build_hierarchy(pc.getMGCoarseSolve())
         fixed = np.union1d(
             self._dirichlet, self._vertices(self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
         )
-        self._assembled.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._matrix.setDiagonal(self._lumped_robin(conditions), PETSc.InsertMode.ADD_VALUES)
-        self._matrix.zeroRowsColumns(fixed + self._matrix.getOwnershipRange()[0])
+        self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
 
         keep_vertices, keep_facets = self._full_interpolation.createVecs()
         for keep, out in ((keep_vertices, fixed), (keep_facets, essential)):
@@ -68,18 +67,28 @@ class AuxiliarySpace:
         self._interpolation.diagonalScale(keep_facets, keep_vertices)
         pc.setMGInterpolation(1, self._interpolation)
 
+    def _build_hierarchy(self, coarse: PETSc.KSP) -> None:
+        """GAMG keeps its first interpolations and only renews the operators.
+
+        They come from the problem with all of Γ_S free: functions that vanish on Γ_S cannot correct what a later set
+        frees, whereas a fixed vertex costs nothing, since the operators know it.
+        """
+        none = np.empty(0, dtype=np.int32)
+        self._operator.impose(self._dirichlet, none, none)
+        coarse.setFromOptions()
+        coarse.setUp()
+        self._has_hierarchy = True
+
     def _vertices(self, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         """Owned P1 unknowns on the facets of all ranks (collective)."""
         dim = self._spaces.mesh.topology.dim
         dofs = fem.locate_dofs_topological(self._space, dim - 1, facets)
         return dofs[dofs < self._space.dofmap.index_map.size_local]
 
-    def _lumped_robin(self, conditions: FacetConditions) -> PETSc.Vec:
+    def _lumped_robin(self, conditions: FacetConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN
         self._beta.x.array[: len(robin)] = np.where(robin, conditions.beta, 0.0)
         self._beta.x.scatter_forward()
         lumped = fem.assemble_vector(self._robin)
         lumped.scatter_reverse(la.InsertMode.add)
-        diagonal = self._matrix.createVecLeft()
-        diagonal.array_w[:] = lumped.array[: diagonal.getLocalSize()]
-        return diagonal
+        return lumped.array[: len(self._all)]

@@ -15,6 +15,10 @@ from signorini_fenicsx.spaces import Spaces
 type Array = npt.NDArray[np.float64]
 
 
+MUMPS_WORKSPACE = "mat_mumps_icntl_14"
+"""PETSc's name for the part of the estimate, in per cent, that is added to it."""
+
+
 @dataclass(frozen=True)
 class Iterate:
     """Solution of one linear mixed problem. Functions hold owned and up-to-date ghost values.
@@ -41,17 +45,28 @@ class LinearSolveFailure(NumericalFailure):
 def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     """Let the user's PETSc options change a solver that has its defaults (collective).
 
+    MUMPS gets twice the workspace that it estimates, which on several ranks and small meshes is sometimes too little.
+
     Raises:
         InputError: If PETSc refuses an option.
     """
+    options = PETSc.Options()
+    if not options.hasName(MUMPS_WORKSPACE):
+        options[MUMPS_WORKSPACE] = 100
     try:
         solver.setFromOptions()
     except PETSc.Error as error:
         raise InputError(f"PETSc options: {petsc_reason(error)}") from None
 
 
-def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, *, to_tolerance: bool = True) -> None:
     """Solve and make sure of it (collective).
+
+    Args:
+        ksp: The linear solver.
+        b: Right side.
+        x: Solution, and the start if the solver takes one.
+        to_tolerance: Whether running out of iterations is a failure.
 
     Raises:
         LinearSolveFailure: If the solver does not converge or PETSc gives up.
@@ -61,7 +76,7 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
     except PETSc.Error as error:
         raise LinearSolveFailure(f"the linear solver {solver_name(ksp)} failed: {petsc_reason(error)}") from None
     reason = ksp.getConvergedReason()
-    if reason < 0:
+    if reason < 0 and (to_tolerance or reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT):
         raise LinearSolveFailure(
             f"the linear solver {solver_name(ksp)} stopped with PETSc's reason {reason} "
             f"after {ksp.getIterationNumber()} iterations"
@@ -89,7 +104,7 @@ class Backend(Protocol):
     """Number of unknowns of its linear system."""
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = 0 on Γ_D (collective).
+        """Solve with these conditions on Γ_S and u = u_D on Γ_D (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -98,4 +113,18 @@ class Backend(Protocol):
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
+        ...
+
+
+class RoughBackend(Protocol):
+    """A backend whose linear solver iterates and may stop early."""
+
+    spaces: Spaces
+
+    def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
+        """Trace and σ·n per Γ_S facet of this rank after some more iterations from the last solution (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver breaks down.
+        """
         ...

@@ -12,11 +12,11 @@ from petsc4py import PETSc
 from signorini_fenicsx.active_set import Outcome, Recorder, Step
 from signorini_fenicsx.backend import Iterate, petsc_reason, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.hybrid import HybridBackend
+from signorini_fenicsx.facet_system import FacetSystem
 
 
 def solve_bound_constrained(
-    system: HybridBackend, *, max_iterations: int, on_step: Callable[[Step], None] = lambda step: None
+    system: FacetSystem, *, max_iterations: int, on_step: Callable[[Step], None] = lambda step: None
 ) -> Outcome:
     """Solve by the reduced-space active-set method of SNESVI, vinewtonrsls (collective).
 
@@ -51,10 +51,10 @@ def solve_bound_constrained(
     iterate, conditions = _recovered(system, snes.getKSP().getIterationNumber())
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
-    return Outcome(iterate, conditions, recorder.steps, ending, converged, system.name, system.dofs, name)
+    return Outcome(iterate, conditions, recorder.steps, ending, converged, "hybrid", system.dofs, name)
 
 
-def _snes(system: HybridBackend, max_iterations: int) -> PETSc.SNES:
+def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
     """SNESVI on the system as it is applied now, with its bounds."""
     snes = PETSc.SNES().create(system.matrix.getComm())
     matrix, b = system.matrix, system.b
@@ -85,7 +85,7 @@ def _snes(system: HybridBackend, max_iterations: int) -> PETSc.SNES:
     return snes
 
 
-def _recovered(system: HybridBackend, linear_iterations: int) -> tuple[Iterate, FacetConditions]:
+def _recovered(system: FacetSystem, linear_iterations: int) -> tuple[Iterate, FacetConditions]:
     """The present solution; a facet is in contact where p is at its bound."""
     p = system.x.array_r[system.trace_dofs]
     kind = np.where(p <= 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)

@@ -102,9 +102,16 @@ class Boundary(_Section):
 
 
 class Problem(_Section):
-    """`[problem]`: the data of −Δu = f, as text in x, y, z."""
+    """`[problem]`: the data of −Δu = f in Ω, u = u_D on Γ_D, as text in x, y, z."""
 
     f: Expression
+    u_D: Expression = "0"
+
+
+class Exact(_Section):
+    """`[exact]`: the solution u, where it is known, as text in x, y, z; then σ = ∇u and p = u on Γ_S."""
+
+    u: Expression | None = None
 
 
 class Solve(_Section):
@@ -134,6 +141,7 @@ class Case(_Section):
     geometry: Geometry
     boundary: Boundary
     problem: Problem
+    exact: Exact = Exact()
     solve: Solve = Solve()
 
     @model_validator(mode="after")
@@ -146,15 +154,17 @@ class Case(_Section):
                     f"its parts are {', '.join(shape.parts)}"
                 )
         if len(self.boundary.signorini) == len(shape.parts):
-            raise ValueError("[boundary] signorini: one part at least must be left to the Dirichlet condition u = 0")
+            raise ValueError("[boundary] signorini: one part at least must be left to the Dirichlet condition u = u_D")
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
             )
-        try:
-            parse_expression(self.problem.f, reference_coordinate(shape.dim))
-        except InputError as error:
-            raise ValueError(f"[problem] f: {error}") from None
+        for section in ("problem", "exact"):
+            for name, text in getattr(self, section):
+                try:
+                    parse_expression(text or "0", reference_coordinate(shape.dim))
+                except InputError as error:
+                    raise ValueError(f"[{section}] {name}: {error}") from None
         return self
 
     def with_values(self, values: Mapping[str, Any]) -> Self:

@@ -100,7 +100,7 @@ def compare_methods(
 
 def mass_imbalance(solution: Solution) -> float:
     """‖∇·σ_h + f_h‖ / ‖f_h‖ (collective)."""
-    spaces, f_h = solution.spaces, solution.f_h
+    spaces, f_h = solution.spaces, solution.data.f_h
     return float(
         np.sqrt(spaces.integrate(l2(ufl.div(solution.sigma) + f_h, ufl.dx)) / spaces.integrate(l2(f_h, ufl.dx)))
     )

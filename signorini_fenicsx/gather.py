@@ -26,6 +26,7 @@ class FacetTable:
         p: Trace p_h.
         flux: σ_h·n.
         condition: Final condition.
+        corners: Vertices, shape (facets, dim, 3).
     """
 
     part: npt.NDArray[np.int64]
@@ -36,6 +37,7 @@ class FacetTable:
     p: Array
     flux: Array
     condition: npt.NDArray[np.int64]
+    corners: Array
 
 
 @dataclass(frozen=True)
@@ -47,19 +49,22 @@ class Fields:
         cells: Shape (cells, dim + 1).
         u: Shape (cells,).
         sigma: At the centroids, shape (cells, dim).
+        indicator: η_T of the certificate, shape (cells,), or None without one.
     """
 
     points: Array
     cells: npt.NDArray[np.int64]
     u: Array
     sigma: Array
+    indicator: Array | None
 
 
 def gather_facets(solution: Solution) -> FacetTable | None:
     """Collect the Γ_S facets on rank 0; None on other ranks (collective)."""
     spaces = solution.spaces
-    size = len(spaces.facets)
-    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets)
+    size, dim = len(spaces.facets), spaces.mesh.topology.dim
+    corners = spaces.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(spaces.mesh, dim - 1, spaces.facets)]
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
         on_part = spaces.part_of_facet == index
@@ -73,6 +78,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         solution.p.x.array[:size],
         spaces.normal_flux(solution.sigma),
         solution.conditions.kind,
+        *corners.reshape(size, 3 * dim).T,
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
     if rows is None:
@@ -88,6 +94,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         p=rows[:, 7],
         flux=rows[:, 8],
         condition=rows[:, 9].astype(np.int64),
+        corners=rows[:, 10:].reshape(-1, dim, 3),
     )
 
 
@@ -99,7 +106,7 @@ def centroid_flux(solution: Solution) -> fem.Function:
     return sigma
 
 
-def gather_fields(solution: Solution) -> Fields | None:
+def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> Fields | None:
     """Collect mesh and cell values on rank 0; None on other ranks (collective)."""
     mesh = solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
@@ -109,9 +116,16 @@ def gather_fields(solution: Solution) -> Fields | None:
     cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmap[:size]])
     u = gather_rows(comm, solution.u.x.array[:size])
     sigma = gather_rows(comm, centroid_flux(solution).x.array.reshape(-1, dim)[:size])
+    eta = None if indicator is None else gather_rows(comm, indicator.x.array[:size])
     order = gather_rows(comm, mesh.topology.original_cell_index[:size])
     if ids is None or points is None or cells is None or u is None or sigma is None or order is None:
         return None
     used, first = np.unique(ids, return_index=True)
     rows = np.argsort(order)
-    return Fields(points[first], np.searchsorted(used, cells)[rows], u[rows], sigma[rows])
+    return Fields(
+        points[first],
+        np.searchsorted(used, cells)[rows],
+        u[rows],
+        sigma[rows],
+        None if eta is None else eta[rows],
+    )

@@ -7,18 +7,23 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
 
-from forms.mixed import multiplier_residual
+from forms.mixed import multiplier_residual, trace_term
 from forms.norms import l2
 from signorini_fenicsx.algorithms import Penalty
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-8
 """A solution with a larger residual is not one."""
+CONSTANT_PART = 1e-2
+"""How small ∇u must be, beside u, for the scale of a residual to be that of u."""
 
 
 @dataclass(frozen=True)
 class KKTResiduals:
-    """Residuals of (MLM-I)_h and (MLM-II)_h, with S = ‖σ‖ and L = |Ω|^(1/d); all 0 if S = 0.
+    """Residuals of (MLM-I)_h and (MLM-II)_h, with S = max(‖σ‖, 1e-2 ‖u‖/L) and L = |Ω|^(1/d); all 0 if S = 0.
+
+    The second term of S matters for a constant u ≠ 0 only, whose σ is rounding.
 
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
     its primal and dual residuals and its complementarity refer to.
@@ -52,16 +57,17 @@ def kkt_residuals(
     sigma: fem.Function,
     u: fem.Function,
     p: fem.Function,
-    f_h: fem.Function,
+    data: Data,
     penalty: Penalty | None = None,
     eps: float = 0.0,
 ) -> KKTResiduals:
     """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
     comm = spaces.mesh.comm
-    size = np.sqrt(spaces.integrate(l2(sigma, ufl.dx)))
+    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
+    sigma_norm, u_norm = (np.sqrt(spaces.integrate(l2(field, ufl.dx))) for field in (sigma, u))
+    size = max(sigma_norm, CONSTANT_PART * u_norm / length)
     if size == 0:
         return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
-    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
 
     e, trace, flux = spaces.facet_measure, p.x.array[: len(spaces.facets)], spaces.normal_flux(sigma)
     if penalty is not None:
@@ -69,20 +75,21 @@ def kkt_residuals(
     primal, dual, complementarity = comm.allreduce(
         np.array([e @ np.minimum(trace, 0) ** 2, e @ np.minimum(flux, 0) ** 2, e @ np.abs(trace * flux)])
     )
-    imbalance = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + f_h)
+    imbalance = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
     return KKTResiduals(
         primal=float(np.sqrt(primal / length) / size),
         dual=float(np.sqrt(dual * length) / size),
         complementarity=float(complementarity / size**2),
-        stationarity=_stationarity(spaces, sigma, u, p, f_h) / float(size),
+        stationarity=_stationarity(spaces, sigma, u, p, data) / float(size),
         mass_balance=float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))) / size),
     )
 
 
-def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, f_h: fem.Function) -> float:
+def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> float:
     V = spaces.V
     tau, v = ufl.TestFunction(V), ufl.TestFunction(spaces.Q)
-    flux_residual, _ = multiplier_residual(sigma, u, p, f_h, tau, v, spaces.n, spaces.ds)
+    flux_residual, _ = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds)
+    flux_residual -= trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet)
     residual = fem.assemble_vector(spaces.form(flux_residual))
     residual.scatter_reverse(la.InsertMode.add)
     mass = assemble_matrix(fem.form(ufl.inner(ufl.TrialFunction(V), tau) * ufl.dx))

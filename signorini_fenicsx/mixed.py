@@ -2,14 +2,16 @@
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
-from dolfinx.fem.petsc import assemble_matrix, create_vector
+from dolfinx import fem
+from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from forms.mixed import flux_equation, load, mass_balance
+from forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.spaces import Spaces
+from signorini_fenicsx.data import Data
+from signorini_fenicsx.spaces import Spaces, assembled
 
 
 class MixedBackend:
@@ -22,12 +24,12 @@ class MixedBackend:
 
     name = "mixed"
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            f_h: P0 projection of the load.
+            data: Its means over cells and facets.
         """
         self.spaces = spaces
         V, Q = spaces.V, spaces.Q
@@ -35,22 +37,18 @@ class MixedBackend:
         (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
         zero = fem.Constant(V.mesh, 0.0) * u * v * ufl.dx  # MatZeroRowsColumns wants every diagonal entry stored
         blocks = ufl.extract_blocks(flux_equation(sigma, u, tau) + mass_balance(sigma, v) + zero)
-        self._assembled = assemble_matrix(fem.form(blocks))
-        self._assembled.assemble()
+        self._system = ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
         self._flux_size = V.dofmap.index_map.size_local
-        self.dofs = self._assembled.getSize()[0]
+        self.dofs = self._system.matrix.getSize()[0]
 
         self._load = create_vector([V, Q])
-        self._load.set(0.0)
-        self._load.array_w[self._flux_size :] = -_owned(
-            fem.assemble_vector(fem.form(load(f_h, ufl.TestFunction(Q)))), Q
-        )
+        tau, v = ufl.TestFunction(V), ufl.TestFunction(Q)
+        trace = assembled(trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet))
+        self._load.array_w[: self._flux_size] = trace[: self._flux_size]
+        self._load.array_w[self._flux_size :] = -assembled(load(data.f_h, v))  # no ghost cells
 
-        self._matrix = self._assembled.duplicate(copy=True)
-        self._matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._ksp = PETSc.KSP().create(V.mesh.comm)
-        self._ksp.setOperators(self._matrix)
+        self._ksp.setOperators(self._system.matrix)
         self._ksp.setType("preonly")
         self._ksp.getPC().setType("lu")
         self._ksp.getPC().setFactorSolverType("mumps")
@@ -61,44 +59,28 @@ class MixedBackend:
         return solver_name(self._ksp)
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = 0 on Γ_D (collective).
+        """Solve with these conditions on Γ_S and u = u_D on Γ_D (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
         spaces = self.spaces
-        self._assembled.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        first_row = self._matrix.getOwnershipRange()[0]
-        self._add_robin(conditions)
-        no_flux = spaces.flux_dofs[conditions.kind == Condition.NO_FLUX]
-        self._matrix.zeroRowsColumns(first_row + no_flux)
+        no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
+        # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
+        added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta
+        self._system.impose(spaces.flux_dofs[no_flux], spaces.flux_dofs[robin], added)
 
         x = self._load.duplicate()
         solve_linear(self._ksp, self._load, x)
 
         residual = self._load.duplicate()
-        self._assembled.mult(x, residual)
+        self._system.natural.mult(x, residual)
         sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
         _set_owned(sigma, x.array_r[: self._flux_size])
         _set_owned(u, x.array_r[self._flux_size :])
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         p, flux = conditions.clean(p, spaces.normal_flux(sigma))
         return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
-
-    def _add_robin(self, conditions: FacetConditions) -> None:
-        """Add (1/β)(σ·n, τ·n)_e, one diagonal entry per ROBIN facet: its basis function alone has a flux there."""
-        spaces = self.spaces
-        robin = conditions.kind == Condition.ROBIN
-        diagonal = self._load.duplicate()
-        diagonal.set(0.0)
-        diagonal.array_w[spaces.flux_dofs[robin]] = (spaces.basis_flux**2 / spaces.facet_measure)[
-            robin
-        ] / conditions.beta
-        self._matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
-
-
-def _owned(vector: la.Vector, space: fem.FunctionSpace) -> np.ndarray:
-    return vector.array[: space.dofmap.index_map.size_local]
 
 
 def _set_owned(function: fem.Function, values: np.ndarray) -> None:

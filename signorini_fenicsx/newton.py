@@ -9,12 +9,13 @@ from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from petsc4py import PETSc
 
-from forms.mixed import multiplier_residual
+from forms.mixed import multiplier_residual, trace_term
 from forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.active_set import Outcome, Recorder, Step
 from signorini_fenicsx.algorithms import Penalty
 from signorini_fenicsx.backend import Iterate, petsc_reason, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
 CONTINUATION = 10.0
@@ -28,7 +29,7 @@ class PenaltyNewton:
     are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type newtontr, …
     """
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function, penalty: Penalty, *, eps: float, max_iterations: int):
+    def __init__(self, spaces: Spaces, data: Data, penalty: Penalty, *, eps: float, max_iterations: int):
         """Compile the forms and set up SNES (collective).
 
         Raises:
@@ -41,8 +42,10 @@ class PenaltyNewton:
         tau, v, q = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TestFunction(Lambda)
         self._eps_now = fem.Constant(spaces.mesh, eps)
         law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
+        flux_residual, balance = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds)
         residual = [
-            *multiplier_residual(sigma, u, p, f_h, tau, v, spaces.n, spaces.ds),
+            flux_residual - trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet),
+            balance,
             law(sigma, p, q, self._eps_now, spaces.n, spaces.ds),
         ]
         self._problem = NonlinearProblem(

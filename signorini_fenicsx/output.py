@@ -20,7 +20,10 @@ from petsc4py import PETSc
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow
+from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
@@ -28,20 +31,27 @@ from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution, Stopwatch
 
 
-def write_solution(solution: Solution, folder: Path | str, *, plot: bool = False) -> None:
+def write_solution(
+    solution: Solution, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False
+) -> None:
     """Write all files of a solution into an existing folder (collective).
 
     Args:
         solution: What to write.
         folder: Where; files of the same names are overwritten.
+        certificate: Its error bound, if it has one.
         plot: Also draw PNGs.
     """
     folder = Path(folder)
     watch = Stopwatch()
-    write_fields(solution, folder)
+    write_fields(solution, folder, certificate)
     table = gather_facets(solution)
-    pictures = gather_fields(solution) if plot else None
+    indicator = None if certificate is None else certificate.indicator
+    pictures = gather_fields(solution, indicator) if plot else None
     summary = solution.summary()
+    if certificate is not None:
+        summary["certificate"] = certificate.summary()
+        summary["timings"] |= {"certificate": certificate.seconds}
 
     def write() -> None:
         if table is not None:
@@ -85,6 +95,25 @@ def write_convergence(
         _write_summary(folder, summary)
 
     on_root(comm, write)
+
+
+def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+    table, fields_on_root = gather_facets(solution), gather_fields(solution)
+
+    def write() -> None:
+        from signorini_fenicsx import plots
+
+        with (folder / "adapt.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
+            writer.writeheader()
+            writer.writerows(asdict(row) for row in rows)
+        plots.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
+        if table is not None and fields_on_root is not None:
+            contact = ALGORITHMS[solution.case.solve.algorithm].contact
+            plots.draw_mesh(folder / "mesh.png", fields_on_root, table, contact)
+
+    on_root(solution.spaces.mesh.comm, write)
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
@@ -133,8 +162,8 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> 
             writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
 
 
-def write_fields(solution: Solution, folder: Path) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf` (collective).
+def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
 
     A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
     exact. XDMF takes P0: there σ is its value at the centroid.
@@ -163,7 +192,7 @@ def write_fields(solution: Solution, folder: Path) -> None:
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
         file.write_mesh(mesh)
-        for function in (solution.u, sigma, magnitude):
+        for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
             file.write_function(function)
     on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
 

@@ -1,5 +1,6 @@
 """What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
 
+import resource
 import sys
 import traceback
 from collections.abc import Callable
@@ -51,3 +52,8 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
         comm.Abort(1)
 
     sys.excepthook = hook
+
+
+def peak_memory(comm: MPI.Comm) -> int:
+    """Bytes of memory that the processes have held at most since they began, summed over ranks (collective)."""
+    return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))

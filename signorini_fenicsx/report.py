@@ -1,13 +1,16 @@
 """What the command line shows; only rank 0 writes."""
 
+import math
 from pathlib import Path
 
 from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow, rate
 from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.solver import Solution
 
@@ -41,17 +44,20 @@ def step(row: Step) -> None:
     console.print(f"{row.iteration:4d}{counts} {changes}")
 
 
-def solution(result: Solution, folder: Path) -> None:
+def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     """Show the summary of a finished run (collective)."""
     summary = result.summary()
+    rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
     lines = {
-        "converged": f"{summary['reason']} after {summary['iterations']} iterations",
+        "converged": f"{summary['reason']} after {summary['iterations']} iterations{rough}",
         "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
         "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
         "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
         "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
         "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
     }
+    if "errors" in summary:
+        lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
     if "violation" in summary:
         left = "  ".join(f"{VIOLATIONS[name]} {value:.3e}" for name, value in summary["violation"].items())
         lines["ε"] = f"{summary['eps']:g} leaves {left}"
@@ -59,7 +65,10 @@ def solution(result: Solution, folder: Path) -> None:
         lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
     if summary["details"]:
         lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
+    lines["certified"] = bound(certificate)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
+    memory = summary["peak_memory"]
+    lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
     for name, text in lines.items():
         console.print(f"{name:<10} {text}", markup=False)
     results(folder)
@@ -70,6 +79,17 @@ def methods() -> None:
     names, titles = max(map(len, ALGORITHMS)), max(len(algorithm.title) for algorithm in ALGORITHMS.values())
     for name, algorithm in ALGORITHMS.items():
         console.print(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}", markup=False)
+
+
+def bound(certificate: Certificate) -> str:
+    """The guaranteed error bound in words."""
+    if not math.isfinite(certificate.bound):
+        return "no error bound: u_D < 0 where Γ_D meets Γ_S, or not finite near Γ_D, or a linear solve for it failed"
+    parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
+    return (
+        f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
+    )
 
 
 def results(folder: Path) -> None:
@@ -106,6 +126,35 @@ def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorith
     }.get(vary, "h + √ε (29), (31)")
     fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
     console.print(f"fitted slopes  {fitted}   theory: {theory}")
+
+
+def adapt_heading(target: float | None, max_cells: int) -> None:
+    """Say when refinement ends and name the columns of the meshes."""
+    wanted = "" if target is None else f"relative error ≤ {target:g} or "
+    console.print(f"until {wanted}{max_cells} cells")
+    sizes = "".join(f" {name:>9}" for name in ("cells", "unknowns", "contact"))
+    console.print(f"{'mesh':>13}{sizes} {'n':>3} {'error ≤':>10} {'relative':>9} {'seconds':>9}")
+
+
+def adapt_row(row: AdaptRow) -> None:
+    """Show the certified error on one mesh."""
+    console.print(
+        f"{row.refinement:>9}{row.mesh:4d} {row.cells:9d} {row.unknowns:9d} {row.contact_measure:9.5g} "
+        f"{row.iterations:3d} {row.bound:10.4e} {row.relative:9.3e} {row.seconds:9.2f}"
+    )
+
+
+def adapted(rows: list[AdaptRow], dim: int, certificate: Certificate, folder: Path) -> None:
+    """Show the last certificate, and the fitted rates beside the best possible one."""
+    rates = {
+        name: rate([row for row in rows if row.refinement == name])
+        for name in dict.fromkeys(r.refinement for r in rows)
+    }
+    fitted = "  ".join(f"{name} {value:.2f}" for name, value in rates.items() if value is not None)
+    if fitted:
+        console.print(f"{'slopes':<10} {fitted}, of the error over the unknowns; best possible {-1 / dim:.2f}")
+    console.print(f"{'certified':<10} {bound(certificate)}", markup=False)
+    results(folder)
 
 
 def _cell(value: float | None, width: int, form: str) -> str:

@@ -13,27 +13,30 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.norms import l2
-from signorini_fenicsx.active_set import Outcome, Step, iterate_sets
+from signorini_fenicsx.active_set import Outcome, Step, iterate_sets, settle_sets
 from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.classical import CLASSICAL, Task
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import Data, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.facet_system import FacetSystem
 from signorini_fenicsx.geometry import Domain, build_domain
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
+from signorini_fenicsx.parallel import peak_memory
 from signorini_fenicsx.sampling import curve_gap, sampled
-from signorini_fenicsx.spaces import Spaces, build_spaces, project_load
+from signorini_fenicsx.spaces import Spaces, build_spaces
 
-BACKENDS: dict[str, Callable[[Spaces, fem.Function], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
+BACKENDS: dict[str, Callable[[Spaces, Data], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
 
 PREDICT_FROM = 60_000
-"""Facets of the mesh from which a coarser mesh predicts the sets; below, a cold start costs nothing."""
+"""Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
 COARSENING = 4.0
 
 
@@ -44,7 +47,7 @@ class Solution:
     Attributes:
         case: What was solved.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
-        f_h: P0 projection of f.
+        data: f and u_D, and their means.
         sigma: Flux σ_h in RT0.
         u: u_h in P0.
         p: Trace p_h in P0(Γ_S), on the facet submesh.
@@ -58,12 +61,14 @@ class Solution:
         linear_solver: Name of the linear solver.
         own_residual: Residual of the discrete problem that a classical method solves instead of (9), None for others.
         details: Numbers that the algorithm chose or found, such as ρ.
+        rough_steps: Set updates by rough solves that went before the history.
         timings: Seconds per phase, the longest over all ranks.
+        peak_memory: Bytes that the processes have held at most so far, summed over ranks.
     """
 
     case: Case
     spaces: Spaces
-    f_h: fem.Function
+    data: Data
     sigma: fem.Function
     u: fem.Function
     p: fem.Function
@@ -77,7 +82,9 @@ class Solution:
     linear_solver: str
     own_residual: float | None = None
     details: dict[str, float] = field(default_factory=dict)
+    rough_steps: int = 0
     timings: dict[str, float] = field(default_factory=dict)
+    peak_memory: int = 0
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -88,6 +95,22 @@ class Solution:
             "u_L2": l2(self.u, ufl.dx),
             "p_L2": l2(self.p, spaces.ds),
             "flux_L2": l2(ufl.dot(self.sigma, spaces.n), spaces.ds),
+        }
+        return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
+
+    def errors(self) -> dict[str, float] | None:
+        """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, None without an exact solution (collective)."""
+        if self.case.exact.u is None:
+            return None
+        spaces = self.spaces
+        u = parse_expression(self.case.exact.u, ufl.SpatialCoordinate(spaces.mesh))
+        metadata = quadrature(u)
+        dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
+        squares = {
+            "sigma_L2": l2(ufl.grad(u) - self.sigma, dx),
+            "div_sigma_L2": l2(self.data.f + ufl.div(self.sigma), dx),
+            "u_L2": l2(u - self.u, dx),
+            "p_L2": l2(u - self.p, spaces.ds(metadata=metadata)),
         }
         return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
 
@@ -108,7 +131,7 @@ class Solution:
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
         if ALGORITHMS[self.case.solve.algorithm].stabilised:
-            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.f_h, ufl.dx))))
+            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
         return left
 
     def summary(self) -> dict[str, Any]:
@@ -116,6 +139,7 @@ class Solution:
         spaces, solve = self.spaces, self.case.solve
         contact_facets, contact_measure = self.contact()
         own = {} if self.own_residual is None else {"own_residual": self.own_residual}
+        errors = self.errors()
         has_eps = ALGORITHMS[solve.algorithm].has_eps
         return {
             "case": self.case.name,
@@ -130,14 +154,17 @@ class Solution:
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
             "iterations": len(self.history),
+            "rough_steps": self.rough_steps,
             "converged": self.converged,
             "reason": self.reason,
             "norms": self.norms(),
+            **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **own,
             **({"eps": solve.eps, "violation": self.violation()} if has_eps else {}),
             "details": self.details,
             "timings": self.timings,
+            "peak_memory": self.peak_memory,
             "ranks": spaces.mesh.comm.size,
         }
 
@@ -177,6 +204,7 @@ def solve(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
+    start: Solution | None = None,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Solution:
     """Solve a case (collective).
@@ -185,6 +213,7 @@ def solve(
         case: The problem, its discretisation and algorithm.
         comm: Communicator to run on, if there is no mesh yet.
         domain: Mesh to solve on, instead of the case's own.
+        start: A solution on another mesh, whose facet sets an active-set algorithm starts from.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -198,12 +227,16 @@ def solve(
     comm = domain.mesh.comm
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini)
-    f_h = project_load(parse_expression(case.problem.f, ufl.SpatialCoordinate(domain.mesh)), spaces.Q)
+    x = ufl.SpatialCoordinate(domain.mesh)
+    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
     watch.lap("assembly")
-    predicted = _predicted(case, spaces) if own_mesh else None
-    if predicted is not None:
-        watch.lap("prediction")
-    outcome = _run(case, spaces, f_h, predicted, watch, on_step)
+    predicted = None
+    if start is not None:
+        predicted = _carried_over(start, spaces)
+    elif own_mesh and _predicts(case, spaces):
+        predicted = _predicted(case, spaces)
+    watch.lap("prediction")
+    outcome = _run(case, spaces, data, predicted, watch, on_step)
     watch.lap("solve")
 
     iterate = outcome.iterate
@@ -211,14 +244,14 @@ def solve(
     p.x.array[: len(iterate.p)] = iterate.p
     p.x.scatter_forward()
     penalty = ALGORITHMS[case.solve.algorithm].penalty
-    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, f_h, penalty, case.solve.eps)
+    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)
     solution = Solution(
         case=case,
         spaces=spaces,
-        f_h=f_h,
+        data=data,
         sigma=iterate.sigma,
         u=iterate.u,
         p=p,
@@ -232,7 +265,9 @@ def solve(
         linear_solver=outcome.linear_solver,
         own_residual=outcome.own_residual,
         details=outcome.details,
+        rough_steps=outcome.rough_steps,
         timings=watch.longest(comm),
+        peak_memory=peak_memory(comm),
     )
     if failure is not None:
         raise NumericalFailure(failure, solution)
@@ -249,20 +284,26 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
     return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
 
 
-def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
-    """Conditions of the same case on a mesh COARSENING times as coarse, None where not worth it (collective).
+def _predicts(case: Case, spaces: Spaces) -> bool:
+    """Whether the sets are worth a prediction."""
+    options, facets = case.solve, spaces.V.dofmap.index_map.size_global
+    return options.predict and ALGORITHMS[options.algorithm].by is By.SETS and facets >= PREDICT_FROM
 
-    A facet takes the condition of the coarse facet at its midpoint. The prediction changes the number of steps only:
-    the loop ends where the sets repeat, wherever it starts.
+
+def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
+    """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
+
+    The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
     """
-    options = case.solve
-    facets = spaces.V.dofmap.index_map.size_global
-    if not options.predict or ALGORITHMS[options.algorithm].by is not By.SETS or facets < PREDICT_FROM:
-        return None
     try:
-        coarse = solve(case.with_values({"solve.h": COARSENING * options.h}), spaces.mesh.comm)
+        coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), spaces.mesh.comm)
     except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
         return None
+    return _carried_over(coarse, spaces)
+
+
+def _carried_over(coarse: Solution, spaces: Spaces) -> FacetConditions:
+    """To each facet the condition of the coarse facet at its midpoint (collective)."""
     kind = fem.Function(coarse.spaces.Lambda)
     kind.x.array[: len(coarse.conditions.kind)] = coarse.conditions.kind
     (sample,) = sampled([kind], spaces.Lambda.mesh, curve_gap(coarse.spaces.domain.h), degree=0)
@@ -272,7 +313,7 @@ def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
 def _run(
     case: Case,
     spaces: Spaces,
-    f_h: fem.Function,
+    data: Data,
     predicted: FacetConditions | None,
     watch: Stopwatch,
     on_step: Callable[[Step], None],
@@ -281,34 +322,39 @@ def _run(
     options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
     max_iterations = options.max_iterations or algorithm.max_iterations
     if algorithm.by is By.CLASSICAL:
-        return CLASSICAL[options.algorithm](Task(spaces, f_h, options.rho, options.eps, max_iterations, on_step))
+        return CLASSICAL[options.algorithm](Task(spaces, data, options.rho, options.eps, max_iterations, on_step))
     if algorithm.by is By.SNES and algorithm.penalty is not None:
-        newton = PenaltyNewton(spaces, f_h, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
+        newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
         watch.lap("assembly")
         return newton.solve(on_step)
     if algorithm.by is By.SNESVI:
-        system = HybridBackend(spaces, f_h)
+        system = FacetSystem(spaces, data)
         watch.lap("assembly")
         return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
-    backend = BACKENDS[options.backend](spaces, f_h)
+    backend = BACKENDS[options.backend](spaces, data)
     watch.lap("assembly")
+    parameters = {"rho": options.rho or 1.0, "eps": options.eps}
 
     def run(start: FacetConditions | None) -> Outcome:
         return iterate_sets(
             backend,
             algorithm,
-            rho=options.rho or 1.0,
-            eps=options.eps,
+            **parameters,
             max_iterations=max_iterations,
             predicted=start,
             on_step=on_step,
         )
 
-    if predicted is not None:
-        with contextlib.suppress(LinearSolveFailure):
-            outcome = run(predicted)
+    with contextlib.suppress(LinearSolveFailure):
+        steps = 0
+        if isinstance(backend, HybridBackend) and backend.iterative and _predicts(case, spaces):
+            predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted)
+            watch.lap("prediction")
+        if predicted is not None:
+            outcome = replace(run(predicted), rough_steps=steps)
             if outcome.converged:
                 return outcome
-        cold = run(None)
-        return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
-    return run(None)
+    cold = run(None)
+    if predicted is None:
+        return cold
+    return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")

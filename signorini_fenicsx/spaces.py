@@ -10,15 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from mpi4py import MPI
 
-from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.geometry import Domain
 
 type Array = npt.NDArray[np.float64]
 
 SIGNORINI = 1
-LOAD_RANGE = 1e-100, 1e100
+DIRICHLET = 2
 
 
 @dataclass(frozen=True)
@@ -44,6 +42,7 @@ class Spaces:
         dirichlet_facets: Mesh facets of Γ_D on this rank.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
+        ds_dirichlet: Measure of Γ_D on the mesh.
     """
 
     domain: Domain
@@ -61,6 +60,7 @@ class Spaces:
     dirichlet_facets: npt.NDArray[np.int32]
     n: ufl.FacetNormal
     ds: ufl.Measure
+    ds_dirichlet: ufl.Measure
 
     @property
     def mesh(self) -> dolfinx.mesh.Mesh:
@@ -94,16 +94,20 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
     facets = np.empty_like(submesh_cells)
     facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
-    sides = fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(facets))
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(SIGNORINI, sides)])(SIGNORINI)
+    dirichlet_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(mesh.topology), facets)
+    boundary = [
+        (marker, fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(part)))
+        for marker, part in ((SIGNORINI, facets), (DIRICHLET, dirichlet_facets))
+    ]
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=boundary)
     n = ufl.FacetNormal(mesh)
 
     cells, flux_dofs = cells_and_dofs(V, facets)
     part_of_facet = np.empty(len(facets), dtype=np.int32)
     for index, name in enumerate(signorini):
         part_of_facet[np.isin(facets, domain.facets[name])] = index
-    measure = _assembled(ufl.TestFunction(Lambda) * ds, [entity_map])
-    flux_of_basis = _assembled(ufl.dot(ufl.TestFunction(V), n) * ds, [])
+    measure = assembled(ufl.TestFunction(Lambda) * ds(SIGNORINI), [entity_map])
+    flux_of_basis = assembled(ufl.dot(ufl.TestFunction(V), n) * ds(SIGNORINI))
     return Spaces(
         domain=domain,
         V=V,
@@ -117,9 +121,10 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
         flux_dofs=flux_dofs,
         basis_flux=flux_of_basis[flux_dofs],
         facet_measure=measure[: len(facets)],
-        dirichlet_facets=np.setdiff1d(dolfinx.mesh.exterior_facet_indices(mesh.topology), facets),
+        dirichlet_facets=dirichlet_facets,
         n=n,
-        ds=ds,
+        ds=ds(SIGNORINI),
+        ds_dirichlet=ds(DIRICHLET),
     )
 
 
@@ -138,7 +143,8 @@ def cells_and_dofs(
     return cells, V.dofmap.list[cells, local]  # RT0 and CR number their degrees of freedom as the cell its facets
 
 
-def _assembled(form: ufl.Form, entity_maps: list[dolfinx.mesh.EntityMap]) -> Array:
+def assembled(form: ufl.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:
+    """Vector of a linear form, complete for owned entries only (collective)."""
     vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array
@@ -146,27 +152,4 @@ def _assembled(form: ufl.Form, entity_maps: list[dolfinx.mesh.EntityMap]) -> Arr
 
 def cell_measures(Q: fem.FunctionSpace) -> Array:
     """|T| of the owned and ghost cells."""
-    return _assembled(fem.Constant(Q.mesh, 1.0) * ufl.TestFunction(Q) * ufl.dx, [])
-
-
-def project_load(f: ufl.core.expr.Expr, Q: fem.FunctionSpace) -> fem.Function:
-    """f_h, the P0 projection of f, by quadrature of the degree UFL estimates, at least 8 (collective).
-
-    Raises:
-        InputError: If f is not finite at all quadrature points, or so large or small that squares of the solution leave
-            the range of floating-point numbers.
-    """
-    mesh = Q.mesh
-    degree = min(max(8, ufl.algorithms.estimate_total_polynomial_degree(f)), 30)
-    dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": degree})
-    f = f + fem.Constant(mesh, 0.0)  # UFL would drop the integral of a plain 0
-    v = ufl.TestFunction(Q)
-    f_h = fem.Function(Q, name="f_h")
-    f_h.x.array[:] = _assembled(f * v * dx, []) / cell_measures(Q)
-    if not mesh.comm.allreduce(bool(np.isfinite(f_h.x.array).all()), op=MPI.LAND):
-        raise InputError("[problem] f: not finite everywhere in the domain")
-    largest = mesh.comm.allreduce(float(np.abs(f_h.x.array).max(initial=0.0)), MPI.MAX)
-    if largest != 0 and not LOAD_RANGE[0] <= largest <= LOAD_RANGE[1]:
-        low, high = LOAD_RANGE
-        raise InputError(f"[problem] f: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
-    return f_h
+    return assembled(fem.Constant(Q.mesh, 1.0) * ufl.TestFunction(Q) * ufl.dx)

@@ -9,7 +9,7 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import hybrid, solver
+from signorini_fenicsx import facet_system, hybrid, solver
 from signorini_fenicsx.active_set import iterate_sets
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, load_case
@@ -54,7 +54,7 @@ def test_direct_solver():
 
 @pytest.mark.parallel([1, 2])
 def test_multigrid(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(hybrid, "DIRECT_UP_TO", 0)
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
     for name in ["example2", "example4", "example6"] if COMM.size == 1 else ["example6"]:
         assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 16}), 1e-10)
 
@@ -63,7 +63,7 @@ def test_multigrid(monkeypatch: pytest.MonkeyPatch):
 def test_cube_and_random_loads(folder: Path, monkeypatch: pytest.MonkeyPatch):
     rng = np.random.default_rng(3)
     for direct_up_to, mesh in itertools.product((0, 10**6), ("structured", "unstructured")[: 3 - COMM.size]):
-        monkeypatch.setattr(hybrid, "DIRECT_UP_TO", direct_up_to)
+        monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
         a, b, c = rng.uniform(1, 8, 3)
         f = f"50*sin({a}*x + {b}*y)*cos({c}*z)"
         case = make_case(folder, shape="cube", mesh=mesh, parts=["bottom", "left"], f=f, h=0.4)
@@ -72,10 +72,11 @@ def test_cube_and_random_loads(folder: Path, monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parallel([1, 2])
 def test_multigrid_iterations_do_not_grow(monkeypatch: pytest.MonkeyPatch):
-    """CG to 1e-12 takes at most 20 iterations in 2D, on every step and mesh."""
-    monkeypatch.setattr(hybrid, "DIRECT_UP_TO", 0)
-    for h in (1 / 8, 1 / 32, 1 / 64)[: 4 - COMM.size]:
-        solution = solve(load_case("example1").with_values({"solve.h": h}), COMM)
+    """CG to 1e-12 takes at most 20 iterations in 2D, on every step and mesh, wherever the sets started."""
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
+    examples = [("example1", "alg1"), ("example5", "alg4")]
+    for (name, algorithm), h in itertools.product(examples, (1 / 8, 1 / 32, 1 / 64)[: 4 - COMM.size]):
+        solution = solve(load_case(name).with_values({"solve.h": h, "solve.algorithm": algorithm}), COMM)
         assert solution.linear_solver == "cg+mg"
         assert max(step.linear_iterations for step in solution.history) <= 20
         assert max(vars(solution.kkt).values()) < 1e-9
@@ -85,7 +86,7 @@ def test_multigrid_iterations_do_not_grow(monkeypatch: pytest.MonkeyPatch):
 def test_snesvi_finds_the_same(monkeypatch: pytest.MonkeyPatch):
     """SNESVI, which shares neither rule nor loop, ends in the sets and fields of Algorithm 1."""
     for direct_up_to, name in itertools.product((0, 10**6), ("example2", "example3")):
-        monkeypatch.setattr(hybrid, "DIRECT_UP_TO", direct_up_to)
+        monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
         case = load_case(name).with_values({"solve.h": 1 / 16})
         loop = solve(case, COMM)
         vi = solve(case.with_values({"solve.algorithm": "vi"}), COMM, domain=loop.spaces.domain)
@@ -111,11 +112,49 @@ def test_prediction_changes_the_number_of_steps_only(folder: Path, monkeypatch: 
         assert len(warm.history) <= min(3, len(cold.history))
 
 
+@pytest.mark.parallel([1, 2])
+def test_rough_solves_predict_on_any_mesh(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """Without a coarser mesh rough solves alone find the sets, all but a few facets, and change no result."""
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
+    monkeypatch.setattr(solver, "PREDICT_FROM", 0)
+    cube = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="20*(x - 0.5)", h=0.2)
+    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
+    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
+        domain = mesh_case(case, COMM)
+        cold = solve(case.with_values({"solve.predict": False}), COMM, domain=domain)
+        warm = solve(case, COMM, domain=domain)
+        assert (cold.rough_steps, cold.linear_solver) == (0, "cg+mg")
+        assert 2 <= warm.rough_steps <= len(cold.history) + 2
+        assert len(warm.history) <= min(3, len(cold.history))
+        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
+        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
+            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
+
+
+@pytest.mark.parallel([1, 2])
+def test_bad_cells(monkeypatch: pytest.MonkeyPatch):
+    """Aspect ratio 20 and obtuse angles slow CG down; sets and fields stay those of the saddle point."""
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
+    monkeypatch.setattr(solver, "PREDICT_FROM", 0)
+    case = load_case("example1").with_values({"geometry.mesh": "structured", "solve.h": 1 / 32})
+    domain = mesh_case(case, COMM)
+    x = domain.mesh.geometry.x
+    x[:, 1] *= 0.05
+    x[:, 0] += 0.05 * np.sin(50 * x[:, 1] * 20) * np.sin(np.pi * x[:, 0])
+    mixed, facet = (
+        solve(case.with_values({"solve.backend": backend}), COMM, domain=domain) for backend in ("mixed", "hybrid")
+    )
+    assert facet.linear_solver == "cg+mg"
+    np.testing.assert_array_equal(mixed.conditions.kind, facet.conditions.kind)
+    for one, two in [(mixed.sigma, facet.sigma), (mixed.u, facet.u), (mixed.p, facet.p)]:
+        np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9 * np.abs(one.x.array).max(initial=1.0))
+
+
 def test_wrong_prediction_is_corrected():
     """From any conditions whatever Algorithm 1 ends in the same solution."""
     case = load_case("example1").with_values({"solve.h": 1 / 16})
     expected = solve(case)
-    backend = hybrid.HybridBackend(expected.spaces, expected.f_h)
+    backend = hybrid.HybridBackend(expected.spaces, expected.data)
     rng = np.random.default_rng(1)
     for _ in range(5):
         random = FacetConditions(rng.integers(0, 2, len(expected.spaces.facets)).astype(np.int8))

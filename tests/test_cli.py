@@ -64,6 +64,8 @@ def test_summary(runs: dict[int, Path]):
     for key in ("case", "algorithm", "backend", "cells", "dofs", "contact_facets", "iterations"):
         assert one[key] == two[key]
     assert set(one["kkt"]) == {"primal", "dual", "complementarity", "stationarity", "mass_balance"}
+    assert one["certificate"] == pytest.approx(two["certificate"], rel=1e-10, abs=1e-11)
+    assert one["certificate"]["relative"] < 0.25
     assert {"timings", "versions", "reason", "contact_measure", "h"} <= set(one)
 
 
@@ -109,6 +111,8 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
     area = np.abs(np.linalg.det(edges)) / 2
     u, sigma = mesh.cell_data["u"][0].ravel(), mesh.cell_data["sigma"][0]
     assert len(u) == summary["cells"]
+    gap, oscillation = summary["certificate"]["gap"], summary["certificate"]["oscillation"]
+    assert np.sum(mesh.cell_data["indicator"][0] ** 2) == pytest.approx(2 * gap + oscillation**2, rel=1e-10)
     assert np.sqrt(area @ u**2) == pytest.approx(summary["norms"]["u_L2"], rel=1e-10)
     np.testing.assert_allclose(mesh.cell_data["sigma_norm"][0].ravel(), np.linalg.norm(sigma, axis=1), atol=1e-12)
 
@@ -134,7 +138,7 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
 
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_pictures_are_drawn(runs: dict[int, Path], ranks: int):
-    for name in ("u.png", "sigma.png", "signorini.png", "iterations.png"):
+    for name in ("u.png", "sigma.png", "signorini.png", "iterations.png", "certificate.png"):
         assert (runs[ranks] / name).read_bytes().startswith(b"\x89PNG"), name
         assert (runs[ranks] / name).stat().st_size > 10_000, name
 

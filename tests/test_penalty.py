@@ -64,11 +64,13 @@ def test_solutions_satisfy_the_literal_forms():
         one, two = (solve(penalised("example4", algorithm, eps), COMM) for algorithm in ("alg3", "alg4"))
         tau, v, q = (ufl.TestFunction(space) for space in (one.spaces.V, one.spaces.Q, one.spaces.Lambda))
         forms = trace_penalty_residual(
-            one.sigma, one.u, one.p, one.f_h, tau, v, q, ufl.as_ufl(eps), one.spaces.n, one.spaces.ds
+            one.sigma, one.u, one.p, one.data.f_h, tau, v, q, ufl.as_ufl(eps), one.spaces.n, one.spaces.ds
         )
         residuals = [fem.assemble_vector(one.spaces.form(form)) for form in forms]
         tau, v = ufl.TestFunction(two.spaces.V), ufl.TestFunction(two.spaces.Q)
-        forms = flux_penalty_residual(two.sigma, two.u, two.f_h, tau, v, ufl.as_ufl(eps), two.spaces.n, two.spaces.ds)
+        forms = flux_penalty_residual(
+            two.sigma, two.u, two.data.f_h, tau, v, ufl.as_ufl(eps), two.spaces.n, two.spaces.ds
+        )
         residuals += [fem.assemble_vector(two.spaces.form(form)) for form in forms]
         for residual in residuals:
             residual.scatter_reverse(la.InsertMode.add)

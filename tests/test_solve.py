@@ -81,7 +81,7 @@ def test_solution_satisfies_the_forms():
     solution = solve(coarse("example2"), COMM)
     spaces = solution.spaces
     tau, v, q = (ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda))
-    forms = multiplier_residual(solution.sigma, solution.u, solution.p, solution.f_h, tau, v, spaces.n, spaces.ds)
+    forms = multiplier_residual(solution.sigma, solution.u, solution.p, solution.data.f_h, tau, v, spaces.n, spaces.ds)
     forms += [
         projection(solution.sigma, solution.p, q, rho, spaces.n, spaces.ds)
         for projection, rho in itertools.product((flux_projection, trace_projection), (0.1, 1.0, 50.0))
@@ -135,7 +135,7 @@ def test_cell_mass_balance():
     divergence = fem.Function(solution.spaces.Q)
     points = solution.spaces.Q.element.interpolation_points
     divergence.interpolate(fem.Expression(ufl.div(solution.sigma), points))
-    np.testing.assert_allclose(divergence.x.array, -solution.f_h.x.array, atol=1e-12)
+    np.testing.assert_allclose(divergence.x.array, -solution.data.f_h.x.array, atol=1e-12)
 
 
 @pytest.mark.parallel([1, 3])

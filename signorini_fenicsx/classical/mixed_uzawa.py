@@ -39,7 +39,7 @@ class _Response:
     """The iterate that belongs to facet values x: σ·n = x or p = x on Γ_S."""
 
     def __init__(self, task: Task, *, by_flux: bool):
-        self._system = SaddlePoint(task.spaces, task.f_h)
+        self._system = SaddlePoint(task.spaces, task.data)
         self._by_flux, self._task = by_flux, task
         self._system.give_flux(np.full(len(task.spaces.facets), by_flux))
         self.start = np.zeros(len(task.spaces.facets))

@@ -22,15 +22,16 @@ from signorini_fenicsx.conditions import Condition, FacetConditions
 
 
 def over_relaxation(task: Task) -> Outcome:
-    """u_i ← u_i − ω(Au − b)_i/A_ii, cut off at 0 on Γ_S, vertex by vertex, from u = 0 (collective).
+    """u_i ← u_i − ω(Au − b)_i/A_ii, cut off at 0 on Γ_S, vertex by vertex, from u = 0 off Γ_D (collective).
 
     ω = 2/(1 + √(1 − μ²)) is Young's optimal one for the spectral radius μ of Jacobi's iteration without contact; with
     it the number of sweeps is of order 1/h, and 1/h² for ω = 1.
     """
-    system = P1System(task.spaces, task.f_h)
+    system = P1System(task.spaces, task.data)
     sweep = _Sweep(system, *_colours_and_omega(system))
     details = {"omega": sweep.omega, "colours": float(sweep.colours)}
-    u = np.zeros(len(system.load))
+    u = np.zeros_like(system.load)
+    u[system.dirichlet] = system.load[system.dirichlet]
 
     def conditions(u: Array) -> FacetConditions:
         return system.conditions(u[system.signorini] == 0, Condition.ZERO_TRACE)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 
@@ -16,28 +16,29 @@ from signorini_fenicsx.active_set import History, Outcome
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.classical.task import Task
 from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.kkt import TOLERANCE
-from signorini_fenicsx.spaces import Spaces, cell_measures
+from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
 
 class P1System:
-    """(∇u, ∇v) = (f_h, v) in P1 with u = 0 on Γ_D. Arrays hold the values at the vertices that this rank owns.
+    """(∇u, ∇v) = (f_h, v) in P1 with u = u_D at the vertices of Γ_D. Arrays hold values at the vertices of this rank.
 
     Attributes:
         spaces: The mixed spaces, of which it takes mesh and Γ_S.
         space: P1.
         dirichlet: Owned vertices of Γ_D.
         signorini: Owned vertices of Γ_S that are not on Γ_D.
-        load: (f_h, φ_i), 0 on Γ_D.
+        load: Right side: u_D on Γ_D, else (f_h, φ_i) less what the values on Γ_D contribute.
         weights: w_i = ∫_ΓS φ_i of the vertices `signorini`.
         matrix: Stiffness matrix with the rows and columns of Γ_D those of the identity.
         diagonal: Its diagonal.
     """
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function):
+    def __init__(self, spaces: Spaces, data: Data):
         """Assemble (collective).
 
         Raises:
@@ -50,11 +51,10 @@ class P1System:
         v = ufl.TestFunction(self.space)
         self.dirichlet = self._vertices(spaces.dirichlet_facets)
         self.signorini = np.setdiff1d(self._vertices(spaces.facets), self.dirichlet)
-        self.load = self._owned(load(f_h, v))
-        self.load[self.dirichlet] = 0.0
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
         self.matrix = assemble_matrix(fem.form(stiffness(ufl.TrialFunction(self.space), v)))
         self.matrix.assemble()
+        self._stiffness = self.matrix.duplicate(copy=True)
         self.matrix.zeroRowsColumns(self.dirichlet + self.matrix.getOwnershipRange()[0])
         self.diagonal = self.matrix.getDiagonal().array_r.copy()
 
@@ -62,6 +62,9 @@ class P1System:
         self._factored.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self._factored.setOption(PETSc.Mat.Option.SPD, True)
         self._x, self._b = create_vector(self.space), create_vector(self.space)
+        boundary = self._boundary_values(data)
+        self.load = self._owned(load(data.f_h, v)) - self._product(self._stiffness, boundary)
+        self.load[self.dirichlet] = boundary[self.dirichlet]
         self._ksp = PETSc.KSP().create(spaces.mesh.comm)
         self._ksp.setOperators(self._factored)
         self._ksp.setType("preonly")
@@ -99,10 +102,8 @@ class P1System:
         return everywhere
 
     def times(self, u: Array) -> Array:
-        """The stiffness matrix times u (collective)."""
-        self._x.array_w[:] = u
-        self.matrix.mult(self._x, self._b)
-        return self._b.array_r.copy()
+        """`matrix` times u (collective)."""
+        return self._product(self.matrix, u)
 
     def dot(self, u: Array, v: Array) -> float:
         """Σ u_i v_i over all ranks (collective)."""
@@ -110,7 +111,7 @@ class P1System:
 
     def energy_norm(self, u: Array) -> float:
         """‖∇u‖ (collective)."""
-        return math.sqrt(max(self.dot(u, self.times(u)), 0.0))
+        return math.sqrt(max(self.dot(u, self._product(self._stiffness, u)), 0.0))
 
     def residual(self, u: Array, eps: float = 0.0) -> float:
         """Natural residual of (VI) in P1, or of (P_ε) with ε > 0; free of scale (collective).
@@ -129,7 +130,7 @@ class P1System:
         return norm / size
 
     def conditions(self, zero: npt.NDArray[np.bool_], kind: Condition, beta: float = 1.0) -> FacetConditions:
-        """Facet conditions (collective): `kind` where all vertices of a facet are on Γ_D or in `zero`, else NO_FLUX.
+        """Facet conditions (collective): `kind` where u = 0 on Γ_D or in `zero` at all vertices.
 
         Args:
             zero: Which of the vertices `signorini` are in contact.
@@ -137,7 +138,7 @@ class P1System:
             beta: β of a ROBIN condition.
         """
         marked = fem.Function(self.space)
-        marked.x.array[self.dirichlet] = 1.0
+        marked.x.array[self.dirichlet] = self.load[self.dirichlet] <= 0
         marked.x.array[self.signorini] = zero
         marked.x.scatter_forward()
         touching = marked.x.array[self._facet_vertices].min(axis=1, initial=1.0) > 0
@@ -154,11 +155,24 @@ class P1System:
         u_h.x.array[: self._size] = u
         u_h.x.scatter_forward()
         means = fem.Function(spaces.Q, name="u")
-        means.x.array[:] = fem.assemble_vector(fem.form(mass(u_h, ufl.TestFunction(spaces.Q)))).array
-        means.x.array[:] /= cell_measures(spaces.Q)
+        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q))) / cell_measures(spaces.Q)
         sigma = _projected_gradient(u_h, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64)
         return Iterate(sigma, means, p, spaces.normal_flux(sigma), 1)
+
+    def _product(self, matrix: PETSc.Mat, u: Array) -> Array:
+        self._x.array_w[:] = u
+        matrix.mult(self._x, self._b)
+        return self._b.array_r.copy()
+
+    def _boundary_values(self, data: Data) -> Array:
+        """u_D at the vertices of Γ_D, 0 elsewhere."""
+        u_D = fem.Function(self.space)
+        zero = fem.Constant(self.space.mesh, 0.0)
+        u_D.interpolate(fem.Expression(data.u_D + zero, self.space.element.interpolation_points))
+        values = np.zeros(self._size)
+        values[self.dirichlet] = u_D.x.array[self.dirichlet]
+        return values
 
     @cached_property
     def _facet_vertices(self) -> Indices:
@@ -175,9 +189,7 @@ class P1System:
         return dofs[dofs < self._size]
 
     def _owned(self, form: ufl.Form) -> Array:
-        vector = fem.assemble_vector(fem.form(form))
-        vector.scatter_reverse(la.InsertMode.add)
-        return vector.array[: self._size].copy()
+        return assembled(form)[: self._size].copy()
 
 
 class P1History:
@@ -238,10 +250,8 @@ def _projected_gradient(u: fem.Function, spaces: Spaces) -> fem.Function:
     tau = ufl.TestFunction(spaces.V)
     matrix = assemble_matrix(fem.form(mass(ufl.TrialFunction(spaces.V), tau)))
     matrix.assemble()
-    right = fem.assemble_vector(fem.form(gradient(u, tau)))
-    right.scatter_reverse(la.InsertMode.add)
     x, b = matrix.createVecs()
-    b.array_w[:] = right.array[: b.getLocalSize()]
+    b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]
     ksp = PETSc.KSP().create(spaces.mesh.comm)  # not the solver of the method: it takes no options
     ksp.setOperators(matrix)
     ksp.setType("cg")

@@ -22,7 +22,7 @@ def primal_dual_active_set(task: Task) -> Outcome:
     Raises:
         LinearSolveFailure: If a linear system cannot be solved.
     """
-    system = P1System(task.spaces, task.f_h)
+    system = P1System(task.spaces, task.data)
 
     def solve(contact: Set) -> tuple[Array, Set]:
         fixed = system.signorini[contact]
@@ -45,7 +45,7 @@ def primal_penalty(task: Task) -> Outcome:
     Raises:
         LinearSolveFailure: If a linear system cannot be solved.
     """
-    system = P1System(task.spaces, task.f_h)
+    system = P1System(task.spaces, task.data)
 
     def solve(contact: Set) -> tuple[Array, Set]:
         system.change_matrix(added=system.at_signorini(np.where(contact, system.weights / task.eps, 0.0)))

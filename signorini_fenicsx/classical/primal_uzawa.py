@@ -20,7 +20,7 @@ def primal_uzawa(task: Task) -> Outcome:
     Raises:
         LinearSolveFailure: If a linear system cannot be solved.
     """
-    system = P1System(task.spaces, task.f_h)
+    system = P1System(task.spaces, task.data)
     on, weights = system.signorini, system.weights
     state = {"u": system.solve(system.load)}
     scale = system.energy_norm(state["u"]) or 1.0

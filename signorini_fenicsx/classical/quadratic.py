@@ -1,5 +1,7 @@
 """(MVI)_h as theorem 2 reads it, the projection of 0 onto a convex set: ½‖τ‖² over τ ∈ Ṽ_h with ∇·τ = −f_h.
 
+With Dirichlet data the quadratic form is ½‖τ‖² − (u_D, τ·n)_ΓD.
+
 An interior-point solver gets the mass matrix of RT0, the divergence and the signs, and nothing else: no facet
 condition, no set, no multiplier. Its multipliers of ∇·τ = −f_h and of τ·n ≥ 0 are u_h and p_h. It runs on rank 0,
 without parallelism.
@@ -13,14 +15,14 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 
-from forms.mixed import load, mass_balance
+from forms.mixed import load, mass_balance, trace_term
 from forms.primal import mass
 from signorini_fenicsx.active_set import Outcome, Recorder
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.classical.on_root import RootRows, matrix_on_root
 from signorini_fenicsx.classical.task import Task
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.spaces import cell_measures
+from signorini_fenicsx.spaces import assembled, cell_measures
 
 type Array = npt.NDArray[np.float64]
 
@@ -45,15 +47,18 @@ def quadratic_programme(task: Task) -> Outcome:
     sign = np.zeros(flux_size)
     sign[spaces.flux_dofs] = np.sign(spaces.basis_flux)
     weight = 1 / np.sqrt(cell_measures(Q)[:cells])  # rows of the divergence for an orthonormal basis of Q_h
-    right = -fem.assemble_vector(fem.form(load(task.f_h, v))).array[:cells]
+    linear = -assembled(trace_term(task.data.u_Dh, tau, spaces.n, spaces.ds_dirichlet))[:flux_size]
+    right = -assembled(load(task.data.f_h, v))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
-    signs, weights, rights = flux_rows.gather(sign), cell_rows.gather(weight), cell_rows.gather(right)
+    of_flux = flux_rows.gather(np.column_stack([linear, sign]))
+    of_cell = cell_rows.gather(np.column_stack([weight, weight * right]))
     values = balance = pressure = None
     status, iterations = "", 0
-    if hessian is not None and divergence is not None and signs is not None and rights is not None:
+    if hessian is not None and divergence is not None and of_flux is not None and of_cell is not None:
+        scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
         values, balance, pressure, status, iterations = _minimise(
-            hessian, scipy.sparse.diags_array(weights) @ divergence, weights * rights, signs, task.max_iterations
+            hessian, of_flux[:, 0], scaled, of_cell[:, 1], of_flux[:, 1], task.max_iterations
         )
     status, iterations = comm.bcast((status, iterations))
 
@@ -84,14 +89,19 @@ def quadratic_programme(task: Task) -> Outcome:
 
 
 def _minimise(
-    hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, right: Array, sign: Array, max_iterations: int
+    hessian: scipy.sparse.csr_array,
+    linear: Array,
+    divergence: scipy.sparse.csr_array,
+    right: Array,
+    sign: Array,
+    max_iterations: int,
 ) -> tuple[Array, Array, Array, str, int]:
-    """Minimise ½xᵀHx subject to Bx = g and sign·x ≥ 0 where the sign is not 0 (rank 0).
+    """Minimise ½xᵀHx + cᵀx subject to Bx = g and sign·x ≥ 0 where the sign is not 0 (rank 0).
 
     Returns:
         x, the multipliers of both constraints, PIQP's status and its number of iterations.
     """
-    scale = float(np.abs(right).max())
+    scale = max(float(np.abs(right).max()), float(np.abs(linear).max()))
     if scale == 0:
         return np.zeros(len(sign)), np.zeros(len(right)), np.zeros(len(sign)), piqp.PIQP_SOLVED.name, 0
     solver = piqp.SparseSolver()
@@ -100,7 +110,7 @@ def _minimise(
     solver.settings.max_iter = max_iterations
     solver.setup(
         scipy.sparse.csc_matrix(hessian),
-        np.zeros(len(sign)),
+        linear / scale,
         scipy.sparse.csc_matrix(divergence),
         right / scale,
         x_l=np.where(sign > 0, 0.0, -np.inf),

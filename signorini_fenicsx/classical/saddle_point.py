@@ -7,16 +7,19 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 
-from forms.mixed import flux_equation, load, mass_balance
+from forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.spaces import Spaces, cell_measures
+from signorini_fenicsx.data import Data
+from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
 
 type Array = npt.NDArray[np.float64]
 
 
 class SaddlePoint:
-    """(σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS, (∇·σ, v) − ε(u, v) = −(f_h, v) − ε(u_before, v), with σ·n or p given per facet.
+    """The mixed problem with σ·n or p given on each facet of Γ_S, and perhaps stabilised.
+
+        (σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,      (∇·σ, v) − ε(u, v) = −(f_h, v) − ε(u_before, v).
 
     ε = 0 is the mixed method. ε > 0 is Slimane's stabilisation of it for u_before = 0, and a step of the proximal
     iteration u = u_before + (1/ε)(∇·σ + f_h) otherwise. It is a backend for the active-set loop, too.
@@ -27,12 +30,12 @@ class SaddlePoint:
 
     name = "mixed"
 
-    def __init__(self, spaces: Spaces, f_h: fem.Function, *, stabilisation: float = 0.0):
+    def __init__(self, spaces: Spaces, data: Data, *, stabilisation: float = 0.0):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            f_h: P0 projection of the load.
+            data: Its means over cells and facets.
             stabilisation: ε ≥ 0.
 
         Raises:
@@ -50,7 +53,8 @@ class SaddlePoint:
         self._flux_size = V.dofmap.index_map.size_local
         cells = Q.dofmap.index_map.size_local
         self._measures = cell_measures(Q)[:cells]
-        self._load = -fem.assemble_vector(fem.form(load(f_h, ufl.TestFunction(Q)))).array[:cells]
+        self._trace = assembled(trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet))[: self._flux_size]
+        self._load = -assembled(load(data.f_h, v))[:cells]
         self.before = fem.Function(Q)
 
         self._matrix = self._assembled.duplicate(copy=True)
@@ -94,7 +98,7 @@ class SaddlePoint:
         Args:
             flux: σ·n per facet, used where it is essential.
             trace: p per facet, used elsewhere.
-            loaded: Whether with f_h and u_before, or with 0 instead of both.
+            loaded: Whether with f_h, u_D and u_before, or with 0 instead of all of them.
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -110,6 +114,7 @@ class SaddlePoint:
         b.array_w[spaces.flux_dofs] += trace * spaces.basis_flux
         if loaded:
             cells = len(self._measures)
+            b.array_w[: self._flux_size] += self._trace
             b.array_w[self._flux_size :] += self._load
             b.array_w[self._flux_size :] -= self._stabilisation * self._measures * self.before.x.array[:cells]
         b.array_w[essential] = values

@@ -36,7 +36,7 @@ def stabilised_form(task: Task) -> Outcome:
         LinearSolveFailure: If the start cannot be solved.
     """
     spaces = task.spaces
-    system = SaddlePoint(spaces, task.f_h, stabilisation=task.eps)
+    system = SaddlePoint(spaces, task.data, stabilisation=task.eps)
     outcome = iterate_sets(
         system,
         ALGORITHMS["slimane"],
@@ -49,8 +49,8 @@ def stabilised_form(task: Task) -> Outcome:
     p, load = fem.Function(spaces.Lambda), fem.Function(spaces.Q)
     p.x.array[: len(iterate.p)] = iterate.p
     p.x.scatter_forward()
-    load.x.array[:] = task.f_h.x.array - task.eps * iterate.u.x.array
-    residual = max(vars(kkt_residuals(spaces, iterate.sigma, iterate.u, p, load)).values())
+    load.x.array[:] = task.data.f_h.x.array - task.eps * iterate.u.x.array
+    residual = max(vars(kkt_residuals(spaces, iterate.sigma, iterate.u, p, replace(task.data, f_h=load))).values())
     return replace(outcome, own_residual=residual)
 
 
@@ -67,7 +67,7 @@ def minimisation_uzawa(task: Task) -> Outcome:
     spaces = task.spaces
     length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
     rho = task.rho or length**2
-    system = SaddlePoint(spaces, task.f_h, stabilisation=1 / rho)
+    system = SaddlePoint(spaces, task.data, stabilisation=1 / rho)
     facets = len(spaces.facets)
     conditions = FacetConditions(np.full(facets, Condition.NO_FLUX, dtype=np.int8))
     iterate = Iterate(fem.Function(spaces.V), fem.Function(spaces.Q), np.zeros(facets), np.zeros(facets), 0)

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dolfinx import fem
-
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-10
@@ -18,7 +17,7 @@ class Task:
 
     Attributes:
         spaces: The discrete spaces.
-        f_h: P0 projection of the load.
+        data: Its load and Dirichlet data, and their means over cells and facets.
         rho: Step length ρ, or None for an automatic one.
         eps: ε of the penalty and of the stabilisation.
         max_iterations: Iterations allowed.
@@ -26,7 +25,7 @@ class Task:
     """
 
     spaces: Spaces
-    f_h: fem.Function
+    data: Data
     rho: float | None
     eps: float
     max_iterations: int

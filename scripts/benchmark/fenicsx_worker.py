@@ -1,0 +1,142 @@
+"""One timed run of this program, or of the same discrete problem solved in a more usual way; prints JSON.
+
+[mpirun -n N] python fenicsx_worker.py METHOD CASE H MESH
+"""
+
+import json
+import sys
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx import facet_system, solver
+from signorini_fenicsx.backend import Iterate
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import Data, project_data
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.geometry import SHAPES, Domain, label_parts
+from signorini_fenicsx.hybrid import HybridBackend
+from signorini_fenicsx.mixed import MixedBackend
+from signorini_fenicsx.parallel import abort_all_on_exception, peak_memory
+from signorini_fenicsx.solver import Solution, Stopwatch
+from signorini_fenicsx.spaces import Spaces, build_spaces
+
+COMM = MPI.COMM_WORLD
+
+SETTINGS: dict[str, dict[str, object]] = {
+    "ours": {},
+    "ours, this mesh alone": {},
+    "saddle point, fresh": {"solve.backend": "mixed", "solve.predict": False},
+    "saddle point, symbolic reuse": {"solve.backend": "mixed", "solve.predict": False},
+    "SNESVI + GAMG": {"solve.algorithm": "vi", "solve.max_iterations": 200},
+    "contact set known": {},
+}
+
+
+class FreshMixed:
+    """The paper's way: the saddle point is assembled and factored anew in each step."""
+
+    name = "mixed"
+
+    def __init__(self, spaces: Spaces, data: Data):
+        self.spaces, self._data = spaces, data
+        self.dofs = spaces.V.dofmap.index_map.size_global + spaces.Q.dofmap.index_map.size_global
+
+    def solver(self) -> str:
+        """Name of the linear solver."""
+        return "preonly+lu+mumps"
+
+    def solve(self, conditions: FacetConditions) -> Iterate:
+        """Assemble, factor and solve (collective)."""
+        return MixedBackend(self.spaces, self._data).solve(conditions)
+
+
+def read_mesh(path: str, shape: str) -> Domain:
+    """Read points and cells on rank 0 and distribute them (collective)."""
+    dim = SHAPES[shape].dim
+    if COMM.rank == 0:
+        with np.load(path) as file:
+            points, cells = file["points"], file["cells"]
+    else:
+        points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
+    element = basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
+    return label_parts(dolfinx.mesh.create_mesh(COMM, cells, element, points), SHAPES[shape])
+
+
+def solve_known(case: Case, found: Solution) -> dict[str, float]:
+    """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
+    watch = Stopwatch()
+    spaces = build_spaces(found.spaces.domain, case.boundary.signorini)
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+    backend = HybridBackend(spaces, data)
+    watch.lap("assembly")
+    backend.solve(found.conditions)
+    watch.lap("solve")
+    return watch.longest(COMM)
+
+
+def event(name: str) -> float:
+    """Seconds that PETSc has logged for an event on this rank."""
+    return PETSc.Log.Event(name).getPerfInfo()["time"]
+
+
+def run(method: str, case: Case, domain: Domain) -> dict[str, object]:
+    """Solve once and report (collective)."""
+    case = case.with_values(SETTINGS[method])
+    found = solver.solve(case, COMM, domain=domain) if method == "contact set known" else None
+    before = {name: event(name) for name in ("PCSetUp", "KSPSolve")}
+    if found is None:
+        found = solver.solve(case, COMM, domain=None if method == "ours" else domain)
+        timings = found.timings
+    else:
+        timings = solve_known(case, found)
+    setup, krylov = (COMM.allreduce(event(name) - before[name], MPI.MAX) for name in before)
+    seconds = sum(timings.get(phase, 0.0) for phase in ("assembly", "prediction", "solve"))
+    errors = found.errors()
+    return {
+        "cells": found.spaces.mesh.topology.index_map(found.spaces.mesh.topology.dim).size_global,
+        "unknowns": found.dofs,
+        "solver": found.linear_solver,
+        "steps": 1 if method == "contact set known" else found.rough_steps + len(found.history),
+        "linear_iterations": max(step.linear_iterations for step in found.history),
+        "seconds": seconds,
+        "assembly": timings["assembly"],
+        "setup": setup,
+        "solve": krylov - setup,  # PETSc counts a set-up at first use to the solve
+        "recovery and rest": seconds - timings["assembly"] - krylov,
+        "kkt": max(vars(found.kkt).values()),
+        "flux_error": errors["sigma_L2"] if errors else None,
+        "contact_measure": found.contact()[1],
+        "sigma_L2": found.norms()["sigma_L2"],
+        "peak_memory": peak_memory(COMM),
+    }
+
+
+def main() -> None:
+    """Solve a small problem with the same code first, so that no compilation is timed."""
+    abort_all_on_exception(COMM)
+    method, name, h, mesh = sys.argv[1:]
+    case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
+    if method == "saddle point, fresh":
+        solver.BACKENDS["mixed"] = FreshMixed
+    PETSc.Log.begin()
+    small = case.with_values({"solve.h": 0.3})
+    limits = facet_system.DIRECT_UP_TO, solver.PREDICT_FROM
+    facet_system.DIRECT_UP_TO, solver.PREDICT_FROM = 0, 0
+    run(method, small, solver.mesh_case(small, COMM))
+    facet_system.DIRECT_UP_TO, solver.PREDICT_FROM = limits
+    result = run(method, case, read_mesh(mesh, case.geometry.shape))
+    if COMM.rank == 0:
+        print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""A guaranteed bound of the energy error of a solution, computed from that solution alone.
+
+y = σ_h and a continuous v made of u_h and σ_h are admissible in the gap identity (see `forms.certificate`), but for
+what the data and the linear solver leave. With ũ the solution for the load −∇·y the identity gives ‖∇(v − ũ)‖ and
+‖y − ∇ũ‖ ≤ √(2 gap); the variational inequalities of u and ũ, each tested with the other's solution, give ‖∇(u − ũ)‖ ≤
+sup (f + ∇·y, w)/‖∇w‖ over w = 0 on Γ_D. As f + ∇·y = (f − f_h) + c with c constant on cells, that is at most
+osc + C_F‖c‖. Hence
+
+    ‖∇(v − u)‖ and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + C_F‖c‖ + ‖y − σ_h‖ = bound.
+
+With f + ∇·y ≠ 0 the identity itself has (f + ∇·y, u − v) ≤ (osc + C_F‖c‖)‖∇(v − u)‖ on its right side too, and Young's
+inequality puts √(2 gap + osc²) in the place of √(2 gap) + osc for ‖σ − σ_h‖ alone.
+
+u is the solution of the Signorini problem itself, also if a penalty method was used, on the domain that the mesh
+covers: where the boundary is curved, on the polygon or polyhedron.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem.petsc import assemble_matrix, create_vector
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.core.expr import Expr
+
+from forms.certificate import oscillation_squared, reconstruction, twice_the_gap, with_exact_dirichlet_values
+from forms.crouzeix_raviart import stiffness
+from forms.norms import l2
+from signorini_fenicsx.algorithms import ALGORITHMS, Penalty
+from signorini_fenicsx.backend import LinearSolveFailure
+from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import project_data, quadrature
+from signorini_fenicsx.hybrid import HybridBackend
+from signorini_fenicsx.solver import Solution, Stopwatch
+from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
+
+RELAXATIONS = 5
+"""Steps of CG that improve v: more gain nothing, as v is then far better than σ_h, but for corners."""
+ROUNDING = 1e-9
+"""A mass balance violated by less than this, relative to ‖σ‖/L, is taken for rounding and counted with L for C_F."""
+FAR_BELOW = 20.0
+"""A quadratic function falls from 0 across a cell of ordinary shape by less than this times its maximum."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A bound for ‖∇(v − u)‖ and for ‖σ − σ_h‖, see the module; infinite if u_D < 0 where Γ_D meets Γ_S.
+
+    Attributes:
+        bound: √(2 gap) + oscillation + remainder, for either error.
+        sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
+        gap: ½‖∇v − y‖² + ⟨y·n, v⟩ on Γ_S.
+        oscillation: osc = (Σ_T h_T²/π² ‖f − f_h‖²_T)^½.
+        remainder: C_F‖c‖ + ‖y − σ_h‖, which the linear solver or a penalty leaves.
+        relative: bound/‖σ_h‖.
+        indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
+        v: The continuous v in P2, before Dirichlet data that are not quadratic have been made exact.
+        seconds: What it took, the longest over all ranks.
+    """
+
+    bound: float
+    sigma_bound: float
+    gap: float
+    oscillation: float
+    remainder: float
+    relative: float
+    indicator: fem.Function
+    v: fem.Function
+    seconds: float
+
+    def summary(self) -> dict[str, float]:
+        """The numbers, ready for JSON."""
+        return {
+            name: getattr(self, name)
+            for name in ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
+        }
+
+
+def certify(solution: Solution) -> Certificate:
+    """Bound the energy error of a converged solution (collective).
+
+    Costs some assembly and, if the linear solver or a penalty leaves something, one or two linear solves. The integrals
+    of f and u_D are by quadrature, and u_D has to be continuous.
+
+    Args:
+        solution: Of any algorithm.
+    """
+    watch = Stopwatch()
+    spaces, data = solution.spaces, solution.data
+    y = _admissible_flux(solution)
+    v, admissible, feasible = _admissible_trace(solution)
+
+    q = ufl.TestFunction(spaces.Q)
+    exact = isinstance(data.u_D, ufl.constantvalue.ConstantValue)
+    metadata = {} if exact else quadrature(data.u_D)
+    dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
+    gap = assembled(0.5 * twice_the_gap(admissible, y, spaces.n, q, dx, spaces.ds(metadata=metadata)))
+    dx = ufl.Measure("dx", domain=spaces.mesh, metadata=quadrature(data.f**2))
+    oscillation = assembled(oscillation_squared(data.f, data.f_h, ufl.CellDiameter(spaces.mesh), q, dx))
+    indicator = fem.Function(spaces.Q, name="indicator")
+    indicator.x.array[:] = np.sqrt(np.maximum(2 * gap + oscillation, 0.0))  # no ghost cells; < 0 only without a bound
+
+    comm = spaces.mesh.comm
+    total_gap, total_oscillation = comm.allreduce(np.array([gap.sum(), oscillation.sum()])).tolist()
+    remainder = _remainder(solution, y)
+    bound = sigma_bound = np.inf
+    if feasible and np.isfinite(total_gap):
+        bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
+        sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
+    size = np.sqrt(spaces.integrate(l2(solution.sigma, ufl.dx)))
+    PETSc.garbage_cleanup(comm)
+    watch.lap("certificate")
+    return Certificate(
+        bound=float(bound),
+        sigma_bound=float(sigma_bound),
+        gap=total_gap,
+        oscillation=float(np.sqrt(total_oscillation)),
+        remainder=remainder,
+        relative=float(bound / size) if size > 0 else (0.0 if bound == 0 else np.inf),
+        indicator=indicator,
+        v=v,
+        seconds=watch.longest(comm)["certificate"],
+    )
+
+
+def _admissible_flux(solution: Solution) -> fem.Function:
+    """σ_h if σ_h·n ≥ 0; for (MPε-II), where it is < 0 off the contact set, the flux after a step of Algorithm 1."""
+    spaces = solution.spaces
+    y = solution.sigma
+    if ALGORITHMS[solution.case.solve.algorithm].penalty is Penalty.FLUX:
+        open_facets = solution.conditions.kind == Condition.ROBIN
+        kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
+        with contextlib.suppress(LinearSolveFailure):
+            y = HybridBackend(spaces, solution.data).solve(FacetConditions(kind)).sigma
+    flux = spaces.normal_flux(y)
+    negative = flux < 0
+    if not spaces.mesh.comm.allreduce(bool(negative.any()), MPI.LOR):
+        return y
+    y = y.copy()
+    y.x.array[spaces.flux_dofs[negative]] = 0.0
+    y.x.scatter_forward()
+    return y
+
+
+def _admissible_trace(solution: Solution) -> tuple[fem.Function, Expr, bool]:
+    """A continuous v near u: in P2, as it is with exact u_D on Γ_D, and whether it can be ≥ 0 on all of Γ_S."""
+    spaces, data = solution.spaces, solution.data
+    mesh = spaces.mesh
+    facet_dim = mesh.topology.dim - 1
+    v = _averaged(solution)
+    space = v.function_space
+    on_signorini = fem.locate_dofs_topological(space, facet_dim, spaces.facets)
+    on_dirichlet = fem.locate_dofs_topological(space, facet_dim, spaces.dirichlet_facets)
+    contact = solution.conditions.kind == ALGORITHMS[solution.case.solve.algorithm].contact
+    in_contact = fem.locate_dofs_topological(space, facet_dim, spaces.facets[contact])
+
+    u_D = fem.Function(space)
+    u_D.interpolate(fem.Expression(data.u_D + fem.Constant(mesh, 0.0), space.element.interpolation_points))
+    v.x.array[on_signorini] = np.maximum(v.x.array[on_signorini], 0.0)
+    v.x.array[in_contact] = 0.0
+    v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
+    _raise_midpoints(v, np.setdiff1d(on_signorini, on_dirichlet))
+    _relax(v, solution.sigma, np.union1d(on_signorini, on_dirichlet))
+    largest = mesh.comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
+    on_both = v.x.array[np.intersect1d(on_signorini, on_dirichlet)]
+    feasible = mesh.comm.allreduce(bool((on_both >= -1e-12 * largest).all()), MPI.LAND)
+    if isinstance(data.u_D, ufl.constantvalue.ConstantValue):
+        return v, v, feasible
+
+    linear = fem.functionspace(mesh, ("Lagrange", 1))
+    cut_off, floor = fem.Function(linear), fem.Function(linear)
+    cut_off.x.array[fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)] = 1.0
+    floor.x.array[:] = -FAR_BELOW * largest
+    floor.x.array[fem.locate_dofs_topological(linear, facet_dim, spaces.facets)] = 0.0
+    return v, with_exact_dirichlet_values(v, data.u_D, u_D, cut_off, floor), feasible
+
+
+def _averaged(solution: Solution) -> fem.Function:
+    """The reconstruction, averaged over the cells around each node of P2 (collective)."""
+    spaces = solution.spaces
+    mesh = spaces.mesh
+    x = ufl.SpatialCoordinate(mesh)
+    centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
+    centroid.interpolate(lambda x: x[: mesh.geometry.dim])
+    moment = fem.Function(spaces.Q)
+    moment.x.array[:] = assembled(
+        ufl.inner(x - centroid, x - centroid) * ufl.TestFunction(spaces.Q) * ufl.dx
+    ) / cell_measures(spaces.Q)
+    quadratic = reconstruction(solution.u, solution.sigma, centroid, moment, x)
+
+    v = fem.Function(fem.functionspace(mesh, ("Lagrange", 2)), name="v")
+    space = v.function_space
+    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    values = fem.Expression(quadratic, space.element.interpolation_points).eval(mesh, cells)
+    count = fem.Function(space)
+    for function, summands in ((v, values.ravel()), (count, np.ones(values.size))):
+        function.x.array[:] = np.bincount(space.dofmap.list.ravel(), summands, len(function.x.array))
+        function.x.scatter_reverse(la.InsertMode.add)
+        function.x.scatter_forward()
+    v.x.array[:] /= count.x.array
+    return v
+
+
+def _raise_midpoints(v: fem.Function, dofs: npt.NDArray[np.int32]) -> None:
+    """Make v ≥ 0 on facets whose vertices have v ≥ 0, by Bernstein's coefficients 2v_m − (v_0 + v_1)/2 ≥ 0 of edges."""
+    space = v.function_space
+    nodes = space.dofmap.list
+    of_edge = np.zeros(len(v.x.array), dtype=bool)
+    of_edge[dofs] = True
+    vertices = space.mesh.topology.dim + 1
+    for edge, (a, b) in enumerate(basix.topology(space.mesh.basix_cell())[1]):
+        middle = nodes[:, vertices + edge]
+        chosen = of_edge[middle]
+        lowest = (v.x.array[nodes[chosen, a]] + v.x.array[nodes[chosen, b]]) / 4
+        v.x.array[middle[chosen]] = np.maximum(v.x.array[middle[chosen]], lowest)
+
+
+def _relax(v: fem.Function, sigma: fem.Function, fixed: npt.NDArray[np.int32]) -> None:
+    """Lower ½‖∇v − σ_h‖² by a few steps of CG that keep v at the fixed nodes (collective).
+
+    What the average adds to the error varies from node to node, and that is what the first steps remove.
+    """
+    space = v.function_space
+    w, t = ufl.TrialFunction(space), ufl.TestFunction(space)
+    matrix = assemble_matrix(fem.form(stiffness(w, t)))
+    matrix.assemble()
+    first, last = matrix.getOwnershipRange()
+    fixed = fixed[fixed < last - first]
+    matrix.zeroRowsColumns(first + fixed)
+    residual, change = create_vector(space), create_vector(space)
+    residual.array_w[:] = assembled(ufl.inner(sigma - ufl.grad(v), ufl.grad(t)) * ufl.dx)[: last - first]
+    residual.array_w[fixed] = 0.0
+    ksp = PETSc.KSP().create(space.mesh.comm)
+    ksp.setOperators(matrix)
+    ksp.setType("cg")
+    ksp.getPC().setType("jacobi")
+    ksp.setNormType(PETSc.KSP.NormType.NONE)
+    ksp.setTolerances(max_it=RELAXATIONS)
+    ksp.solve(residual, change)
+    v.x.array[: last - first] += change.array_r
+    v.x.scatter_forward()
+    for thing in (ksp, matrix, residual, change):
+        thing.destroy()
+
+
+def _remainder(solution: Solution, y: fem.Function) -> float:
+    """C_F‖c‖ + ‖y − σ_h‖ with c = ∇·y + f_h (collective)."""
+    spaces = solution.spaces
+    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
+    size = np.sqrt(spaces.integrate(l2(y, ufl.dx)))
+    imbalance = np.sqrt(spaces.integrate(l2(ufl.div(y) + solution.data.f_h, ufl.dx)))
+    distance = np.sqrt(spaces.integrate(l2(y - solution.sigma, ufl.dx))) if y is not solution.sigma else 0.0
+    constant = friedrichs_constant(spaces) if length * imbalance > ROUNDING * size else length
+    return float(constant * imbalance + distance)
+
+
+def friedrichs_constant(spaces: Spaces) -> float:
+    """A guaranteed C_F with ‖w‖ ≤ C_F‖∇w‖ for all w ∈ H¹ that vanish on Γ_D; ∞ if its linear solve fails (collective).
+
+    For any τ with τ·n ≥ 0 on Γ_S, ‖∇w‖² ≥ (2wτ, ∇w) − ‖wτ‖² ≥ (−∇·τ − |τ|², w²). With τ = tz, z ∈ RT0 the flux for the
+    load 1 and z·n = 0 on Γ_S, m = min(−∇·z), s = max|z| and the best t = m/2s² this says C_F = 2s/m.
+    """
+    mesh = spaces.mesh
+    one, zero = ufl.as_ufl(1.0), ufl.as_ufl(0.0)
+    no_flux = FacetConditions(np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8))
+    try:
+        z = HybridBackend(spaces, project_data(spaces, one, zero)).solve(no_flux).sigma
+    except LinearSolveFailure:
+        return np.inf
+    dim = mesh.geometry.dim
+    corners = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
+    corners.interpolate(z)
+    load = fem.Function(spaces.Q)
+    load.interpolate(fem.Expression(-ufl.div(z), spaces.Q.element.interpolation_points))
+    s = mesh.comm.allreduce(np.linalg.norm(corners.x.array.reshape(-1, dim), axis=1).max(initial=0.0), MPI.MAX)
+    m = mesh.comm.allreduce(load.x.array.min(initial=np.inf), MPI.MIN)
+    return float(2 * s / m) if m > 0 else np.inf

@@ -1,0 +1,44 @@
+"""An assembled matrix under changing facet conditions: only values change, the sparsity pattern stays."""
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.fem.petsc import assemble_matrix
+from petsc4py import PETSc
+
+
+class ConditionedMatrix:
+    """A matrix, assembled once, and the copy of it that the facet conditions change.
+
+    Attributes:
+        natural: The matrix as it was assembled.
+        matrix: The matrix under the conditions last imposed.
+    """
+
+    def __init__(self, form: fem.Form, kind: PETSc.Mat.Option):
+        """Assemble (collective).
+
+        Args:
+            form: Bilinear form, or blocks of them.
+            kind: What PETSc may rely on: SYMMETRIC or SPD.
+        """
+        self.natural = assemble_matrix(form)
+        self.natural.assemble()
+        self.matrix = self.natural.duplicate(copy=True)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix.setOption(kind, True)
+
+    def impose(self, essential: npt.NDArray[np.int32], robin: npt.NDArray[np.int32], added: npt.ArrayLike) -> None:
+        """Start again from `natural`, add to its diagonal and fix unknowns (collective).
+
+        Args:
+            essential: Owned unknowns that get an identity row and column.
+            robin: Owned unknowns whose diagonal entry grows.
+            added: By how much.
+        """
+        self.natural.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        diagonal = self.matrix.createVecLeft()
+        diagonal.set(0.0)
+        diagonal.array_w[robin] = added
+        self.matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
+        self.matrix.zeroRowsColumns(essential + self.matrix.getOwnershipRange()[0])

@@ -1,0 +1,70 @@
+"""Dirichlet data: affine solutions are reproduced to rounding, by every algorithm and both backends."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from conftest import make_case
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.norms import l2
+from signorini_fenicsx import facet_system
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.solver import solve
+
+COMM = MPI.COMM_WORLD
+
+# u_D = u, Γ_S: apart from it, in contact with σ·n = 1, and constant, where σ is rounding
+AFFINE = [("2 + x", (1, 0), ["bottom", "top"]), ("-y", (0, -1), ["bottom"]), ("5", (0, 0), ["left", "top"])]
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("direct_up_to", [0, 10**6])
+def test_affine_solutions(folder: Path, monkeypatch: pytest.MonkeyPatch, direct_up_to: int):
+    """σ_h = ∇u, the cell means u_h and the facet means p_h are exact, but for the ε of a penalty."""
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
+    ways = [("alg1", "hybrid"), ("alg4", "hybrid")]
+    if direct_up_to and COMM.size == 1:
+        ways += [(name, "hybrid") for name in ("alg2", "alg3", "snes1", "snes2", "vi")]
+        ways += [(name, "mixed") for name in ("alg1", "alg3", "alg4")]
+    for u_D, gradient, parts in AFFINE:
+        base = make_case(folder, parts=parts, f="0", h=0.3).with_values({"problem.u_D": u_D, "solve.eps": 1e-12})
+        domain = None
+        for algorithm, backend in ways:
+            case = base.with_values({"solve.algorithm": algorithm, "solve.backend": backend})
+            solution = solve(case, COMM, domain=domain)
+            spaces, domain = solution.spaces, solution.spaces.domain
+            u = parse_expression(u_D, ufl.SpatialCoordinate(spaces.mesh))
+            assert spaces.integrate(l2(ufl.as_vector(gradient) - solution.sigma, ufl.dx)) < 1e-18
+            means = [(u - solution.u) * ufl.TestFunction(spaces.Q) * ufl.dx]
+            means += [(u - solution.p) * ufl.TestFunction(spaces.Lambda) * spaces.ds]
+            for form in means:
+                assert np.abs(fem.assemble_vector(spaces.form(form)).array).max(initial=0.0) < 1e-10
+
+
+@pytest.mark.parallel([1, 2])
+def test_backends_agree(folder: Path):
+    """Iterates of both backends are the same to rounding with u_D ≠ 0, in 2D and 3D."""
+    for shape, algorithm in itertools.product(("lshape", "cube"), ("alg1", "alg3", "alg4")):
+        case = make_case(folder, shape=shape, parts=["bottom", "left"], f="20*(x - 0.6)", h=0.4)
+        case = case.with_values({"problem.u_D": "sin(3*x)*y + abs(x - 0.7)", "solve.algorithm": algorithm})
+        one = solve(case, COMM)
+        two = solve(case.with_values({"solve.backend": "mixed"}), COMM, domain=one.spaces.domain)
+        assert 0 < one.contact()[0] < one.spaces.Lambda.dofmap.index_map.size_global
+        assert [step.changed for step in one.history] == [step.changed for step in two.history]
+        for a, b in [(one.sigma, two.sigma), (one.u, two.u), (one.p, two.p)]:
+            np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-11)
+
+
+@pytest.mark.parallel([1, 2])
+def test_bad_data(folder: Path):
+    case = make_case(folder, parts=["bottom"], f="0", h=0.4)
+    for u_D, message in [("1/(x - x)", "u_D: not finite everywhere on Γ_D"), ("1e200*x", "u_D: its largest value")]:
+        with pytest.raises(InputError, match=message):
+            solve(case.with_values({"problem.u_D": u_D}), COMM)
+    with pytest.raises(InputError, match=r"\[problem\] u_D: expression 'q': unknown name 'q'"):
+        case.with_values({"problem.u_D": "q"})

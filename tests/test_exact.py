@@ -1,0 +1,134 @@
+"""Cases with a known solution: rates and bounds of the errors, and what the certificate says about them."""
+
+import functools
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+from forms.norms import l2
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.certificate import certify
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.spaces import assembled, cell_measures
+
+COMM = MPI.COMM_WORLD
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a case should reach on its meshes.
+
+    Attributes:
+        u: Solution, if not the case's own.
+        f: Load, if not the case's own.
+        constants: Bounds of ‖σ−σ_h‖_V/h, ‖u−u_h‖/h, ‖p−p_h‖_Λ/h and ‖Π_h u−u_h‖/h².
+        contact: Measure of the exact contact set, or None where it is degenerate or so flat that h is no scale for it.
+        levels: Mesh sizes.
+        mesh: Kind of mesh.
+    """
+
+    constants: tuple[float, float, float, float]
+    contact: float | None = None
+    u: str | None = None
+    f: str | None = None
+    levels: tuple[float, ...] = (1 / 8, 1 / 16, 1 / 32)
+    mesh: str = "unstructured"
+
+
+SINGULAR = "-((x - 1/2)^2 + y^2)^({a}/2)*sin({a}*atan2(abs(y), x - 1/2))"
+EXPECTED = {
+    "singular": Expected((0.38, 0.19, 0.12, 0.021), contact=0.5),
+    "singular, a = 7/2": Expected((1.6, 0.27, 0.041, 0.12), u=SINGULAR.format(a="7/2")),
+    "transition": Expected((0.88, 0.058, 0.08, 0.036), contact=0.413),
+    "transition, k = 4": Expected(
+        (1.1, 0.038, 0.053, 0.041),
+        u="max(x - 0.413, 0)^4 - y*max(0.413 - x, 0)^4",
+        f="-12*(max(x - 0.413, 0)^2 - y*max(0.413 - x, 0)^2)",
+    ),
+    "biactive": Expected((1.25, 0.058, 0.083, 0.055)),
+    "singular3d": Expected((0.26, 0.14, 0.058, 0.011), contact=0.5, levels=(1 / 2, 1 / 4, 1 / 6)),
+    "transition3d": Expected(
+        (12.4, 0.4, 0.48, 0.23), contact=np.pi * 0.49 / 4, levels=(1 / 4, 0.15), mesh="structured"
+    ),
+}
+
+
+@functools.cache
+def solutions(name: str) -> list[Solution]:
+    expected = EXPECTED[name]
+    values = {} if expected.u is None else {"problem.u_D": expected.u, "exact.u": expected.u}
+    values |= {} if expected.f is None else {"problem.f": expected.f}
+    case = load_case(name.split(",")[0]).with_values(values)
+    return [
+        solve(case.with_values({"solve.h": h, "geometry.mesh": expected.mesh}), MPI.COMM_SELF) for h in expected.levels
+    ]
+
+
+def all_errors(solution: Solution) -> dict[str, float]:
+    """‖σ−σ_h‖_V, ‖u−u_h‖, ‖p−p_h‖_Λ and the super-close ‖Π_h u−u_h‖."""
+    errors = solution.errors()
+    assert errors is not None
+    Q = solution.spaces.Q
+    u = parse_expression(solution.case.exact.u, ufl.SpatialCoordinate(Q.mesh))
+    measures = cell_measures(Q)
+    means = assembled(u * ufl.TestFunction(Q) * ufl.dx(metadata={"quadrature_degree": 10})) / measures
+    return {
+        "sigma_V": np.hypot(errors["sigma_L2"], errors["div_sigma_L2"]),
+        "u": errors["u_L2"],
+        "p": errors["p_L2"],
+        "super-close u": np.sqrt(measures @ (means - solution.u.x.array) ** 2),
+    }
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_orders_and_bounds(name: str):
+    """Order 1, super-close order 2, and the contact set to within a facet or so."""
+    rows = []
+    for solution in solutions(name):
+        mesh, h = solution.spaces.mesh, solution.spaces.domain.h
+        size = mesh.topology.index_map(mesh.topology.dim).size_global ** (-1 / mesh.topology.dim)
+        rows.append((size, all_errors(solution)))
+        for (error, value), constant in zip(rows[-1][1].items(), EXPECTED[name].constants, strict=True):
+            assert value < constant * h ** (2 if error == "super-close u" else 1), error
+        if EXPECTED[name].contact is not None:
+            assert solution.contact()[1] == pytest.approx(EXPECTED[name].contact, abs=0.8 * h)
+    for (coarse, larger), (fine, smaller) in itertools.pairwise(rows):
+        for error in larger:
+            order = np.log(larger[error] / smaller[error]) / np.log(coarse / fine)
+            assert order > (1.8 if error == "super-close u" else 0.9), error
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_certificate(name: str):
+    """The bound holds on every mesh, is sharp, and what it bounds, the sum of both errors, is the gap."""
+    for solution in solutions(name):
+        spaces = solution.spaces
+        certificate = certify(solution)
+        u = parse_expression(solution.case.exact.u, ufl.SpatialCoordinate(spaces.mesh))
+        dx = ufl.Measure("dx", domain=spaces.mesh, metadata={"quadrature_degree": 8})
+        sigma, v = (
+            np.sqrt(spaces.integrate(l2(ufl.grad(u) - approximation, dx)))
+            for approximation in (solution.sigma, ufl.grad(certificate.v))
+        )
+        assert max(sigma, v) <= certificate.bound
+        assert sigma <= certificate.sigma_bound <= certificate.bound <= 1.5 * sigma
+        assert certificate.sigma_bound <= 1.12 * sigma
+        both, slack = sigma**2 + v**2, 2 * certificate.oscillation * v
+        assert 0.99 * both - slack <= 2 * certificate.gap <= 1.03 * both + slack
+        squares = certificate.indicator.x.array**2
+        assert squares.sum() == pytest.approx(2 * certificate.gap + certificate.oscillation**2, rel=1e-10)
+        assert certificate.remainder < 1e-9 * sigma
+
+
+@pytest.mark.parallel(2)
+def test_ranks_do_not_matter():
+    for name in ("transition", "singular3d"):
+        case = load_case(name).with_values({"solve.h": 0.3})
+        together, alone = solve(case, COMM), solve(case, MPI.COMM_SELF)
+        assert together.errors() == pytest.approx(alone.errors(), rel=1e-10, abs=1e-11)
+        assert certify(together).summary() == pytest.approx(certify(alone).summary(), rel=1e-10, abs=1e-11)
