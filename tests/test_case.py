@@ -32,7 +32,7 @@ def test_good_case(tmp_path: Path):
     path = tmp_path / "good.toml"
     path.write_text(GOOD, encoding="utf-8")
     case = load_case(path)
-    assert (case.name, case.solve.algorithm, case.solve.h, case.solve.rho) == ("good", "alg2", 0.125, 1.0)
+    assert (case.name, case.solve.algorithm, case.solve.h, case.solve.rho) == ("good", "alg2", 0.125, None)
 
 
 @pytest.mark.parametrize(
