@@ -1,6 +1,6 @@
 """Show a results folder in ParaView: u_h as a surface coloured by its value, σ_h as arrows, Γ_S by its condition.
 
-Usage: pvpython scripts/paraview_view.py FOLDER [PICTURE.png]; or, in ParaView's Python shell,
+Usage: pvbatch --force-offscreen-rendering scripts/paraview_view.py FOLDER PICTURE.png; or, in ParaView's Python shell,
     exec(open("scripts/paraview_view.py").read()); show("FOLDER")
 
 It reads `solution.bp` and `multiplier.bp`, for which ParaView must have been built with ADIOS2.
@@ -44,7 +44,9 @@ def show(folder: str | Path) -> None:
     arrows.ScaleFactor = 0.08 * extent / max(solution.PointData["sigma_norm"].GetRange()[1], 1e-300)
     arrows.GlyphMode = "Uniform Spatial Distribution (Bounds Based)"
     arrows.MaximumNumberOfSamplePoints = 1000
-    simple.ColorBy(simple.Show(arrows, view), None)
+    shown = simple.Show(arrows, view)
+    shown.ColorArrayName = ["POINTS", ""]
+    shown.AmbientColor = shown.DiffuseColor = [0.2, 0.2, 0.2]
 
     contact = simple.Show(multiplier, view)
     contact.LineWidth = 6
