@@ -232,6 +232,33 @@ def export(
 
 
 @app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Results folder of a run.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Results folder of another run on the same domain.")],
+    output: OutputFolder = None,
+) -> None:
+    """Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
+
+    Example: signorini compare results/example5 results/example5-adapt --output results/difference
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.checkpoint import load_solution
+    from signorini_fenicsx.comparison import compare as compare_solutions
+    from signorini_fenicsx.output import write_summary
+    from signorini_fenicsx.results import ResultsFolder
+
+    comm = MPI.COMM_WORLD
+    comparison = compare_solutions(load_solution(first, comm), load_solution(second, comm))
+    report.comparison(comparison, first, second)
+    if output is not None:
+        with ResultsFolder(comm, output) as folder:
+            summary = {"runs": [str(first), str(second)]} | comparison.summary()
+            on_root(comm, lambda: write_summary(folder.path, summary))
+            folder.publish()
+            report.results(folder.target)
+
+
+@app.command()
 def convergence(
     case: CaseName,
     vary: Annotated[str, typer.Option("--vary", help="h, eps (same mesh), or with ε tied to h: eps=h, eps=h^2.")] = "h",

@@ -11,6 +11,7 @@ from signorini_fenicsx.adaptive import AdaptRow, rate
 from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
+from signorini_fenicsx.comparison import Comparison
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.solver import Solution
 
@@ -155,6 +156,22 @@ def adapted(rows: list[AdaptRow], dim: int, certificate: Certificate, folder: Pa
         console.print(f"{'slopes':<10} {fitted}, of the error over the unknowns; best possible {-1 / dim:.2f}")
     console.print(f"{'certified':<10} {bound(certificate)}", markup=False)
     results(folder)
+
+
+def comparison(result: Comparison, first: Path, second: Path) -> None:
+    """Show how far two runs are apart."""
+    one, other = result.contact
+    norms = "  ".join(f"{ERRORS.get(name, '‖δσ·n‖_Λ')} {value:.4e}" for name, value in vars(result.norms).items())
+    lines = {
+        "A": str(first),
+        "B": str(second),
+        "contact": f"measure {one:.6g} and {other:.6g}",
+        "sets": f"Jaccard {result.jaccard:.6f}, Hausdorff distance {result.hausdorff:.4g}",
+        "norms": norms,
+        "relative": "  ".join(f"{ERRORS[name]} {value:.3e}" for name, value in result.relative.items()),
+    }
+    for name, text in lines.items():
+        console.print(f"{name:<10} {text}", markup=False)
 
 
 def _cell(value: float | None, width: int, form: str) -> str:

@@ -20,6 +20,7 @@ from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.classical import CLASSICAL, Task
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.data import Data, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
@@ -35,6 +36,8 @@ from signorini_fenicsx.spaces import Spaces, build_spaces
 
 BACKENDS: dict[str, Callable[[Spaces, Data], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
 
+EXACT_CONTACT = 1e-12
+"""An exact u of less than this on Γ_S, relative to its maximum there, is contact."""
 PREDICT_FROM = 60_000
 """Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
 COARSENING = 4.0
@@ -99,7 +102,11 @@ class Solution:
         return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
 
     def errors(self) -> dict[str, float] | None:
-        """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, None without an exact solution (collective)."""
+        """Errors where the solution is known, else None (collective).
+
+        L² norms of those of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance of the contact set to the
+        facets in whose midpoints the exact u is 0.
+        """
         if self.case.exact.u is None:
             return None
         spaces = self.spaces
@@ -112,11 +119,25 @@ class Solution:
             "u_L2": l2(u - self.u, dx),
             "p_L2": l2(u - self.p, spaces.ds(metadata=metadata)),
         }
-        return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
+        norms = {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
+        return norms | {"contact_hausdorff": hausdorff(self.contact_set(), self._exact_contact_set(self.case.exact.u))}
+
+    def _exact_contact_set(self, u: str) -> FacetSet:
+        gamma = self.spaces.Lambda
+        trace = fem.Function(gamma)
+        points = gamma.element.interpolation_points
+        trace.interpolate(fem.Expression(parse_expression(u, ufl.SpatialCoordinate(gamma.mesh)), points))
+        values = trace.x.array[: len(self.spaces.facets)]
+        largest = gamma.mesh.comm.allreduce(np.abs(values).max(initial=0.0), MPI.MAX)
+        return FacetSet(self.spaces, values <= EXACT_CONTACT * largest)
+
+    def contact_set(self) -> FacetSet:
+        """The Γ_S facets in contact, by their final condition."""
+        return FacetSet(self.spaces, self.conditions.kind == ALGORITHMS[self.case.solve.algorithm].contact)
 
     def contact(self) -> tuple[int, float]:
-        """Number and measure of the Γ_S facets in contact, by their final condition (collective)."""
-        touching = self.conditions.kind == ALGORITHMS[self.case.solve.algorithm].contact
+        """Number and measure of the Γ_S facets in contact (collective)."""
+        touching = self.contact_set().inside
         comm = self.spaces.mesh.comm
         count = comm.allreduce(int(np.count_nonzero(touching)))
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
