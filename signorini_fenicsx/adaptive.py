@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate, certify
 from signorini_fenicsx.errors import InputError
@@ -66,7 +67,7 @@ def adapt(
 ) -> tuple[Solution, Certificate]:
     """Refine the mesh of a case where its certificate says that the error is (collective).
 
-    Each mesh but the first starts from the facet sets of the one before.
+    Each mesh but the first starts from the contact set of the one before, if the algorithm works on sets.
 
     Args:
         case: The problem; its h is that of the first mesh.
@@ -85,6 +86,7 @@ def adapt(
     """
     shape = SHAPES[case.geometry.shape]
     began = time.perf_counter()
+    has_sets = ALGORITHMS[case.solve.algorithm].by is By.SETS
     domain = mesh_case(case, comm)
     cells = domain.mesh.topology.index_map(shape.dim).size_global
     if cells > max_cells:
@@ -92,7 +94,7 @@ def adapt(
     solution: Solution | None = None
     mesh = 0
     while True:
-        solution = solve(case, domain=domain, start=solution)
+        solution = solve(case, domain=domain, start=solution if has_sets else None)
         certificate = certify(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))

@@ -33,21 +33,25 @@ def solve_bound_constrained(
     everywhere_free = FacetConditions(np.full(len(system.spaces.facets), Condition.NO_FLUX, dtype=np.int8))
     system.apply(everywhere_free)
     system.x.set(0.0)
+    x = system.matrix.createVecRight()  # without ghosts: PETSc never frees a duplicate of a vector with ghosts
+    x.set(0.0)
     snes = _snes(system, max_iterations)
     recorder = Recorder(system.spaces, *_recovered(system, 0), on_step)
 
     def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
         if iteration > 0:
+            x.copy(system.x)
             recorder.add(*_recovered(system, snes.getKSP().getIterationNumber()))
 
     snes.setMonitor(record)
     try:
-        snes.solve(None, system.x)
+        snes.solve(None, x)
         reason = snes.getConvergedReason()
         converged = reason > 0
         ending = "SNESVI converged" if converged else f"SNESVI stopped with PETSc's reason {reason}"
     except PETSc.Error as error:
         ending, converged = f"PETSc: {petsc_reason(error)}", False
+    x.copy(system.x)
     iterate, conditions = _recovered(system, snes.getKSP().getIterationNumber())
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
@@ -63,9 +67,9 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
         matrix.mult(x, out)
         out.axpy(-1.0, b)
 
-    snes.setFunction(residual, b.duplicate())
+    snes.setFunction(residual, matrix.createVecLeft())
     snes.setJacobian(lambda snes, x, jacobian, preconditioner: None, matrix)
-    lower, upper = b.duplicate(), b.duplicate()
+    lower, upper = matrix.createVecs()
     lower.set(-PETSc.INFINITY)
     upper.set(PETSc.INFINITY)
     lower.array_w[system.trace_dofs] = 0.0

@@ -232,17 +232,17 @@ def _validated[C: Case](model: type[C], tree: dict[str, Any], name: str, source:
     try:
         return model.model_validate(tree | {"name": name})
     except ValidationError as error:
-        raise InputError(f"{source}: {_sentence(error)}") from None
+        raise InputError(f"{source}: {complaint(error, Case)}") from None
 
 
-def _sentence(error: ValidationError) -> str:
-    """The first complaint of pydantic, as one sentence with the place in TOML's notation."""
+def complaint(error: ValidationError, root: type[BaseModel]) -> str:
+    """The first complaint of pydantic about a file, as one sentence with the place in TOML's notation."""
     first = error.errors(include_url=False)[0]
     *sections, last = [str(step) for step in first["loc"]] or [""]
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
     match first["type"]:
         case "extra_forbidden":
-            return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(sections, last)}"
+            return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(root, sections, last)}"
         case "missing":
             return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
         case "model_type" | "model_attributes_type":
@@ -263,8 +263,7 @@ def _place_of_key(sections: list[str]) -> str:
     return f" in [{sections[0]}]" if sections else ""
 
 
-def _known_keys(sections: list[str], wrong: str) -> str:
-    model: type[BaseModel] = Case
+def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
         annotation = model.model_fields[section].annotation
         assert isinstance(annotation, type)

@@ -73,6 +73,9 @@ def solve(
     backend: BackendName = None,
     predict: Annotated[bool, typer.Option(help="Start large problems from a coarser mesh's sets.")] = True,
     settings: Settings = None,
+    start_from: Annotated[
+        Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
+    ] = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
 ) -> None:
@@ -83,6 +86,7 @@ def solve(
     from signorini_fenicsx import report
     from signorini_fenicsx.case import load_case
     from signorini_fenicsx.certificate import certify
+    from signorini_fenicsx.checkpoint import load_solution, shared_domain
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
     from signorini_fenicsx.solver import solve as solve_case
@@ -95,7 +99,9 @@ def solve(
         report.heading(problem, comm)
         report.iteration_heading(problem)
         try:
-            solution = solve_case(problem, comm, on_step=report.step)
+            start = None if start_from is None else load_solution(start_from, comm)
+            domain = None if start is None else shared_domain(start, problem)
+            solution = solve_case(problem, comm, domain=domain, start=start, on_step=report.step)
         except NumericalFailure as failure:
             if failure.solution is not None:
                 write_solution(failure.solution, folder.path, plot=plot)
@@ -200,6 +206,32 @@ def _positive(option: str, text: str) -> float:
 
 
 @app.command()
+def export(
+    results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+) -> None:
+    """Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
+
+    Example: mpirun -n 2 signorini export results/example2 --plot
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.certificate import certify
+    from signorini_fenicsx.checkpoint import load_solution
+    from signorini_fenicsx.output import write_solution
+    from signorini_fenicsx.results import ResultsFolder
+
+    comm = MPI.COMM_WORLD
+    solution = load_solution(results, comm)
+    with ResultsFolder(comm, output or results) as folder:
+        report.heading(solution.case, comm)
+        certificate = certify(solution) if solution.converged else None
+        write_solution(solution, folder.path, certificate=certificate, plot=plot)
+        folder.publish()
+        report.results(folder.target)
+
+
+@app.command()
 def convergence(
     case: CaseName,
     vary: Annotated[str, typer.Option("--vary", help="h, eps (same mesh), or with ε tied to h: eps=h, eps=h^2.")] = "h",
@@ -243,6 +275,38 @@ def convergence(
         folder.publish()
         report.convergence_slopes(fitted_slopes(rows, way), way, ALGORITHMS[problem.solve.algorithm])
         report.results(folder.target)
+
+
+@app.command()
+def study(
+    study: Annotated[str, typer.Argument(help="Name of a shipped study or path of a .toml file.")],
+    output: OutputFolder = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and their sizes; run nothing.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again.")] = False,
+) -> None:
+    """Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
+
+    Example: mpirun -n 4 signorini study my-study.toml
+    """
+    from signorini_fenicsx import study_report
+    from signorini_fenicsx.study import load_study
+    from signorini_fenicsx.study_folder import StudyFolder
+    from signorini_fenicsx.study_runner import check_all_succeeded, run_study
+
+    comm = MPI.COMM_WORLD
+    declared, runs = on_root(comm, lambda: load_study(study))
+    folder = StudyFolder(comm, output or Path("results", f"{declared.name}-study"))
+    study_report.heading(declared, runs, comm)
+    if dry_run:
+        study_report.plan(runs, folder)
+        return
+    with folder:
+        if retry_failed:
+            on_root(comm, lambda: folder.forget_failures(runs))
+        with study_report.Progress(runs, folder, comm) as progress:
+            run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
+        study_report.ended(folder)
+        check_all_succeeded(runs, folder, comm)
 
 
 @app.command()

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.parallel import gather_rows
 from signorini_fenicsx.solver import Solution
+from signorini_fenicsx.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
 
@@ -26,7 +28,7 @@ class FacetTable:
         p: Trace p_h.
         flux: σ_h·n.
         condition: Final condition.
-        corners: Vertices, shape (facets, dim, 3).
+        vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
     part: npt.NDArray[np.int64]
@@ -37,7 +39,7 @@ class FacetTable:
     p: Array
     flux: Array
     condition: npt.NDArray[np.int64]
-    corners: Array
+    vertices: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Fields:
         cells: Shape (cells, dim + 1).
         u: Shape (cells,).
         sigma: At the centroids, shape (cells, dim).
+        divergence: ∇·σ_h, shape (cells,).
         indicator: η_T of the certificate, shape (cells,), or None without one.
     """
 
@@ -56,15 +59,15 @@ class Fields:
     cells: npt.NDArray[np.int64]
     u: Array
     sigma: Array
+    divergence: Array
     indicator: Array | None
 
 
 def gather_facets(solution: Solution) -> FacetTable | None:
     """Collect the Γ_S facets on rank 0; None on other ranks (collective)."""
     spaces = solution.spaces
-    size, dim = len(spaces.facets), spaces.mesh.topology.dim
-    corners = spaces.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(spaces.mesh, dim - 1, spaces.facets)]
-    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
+    size = len(spaces.facets)
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
         on_part = spaces.part_of_facet == index
@@ -78,7 +81,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         solution.p.x.array[:size],
         spaces.normal_flux(solution.sigma),
         solution.conditions.kind,
-        *corners.reshape(size, 3 * dim).T,
+        *facet_vertices(spaces).T,
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
     if rows is None:
@@ -94,8 +97,15 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         p=rows[:, 7],
         flux=rows[:, 8],
         condition=rows[:, 9].astype(np.int64),
-        corners=rows[:, 10:].reshape(-1, dim, 3),
+        vertices=rows[:, 10:].astype(np.int64),
     )
+
+
+def facet_vertices(spaces: Spaces) -> npt.NDArray[np.int64]:
+    """Vertices of the Γ_S facets of this rank, numbered as the mesh was made, ascending: shape (facets, dim)."""
+    mesh = spaces.mesh
+    nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, spaces.facets)
+    return np.sort(mesh.geometry.input_global_indices[nodes], axis=1)
 
 
 def centroid_flux(solution: Solution) -> fem.Function:
@@ -113,12 +123,17 @@ def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> 
     size = mesh.topology.index_map(mesh.topology.dim).size_local
     ids = gather_rows(comm, geometry.input_global_indices)
     points = gather_rows(comm, geometry.x[:, :dim])
-    cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmap[:size]])
+    cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmaps[0][:size]])
     u = gather_rows(comm, solution.u.x.array[:size])
     sigma = gather_rows(comm, centroid_flux(solution).x.array.reshape(-1, dim)[:size])
+    divergence = fem.Function(solution.spaces.Q)
+    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), solution.spaces.Q.element.interpolation_points))
+    div_sigma = gather_rows(comm, divergence.x.array[:size])
     eta = None if indicator is None else gather_rows(comm, indicator.x.array[:size])
     order = gather_rows(comm, mesh.topology.original_cell_index[:size])
-    if ids is None or points is None or cells is None or u is None or sigma is None or order is None:
+    if ids is None or points is None or cells is None or u is None or sigma is None:
+        return None
+    if div_sigma is None or order is None:
         return None
     used, first = np.unique(ids, return_index=True)
     rows = np.argsort(order)
@@ -127,5 +142,6 @@ def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> 
         np.searchsorted(used, cells)[rows],
         u[rows],
         sigma[rows],
+        div_sigma[rows],
         None if eta is None else eta[rows],
     )

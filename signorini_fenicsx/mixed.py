@@ -70,10 +70,10 @@ class MixedBackend:
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta
         self._system.impose(spaces.flux_dofs[no_flux], spaces.flux_dofs[robin], added)
 
-        x = self._load.duplicate()
+        # Not duplicates of the load: PETSc never frees a duplicate of a vector with ghosts.
+        x, residual = self._system.matrix.createVecs()
         solve_linear(self._ksp, self._load, x)
 
-        residual = self._load.duplicate()
         self._system.natural.mult(x, residual)
         sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
         _set_owned(sigma, x.array_r[: self._flux_size])

@@ -24,6 +24,7 @@ from signorini_fenicsx.adaptive import AdaptRow
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
+from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
@@ -32,7 +33,12 @@ from signorini_fenicsx.solver import Solution, Stopwatch
 
 
 def write_solution(
-    solution: Solution, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False
+    solution: Solution,
+    folder: Path | str,
+    *,
+    certificate: Certificate | None = None,
+    plot: bool = False,
+    fields: bool = True,
 ) -> None:
     """Write all files of a solution into an existing folder (collective).
 
@@ -41,29 +47,31 @@ def write_solution(
         folder: Where; files of the same names are overwritten.
         certificate: Its error bound, if it has one.
         plot: Also draw PNGs.
+        fields: Also write the fields for ParaView.
     """
     folder = Path(folder)
     watch = Stopwatch()
-    write_fields(solution, folder, certificate)
-    table = gather_facets(solution)
+    if fields:
+        write_fields(solution, folder, certificate)
     indicator = None if certificate is None else certificate.indicator
-    pictures = gather_fields(solution, indicator) if plot else None
+    table, cells = gather_facets(solution), gather_fields(solution, indicator)
     summary = solution.summary()
     if certificate is not None:
         summary["certificate"] = certificate.summary()
         summary["timings"] |= {"certificate": certificate.seconds}
 
     def write() -> None:
-        if table is not None:
+        if table is not None and cells is not None:
             write_facets(folder / "facets.csv", solution.spaces.part_names, table)
-            if pictures is not None:
+            write_checkpoint(folder / FILE, solution, cells, table)
+            if plot:
                 from signorini_fenicsx import plots  # costs two seconds, which a run without pictures need not wait
 
-                plots.draw_all(folder, solution, pictures, table)
+                plots.draw_all(folder, solution, cells, table)
         write_history(folder / "history.csv", solution.history)
         watch.lap("output")
         summary["timings"] |= watch.seconds
-        _write_summary(folder, summary)
+        write_summary(folder, summary)
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -92,14 +100,14 @@ def write_convergence(
             "slopes": fitted_slopes(rows, vary),
             "ranks": comm.size,
         }
-        _write_summary(folder, summary)
+        write_summary(folder, summary)
 
     on_root(comm, write)
 
 
 def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
     """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
-    table, fields_on_root = gather_facets(solution), gather_fields(solution)
+    table, cells = gather_facets(solution), gather_fields(solution)
 
     def write() -> None:
         from signorini_fenicsx import plots
@@ -109,14 +117,15 @@ def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
             writer.writeheader()
             writer.writerows(asdict(row) for row in rows)
         plots.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
-        if table is not None and fields_on_root is not None:
+        if table is not None and cells is not None:
             contact = ALGORITHMS[solution.case.solve.algorithm].contact
-            plots.draw_mesh(folder / "mesh.png", fields_on_root, table, contact)
+            plots.draw_mesh(folder / "mesh.png", cells, table, contact)
 
     on_root(solution.spaces.mesh.comm, write)
 
 
-def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """Write `summary.json`, with versions and the command (rank 0)."""
     summary = _without_nan(summary) | {"versions": versions(), "command": shlex.join(sys.argv)}
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 

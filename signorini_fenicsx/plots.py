@@ -159,13 +159,13 @@ def draw_traces_3d(path: Path, fields: Fields, facets: FacetTable, contact: Cond
     for column, (name, values) in enumerate(quantities.items()):
         plotter.subplot(0, column)
         plotter.add_mesh(
-            _surface(facets), scalars=values, cmap="viridis", lighting=False, scalar_bar_args={"title": name}
+            _surface(fields, facets), scalars=values, cmap="viridis", lighting=False, scalar_bar_args={"title": name}
         )
         plotter.add_axes()
         plotter.view_vector(view, (0, 0, 1))
         plotter.camera.zoom(0.85)  # room for the bar
     plotter.subplot(0, 2)
-    add_contact(plotter, facets, contact)
+    add_contact(plotter, fields, facets, contact)
     plotter.view_vector(view, (0, 0, 1))
     plotter.camera.zoom(0.85)
     plotter.screenshot(path)
@@ -234,7 +234,7 @@ def draw_mesh(path: Path, fields: Fields, facets: FacetTable, contact: Condition
         plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 1000))
         surface = _grid(fields).extract_surface(algorithm="dataset_surface")
         plotter.add_mesh(surface, color="white", lighting=False, show_edges=True, line_width=0.5)
-        add_contact(plotter, facets, contact)
+        add_contact(plotter, fields, facets, contact)
         plotter.view_vector(_towards(facets, fields), (0, 0, 1))
         plotter.screenshot(path)
         plotter.close()
@@ -247,7 +247,7 @@ def draw_mesh(path: Path, fields: Fields, facets: FacetTable, contact: Condition
     touching = facets.condition == contact
     for label, chosen, color in (("contact", touching, "firebrick"), ("no contact", ~touching, "C0")):
         axes.add_collection(
-            LineCollection(list(facets.corners[chosen, :, :2]), colors=color, linewidths=2.5, label=label)
+            LineCollection(list(fields.points[facets.vertices[chosen]]), colors=color, linewidths=2.5, label=label)
         )
     axes.set(aspect="equal", title=f"{len(fields.cells)} cells")
     axes.legend()
@@ -262,18 +262,17 @@ def _grid(fields: Fields) -> pyvista.UnstructuredGrid | pyvista.PolyData:
     return pyvista.UnstructuredGrid({pyvista.CellType.TETRA: fields.cells}, points)
 
 
-def _surface(facets: FacetTable) -> pyvista.PolyData:
-    """The triangles of Γ_S, each with vertices of its own."""
-    points = facets.corners.reshape(-1, 3)
-    return pyvista.PolyData.from_regular_faces(points, np.arange(len(points)).reshape(-1, 3))
+def _surface(fields: Fields, facets: FacetTable) -> pyvista.PolyData:
+    """The triangles of Γ_S."""
+    return pyvista.PolyData.from_regular_faces(fields.points, facets.vertices)
 
 
-def add_contact(plotter: pyvista.Plotter, facets: FacetTable, contact: Condition) -> None:
+def add_contact(plotter: pyvista.Plotter, fields: Fields, facets: FacetTable, contact: Condition) -> None:
     """Colour the triangles of Γ_S by whether they are in contact."""
     touching = facets.condition == contact
     for label, chosen, color in (("contact", touching, "firebrick"), ("no contact", ~touching, "lightsteelblue")):
         if chosen.any():
-            triangles = _surface(facets).extract_cells(np.flatnonzero(chosen))
+            triangles = _surface(fields, facets).extract_cells(np.flatnonzero(chosen))
             plotter.add_mesh(triangles, color=color, lighting=False, show_edges=True, line_width=0.5, label=label)
     plotter.add_legend(bcolor=None, face="rectangle", size=(0.4, 0.1), loc="lower center")
 

@@ -16,7 +16,7 @@ from signorini_fenicsx.parallel import on_root
 MARK = "summary.json"
 """A folder that holds this file is a results folder and may be replaced."""
 
-OUTPUTS = (MARK, "*.csv", "*.png", "*.bp", "solution.xdmf", "solution.h5")
+OUTPUTS = (MARK, "run.json", "checkpoint.npz", "*.csv", "*.png", "*.bp", "solution.xdmf", "solution.h5")
 
 
 class ResultsFolder:
@@ -34,7 +34,7 @@ class ResultsFolder:
         """
         self._comm = comm
         self.target, self.path, self._new_parents = on_root(comm, lambda: _open(Path(target)))
-        self._failed = _failed(self.target)
+        self._failed = failed_place(self.target)
 
     def __enter__(self) -> Self:
         return self
@@ -77,7 +77,8 @@ class ResultsFolder:
         on_root(self._comm, swap)
 
 
-def _failed(target: Path) -> Path:
+def failed_place(target: Path) -> Path:
+    """Where the state of a failed run is kept."""
     return target.with_name(target.name + ".failed")
 
 
@@ -108,7 +109,7 @@ def _check(target: Path) -> None:
         raise InputError(f"output {target}: is a mount point, which cannot be replaced; choose a folder in it")
     if target == Path.cwd():
         raise InputError(f"output {target}: is the current folder, which cannot be replaced; choose another")
-    for place in (target, _failed(target)):
+    for place in (target, failed_place(target)):
         if place.exists() and not place.is_dir():
             raise InputError(f"output {place}: is a file, not a folder")
         if place.is_dir() and any(place.iterdir()) and not (place / MARK).is_file():

@@ -213,7 +213,7 @@ def solve(
         case: The problem, its discretisation and algorithm.
         comm: Communicator to run on, if there is no mesh yet.
         domain: Mesh to solve on, instead of the case's own.
-        start: A solution on another mesh, whose facet sets an active-set algorithm starts from.
+        start: Solution whose contact set is taken for the first one.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -232,7 +232,7 @@ def solve(
     watch.lap("assembly")
     predicted = None
     if start is not None:
-        predicted = _carried_over(start, spaces)
+        predicted = _transferred(start, case, spaces)
     elif own_mesh and _predicts(case, spaces):
         predicted = _predicted(case, spaces)
     watch.lap("prediction")
@@ -299,15 +299,29 @@ def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
         coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), spaces.mesh.comm)
     except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
         return None
-    return _carried_over(coarse, spaces)
+    return _transferred(coarse, case, spaces)
 
 
-def _carried_over(coarse: Solution, spaces: Spaces) -> FacetConditions:
-    """To each facet the condition of the coarse facet at its midpoint (collective)."""
-    kind = fem.Function(coarse.spaces.Lambda)
-    kind.x.array[: len(coarse.conditions.kind)] = coarse.conditions.kind
-    (sample,) = sampled([kind], spaces.Lambda.mesh, curve_gap(coarse.spaces.domain.h), degree=0)
-    return FacetConditions(np.rint(sample.x.array[: len(spaces.facets)]).astype(np.int8), coarse.conditions.beta)
+def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions:
+    """The contact set of another solution as conditions of this case's algorithm (collective).
+
+    A facet is taken to be in contact where the other's facet at its midpoint is.
+
+    Raises:
+        InputError: If the domains differ, or the algorithm has no sets to start from.
+    """
+    shape, other = case.geometry.shape, start.case.geometry.shape
+    if shape != other:
+        raise InputError(f"the start was solved on shape '{other}', not on '{shape}'")
+    algorithm = ALGORITHMS[case.solve.algorithm]
+    if algorithm.by is not By.SETS:
+        raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
+    touching = fem.Function(start.spaces.Lambda)
+    kind = start.conditions.kind
+    touching.x.array[: len(kind)] = kind == ALGORITHMS[start.case.solve.algorithm].contact
+    (sample,) = sampled([touching], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0)
+    contact = np.rint(sample.x.array[: len(spaces.facets)])
+    return algorithm.next_conditions(1 - contact, contact, 1.0, case.solve.eps)  # either p or σ·n is 0
 
 
 def _run(

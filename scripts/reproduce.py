@@ -1,0 +1,193 @@
+"""Make the slides' tables and figures again: run the declared studies as far as needed, then draw.
+
+Usage: [mpirun -n N] python scripts/reproduce.py [--quick] [--output FOLDER] ITEM...
+
+ITEM is table1 … table6, figure1 … figure22 or all. Each is a selection of the runs of a study in `data/studies/`; runs
+that several items share, or that an earlier call has finished, are done once. `--quick` takes coarse meshes. What it
+leaves, `results/reproduction/index.html` among it, can be drawn again with `scripts/figures.py` alone.
+"""
+
+import argparse
+import itertools
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mpi4py import MPI
+
+import signorini_fenicsx  # noqa: F401 - orders MPI before DOLFINx
+from signorini_fenicsx import study_report
+from signorini_fenicsx.convergence import Vary, slides_errors
+from signorini_fenicsx.errors import InputError, NumericalFailure
+from signorini_fenicsx.output import versions
+from signorini_fenicsx.parallel import abort_all_on_exception, on_root
+from signorini_fenicsx.study import Convergence, Run, load_study, make_run
+from signorini_fenicsx.study_folder import StudyFolder
+from signorini_fenicsx.study_runner import check_all_succeeded, run_study
+
+QUICK_H = 2.0**-4
+QUICK_LEVELS, QUICK_REFERENCE = [2, 3, 4], 6
+
+
+@dataclass(frozen=True)
+class Item:
+    """A table or figure.
+
+    Attributes:
+        draw: Key of `figures.DRAWN`, or "table".
+        caption: What it shows, in words.
+        studies: Declared studies that hold its runs.
+        where: Parameters that select them.
+    """
+
+    draw: str
+    caption: str
+    studies: Sequence[str] = ()
+    where: dict[str, object] = field(default_factory=dict)
+
+    def selects(self, run: Run) -> bool:
+        """Whether a run of its studies is one of its own."""
+        return all(run.parameters[key] == value for key, value in self.where.items())
+
+
+def items() -> dict[str, Item]:
+    """All tables and figures, by name."""
+    found: dict[str, Item] = {}
+    for number, (case, algorithm) in enumerate(itertools.product((1, 2, 3), ("alg1", "alg2")), start=1):
+        found[f"table{number}"] = Item(
+            "table",
+            f"Example {case}, Algorithm {algorithm[-1]}: errors against a fine solution, beside the slides' errors."
+            + (" The slides' are those of table 5 one level finer, probably by a misprint." if number == 6 else ""),
+            ["tables"],
+            {"case": f"example{case}", "solve.algorithm": algorithm},
+        )
+    found["figure1"] = Item("region", "A domain Ω with Dirichlet boundary Γ_D and Signorini boundary Γ_S.")
+    for number, case in {2: 1, 5: 2, 8: 3, 11: 4, 15: 5, 19: 6}.items():
+        found[f"figure{number}"] = Item(
+            "solution", f"Example {case}: u_h, σ_h and |σ_h|.", ["solutions"], {"case": f"example{case}"}
+        )
+    for number, case in {3: 1, 6: 2, 9: 3}.items():
+        found[f"figure{number}"] = Item(
+            "traces", f"Example {case}: u_h, σ_h·n and p_h on Γ_S.", ["solutions"], {"case": f"example{case}"}
+        )
+    for number, case in {4: 1, 7: 2, 10: 3}.items():
+        found[f"figure{number}"] = Item(
+            "iterations",
+            f"Example {case}: iteration errors of Algorithms 1 and 2.",
+            ["iterations"],
+            {"case": f"example{case}"},
+        )
+    for number, case in {12: 4, 16: 5, 20: 6}.items():
+        found[f"figure{number}"] = Item(
+            "penalty_traces",
+            f"Example {case}: u_εh, σ_εh·n and p_εh on Γ_S for two ε, Algorithm 3.",
+            ["penalty_iterations"],
+            {"case": f"example{case}", "solve.algorithm": "alg3"},
+        )
+    for number, case in {13: 4, 17: 5, 21: 6}.items():
+        found[f"figure{number}"] = Item(
+            "errors",
+            f"Example {case}: errors of Algorithms 3 and 4 over h, against a fine solution, and over ε, against "
+            "Algorithm 1 on the same mesh.",
+            ["penalty_h", "penalty_eps"],
+            {"case": f"example{case}"},
+        )
+    for number, case in {14: 4, 18: 5, 22: 6}.items():
+        found[f"figure{number}"] = Item(
+            "iterations",
+            f"Example {case}: iteration errors of Algorithms 3 and 4, ε = 1e-8.",
+            ["penalty_iterations"],
+            {"case": f"example{case}", "solve.eps": 1e-8},
+        )
+    names = [f"table{number}" for number in range(1, 7)] + [f"figure{number}" for number in range(1, 23)]
+    return {name: found[name] for name in names}
+
+
+def runs_of(item: Item, *, quick: bool) -> list[Run]:
+    """The runs that an item is made of."""
+    runs = [run for name in item.studies for run in load_study(name)[1] if item.selects(run)]
+    return [coarser(run) for run in runs] if quick else runs
+
+
+def coarser(run: Run) -> Run:
+    """The same run on coarse meshes."""
+    case, task = run.case.with_values({"solve.h": max(run.case.solve.h, QUICK_H)}), run.convergence
+    if task is not None and task.vary is Vary.H:
+        task = Convergence(vary=task.vary, levels=QUICK_LEVELS, reference=QUICK_REFERENCE)
+    return make_run(case, task)
+
+
+def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quick: bool) -> None:
+    """Run what is missing and draw (collective).
+
+    Raises:
+        NumericalFailure: If a run failed; then nothing is drawn.
+    """
+    wanted = {name: item for name, item in items().items() if name in names or "all" in names}
+    runs_by_item = on_root(comm, lambda: {name: runs_of(item, quick=quick) for name, item in wanted.items()})
+    runs = list({run.name: run for runs in runs_by_item.values() for run in runs}.values())
+    with folder, study_report.Progress(runs, folder, comm) as progress:
+        if runs:
+            run_study(runs, 1, folder, comm, on_run=progress.say)
+            check_all_succeeded(runs, folder, comm)
+        on_root(comm, lambda: draw(wanted, runs_by_item, folder.path, quick=quick))
+
+
+def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], folder: Path, *, quick: bool) -> None:
+    """Write `reproduction.json`, which says what the figures are made of, and draw them (rank 0)."""
+    import figures
+
+    option = " --quick" if quick else ""
+    about = {
+        "remark": "A quick pass on coarse meshes." if quick else "The meshes of the slides.",
+        "versions": versions(),
+        "items": {
+            name: {
+                "draw": item.draw,
+                "caption": item.caption,
+                "command": f"python scripts/reproduce.py{option} {name}",
+                "runs": [run.name for run in runs[name]],
+                "slides": _slides(item) if item.draw == "table" else {},
+            }
+            for name, item in wanted.items()
+        },
+    }
+    (folder / "reproduction.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    figures.make(folder)
+
+
+def _slides(item: Item) -> dict[str, dict[str, float]]:
+    """The slides' errors per level, as they print them."""
+    errors = slides_errors(str(item.where["case"]), str(item.where["solve.algorithm"]))
+    return {str(level): {"sigma_V": sigma, "u_Q": u} for level, (sigma, u) in errors.items()}
+
+
+def main() -> int:
+    """Read the command line; the exit status is that of `signorini`."""
+    known = [*items(), "all"]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "items", nargs="+", metavar="ITEM", choices=known, help="table1 … table6, figure1 … figure22, all"
+    )
+    parser.add_argument("--quick", action="store_true", help="coarse meshes")
+    parser.add_argument("--output", type=Path, help="default: results/reproduction, or results/reproduction-quick")
+    arguments = parser.parse_args()
+    comm = MPI.COMM_WORLD
+    abort_all_on_exception(comm)
+    default = Path("results", "reproduction-quick" if arguments.quick else "reproduction")
+    folder = StudyFolder(comm, arguments.output or default)
+    try:
+        reproduce(arguments.items, folder, comm, quick=arguments.quick)
+    except (InputError, NumericalFailure, OSError) as error:
+        if comm.rank == 0:
+            print(f"error: {error}", file=sys.stderr)
+        return 2 if isinstance(error, InputError) else 1
+    if comm.rank == 0:
+        print(f"see {folder.path / 'index.html'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,12 @@
+#!/usr/bin/env bash
+# One large run on a cluster: sbatch --ntasks=64 scripts/slurm_solve.sh example2 --h 2^-10
+# A run that was cut off leaves nothing; start a finer one from a coarser one's result with --start-from.
+#SBATCH --job-name=signorini
+#SBATCH --ntasks=16
+#SBATCH --cpus-per-task=1
+#SBATCH --mem-per-cpu=4G
+#SBATCH --time=04:00:00
+set -euo pipefail
+
+export OMP_NUM_THREADS=1  # one rank per core is what scales; threads of BLAS would compete with the ranks
+mpirun -n "${SLURM_NTASKS:?start this with sbatch}" signorini solve "$@"

@@ -1,0 +1,167 @@
+"""A solution saved so that any number of ranks can read it: arrays in one NumPy file, numbered as the mesh was made.
+
+RT0 is rebuilt from what it is on each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T), so no degree of freedom, and with it no
+partition, enters the file.
+"""
+
+import json
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from pydantic import ValidationError
+
+from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.case import Case
+from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import project_data
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.gather import FacetTable, Fields, facet_vertices
+from signorini_fenicsx.geometry import SHAPES, Domain, distribute, label_parts
+from signorini_fenicsx.kkt import kkt_residuals
+from signorini_fenicsx.parallel import on_root
+from signorini_fenicsx.solver import Solution
+from signorini_fenicsx.spaces import Spaces, build_spaces
+
+FILE = "checkpoint.npz"
+
+type Arrays = dict[str, npt.NDArray]
+
+
+def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: FacetTable) -> None:
+    """Write a gathered solution (rank 0).
+
+    Cells and points are numbered as the mesh was made, and a facet of Γ_S is known by its vertices. Pictures can be
+    made of the file alone.
+
+    Args:
+        path: Of the file.
+        solution: The solution, for what is the same on all ranks.
+        fields: Its mesh and cell values.
+        facets: Its values on Γ_S.
+    """
+    about = {
+        "name": solution.case.name,
+        "case": solution.case.model_dump(mode="json"),
+        "part_names": solution.spaces.part_names,
+        "part_labels": [solution.spaces.domain.parts[name].label for name in solution.spaces.part_names],
+        "history": [asdict(step) for step in solution.history],
+        "beta": solution.conditions.beta,
+        **{key: getattr(solution, key) for key in ABOUT},
+    }
+    arrays = {key: getattr(fields, key) for key in ("points", "cells", "u", "sigma", "divergence")}
+    arrays |= {f"facet_{key}": values for key, values in vars(facets).items()}
+    with path.open("wb") as file:
+        np.savez(file, about=np.array(json.dumps(about)), **arrays)
+
+
+ABOUT = ("reason", "converged", "backend", "dofs", "linear_solver", "rough_steps", "timings", "peak_memory")
+"""What a solution says about how it was found."""
+
+
+def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
+    """Read the solution of a results folder, on as many ranks as there are now (collective).
+
+    Raises:
+        InputError: If there is none, or it is not readable.
+    """
+    path = Path(folder) / FILE
+    everything: list[Arrays] = []
+
+    def read() -> tuple[dict[str, Any], Arrays, int]:
+        about, arrays = _read(path)
+        everything.append(arrays)
+        return about, {key: arrays[key] for key in arrays if key.startswith("facet_")}, arrays["points"].shape[1]
+
+    about, facets, dim = on_root(comm, read)
+    arrays = everything[0] if everything else {}
+    case = _case(path, about)
+    points = arrays.get("points", np.empty((0, dim)))
+    cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
+    spaces = build_spaces(
+        label_parts(distribute(comm, points, cells, dim), SHAPES[case.geometry.shape]), case.boundary.signorini
+    )
+    rows = _rows(facets["facet_vertices"], facet_vertices(spaces))
+    sigma, u = _fields(spaces, arrays)
+    sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux
+    sigma.x.scatter_forward()
+    p = fem.Function(spaces.Lambda, name="p")
+    p.x.array[: len(rows)] = facets["facet_p"][rows]
+    p.x.scatter_forward()
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+    return Solution(
+        case=case,
+        spaces=spaces,
+        data=data,
+        sigma=sigma,
+        u=u,
+        p=p,
+        conditions=FacetConditions(facets["facet_condition"][rows].astype(np.int8), about["beta"]),
+        history=[Step(**step) for step in about["history"]],
+        kkt=kkt_residuals(spaces, sigma, u, p, data, ALGORITHMS[case.solve.algorithm].penalty, case.solve.eps),
+        **{key: about[key] for key in ABOUT},
+    )
+
+
+def shared_domain(start: Solution, case: Case) -> Domain | None:
+    """The mesh of an earlier solution if the case asks for the same one."""
+    earlier = start.case
+    same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h)
+    return start.spaces.domain if same else None
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
+    if not path.is_file():
+        raise InputError(f"{path.parent}: holds no {FILE}, so no solution to start from")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        return json.loads(str(arrays.pop("about"))), arrays
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not a readable solution ({error})") from None
+
+
+def _case(path: Path, about: dict[str, Any]) -> Case:
+    try:
+        return Case.model_validate(about["case"] | {"name": about["name"]})
+    except (ValidationError, KeyError):
+        raise InputError(f"{path}: its case is not one that this version knows") from None
+
+
+def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:
+    """σ_h and u_h from cell values that rank 0 has in the order in which the mesh was made (collective)."""
+    mesh = spaces.mesh
+    dim = mesh.geometry.dim
+    vectors = fem.functionspace(mesh, ("DG", 0, (dim,)))
+    middle, centroid = fem.Function(vectors), fem.Function(vectors)
+    divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
+    for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
+        values = _scattered(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
+        function.x.array[:] = values.ravel()
+    centroid.interpolate(lambda x: x[:dim])
+    sigma = fem.Function(spaces.V, name="sigma")
+    x = ufl.SpatialCoordinate(mesh)
+    sigma.interpolate(fem.Expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points))
+    sigma.x.scatter_forward()
+    return sigma, u
+
+
+def _scattered(comm: MPI.Comm, wanted: npt.NDArray[np.int64], values: npt.NDArray | None) -> npt.NDArray:
+    """Rows of an array of rank 0, to each rank those it wants (collective)."""
+    lists = comm.gather(wanted)
+    return comm.scatter(None if values is None or lists is None else [values[rows] for rows in lists])
+
+
+def _rows(known: npt.NDArray[np.int64], wanted: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Row of each facet in the file, found by its vertices."""
+    row = {tuple(vertices): index for index, vertices in enumerate(known.tolist())}
+    return np.array([row[tuple(vertices)] for vertices in wanted.tolist()], dtype=np.int64)

@@ -1,0 +1,107 @@
+"""Solutions kept and read again on another number of ranks, and runs that start from them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_cli import signorini
+
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.checkpoint import load_solution, shared_domain
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.gather import gather_facets, gather_fields
+from signorini_fenicsx.output import write_solution
+from signorini_fenicsx.solver import Solution, solve
+
+COMM = MPI.COMM_WORLD
+
+CUBE = {"geometry.shape": "cube", "boundary.signorini": ["bottom", "left"], "problem.f": "40*(x - 0.5)", "solve.h": 0.5}
+
+
+def kept(case: Case, comm: MPI.Comm, folder: Path) -> Solution:
+    """Solve and write on some ranks."""
+    solution = solve(case, comm)
+    write_solution(solution, folder, fields=False)
+    comm.Barrier()
+    return solution
+
+
+@pytest.mark.parallel([1, 3])
+def test_read_on_any_number_of_ranks(folder: Path):
+    """What all ranks write one rank reads, and the other way round, to rounding and with the same residuals."""
+    for name, values in [
+        ("example2", {"solve.algorithm": "alg1"}),
+        ("example6", {"solve.algorithm": "alg4", "solve.eps": 0.5}),
+        ("example1", CUBE),
+    ]:
+        case = load_case(name).with_values({"solve.h": 2**-3} | values)
+        alone = folder / str(COMM.rank)
+        alone.mkdir(exist_ok=True)
+        for original, read in [
+            (kept(case, COMM, folder), load_solution(folder, MPI.COMM_SELF)),
+            (kept(case, MPI.COMM_SELF, alone), load_solution(COMM.bcast(alone), COMM)),
+        ]:
+            assert read.case == original.case
+            assert len(read.history) == len(original.history)
+            assert read.norms() == pytest.approx(original.norms(), rel=1e-12)
+            assert read.contact() == pytest.approx(original.contact(), rel=1e-12)
+            assert max(vars(read.kkt).values()) < 1e-11
+            for gather in (gather_fields, gather_facets):
+                mine, theirs = gather(read), gather(original)
+                for key in vars(theirs) if mine is not None and theirs is not None else ():
+                    np.testing.assert_allclose(vars(mine)[key], vars(theirs)[key], atol=1e-12)
+            COMM.Barrier()
+
+
+@pytest.mark.parallel([1, 2])
+def test_start_from_another_solution(folder: Path):
+    """Starting at the solution takes one step, from a coarser one fewer than cold; the result is the same."""
+    cold_case = load_case("example2").with_values({"solve.h": 2**-5})
+    cold = solve(cold_case, COMM)
+    kept(cold_case.with_values({"solve.h": 2**-4}), COMM, folder)
+    start = load_solution(folder, COMM)
+    assert shared_domain(start, cold_case) is None
+    for algorithm in ("alg1", "alg2", "alg3", "alg4"):
+        case = cold_case.with_values({"solve.algorithm": algorithm, "solve.eps": 1e-10})
+        warm = solve(case, COMM, domain=cold.spaces.domain, start=start)
+        assert len(warm.history) <= 2 < len(cold.history)
+        assert warm.contact() == cold.contact()
+        assert warm.norms() == pytest.approx(cold.norms(), rel=1e-8)
+    same = solve(start.case, COMM, domain=shared_domain(start, start.case), start=start)
+    assert same.spaces.domain is start.spaces.domain
+    assert [step.changed for step in same.history] == [0]
+    assert same.norms() == pytest.approx(start.norms(), rel=1e-12)
+    with pytest.raises(InputError, match="'lshape', not on 'square'"):
+        solve(load_case("example1").with_values({"solve.h": 0.25}), COMM, start=start)
+    with pytest.raises(InputError, match="no facet sets to start from"):
+        solve(cold_case.with_values({"solve.algorithm": "vi", "solve.h": 0.25}), COMM, start=start)
+
+
+def test_a_failed_run_is_continued_and_exported(tmp_path: Path):
+    few = ["solve", "example2", "--h", "1/16", "--output", "r"]
+    assert signorini(tmp_path, *few, "--set", "solve.max_iterations=1").returncode == 1
+    done = signorini(tmp_path, *few, "--start-from", "r.failed", ranks=2)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "r" / "summary.json").read_text())
+    assert summary["iterations"] == 3
+    done = signorini(tmp_path, "export", "r", "--output", "out")
+    assert done.returncode == 0, done.stderr
+    assert {"solution.bp", "multiplier.bp", "facets.csv", "history.csv"} <= {
+        p.name for p in (tmp_path / "out").iterdir()
+    }
+    exported = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert exported["norms"] == pytest.approx(summary["norms"], rel=1e-12)
+    assert exported["iterations"] == 3
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_nothing_to_start_from(tmp_path: Path, ranks: int):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "checkpoint.npz").write_bytes(b"PK\x03\x04 no more")
+    for folder, message in [("none", "holds no checkpoint.npz"), ("broken", "not a readable solution")]:
+        done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--start-from", folder, ranks=ranks)
+        assert (done.returncode, done.stderr.count(message)) == (2, 1), done.stderr
+        assert "Traceback" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["broken"]

@@ -1,0 +1,50 @@
+"""The slides' tables and figures from the command line, on coarse meshes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from test_cli import read_rows, run
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+def test_reproduce_and_draw_again(tmp_path: Path):
+    """Items that share runs, under mpirun; then the pictures alone, without PDE code."""
+    names = ["table5", "figure1", "figure7", "figure8", "figure9"]
+    done = run(tmp_path, sys.executable, str(SCRIPTS / "reproduce.py"), "--quick", *names, ranks=2)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "results" / "reproduction-quick"
+    assert len(list((folder / "runs").iterdir())) == 4  # figures 8 and 9 are of one run, figure 7 of two
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert "reproduce.py --quick figure8" in page
+    for name in names[1:]:
+        assert f'<img src="{name}.png"' in page
+        assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+        assert (folder / f"{name}.png").stat().st_size > 10_000
+        (folder / f"{name}.png").unlink()
+    rows = read_rows(folder / "table5.csv")
+    assert [row["h"] for row in rows] == ["2^-2", "2^-3", "2^-4"]
+    assert "<td>0.311</td>" in page  # the slides' error beside ours
+    again = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys, figures; figures.make(figures.Path(sys.argv[1]));"
+            "print({name.split('.')[0] for name in sys.modules} & {'dolfinx', 'petsc4py', 'signorini_fenicsx'})",
+            str(folder),
+        ],
+        cwd=SCRIPTS,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert again.stdout.strip() == "set()"
+    assert all((folder / f"{name}.png").exists() for name in names[1:])
+
+
+def test_unknown_items_are_refused(tmp_path: Path):
+    done = run(tmp_path, sys.executable, str(SCRIPTS / "reproduce.py"), "figure23", ranks=1)
+    assert done.returncode == 2
+    assert "invalid choice: 'figure23'" in done.stderr
+    assert not list(tmp_path.iterdir())

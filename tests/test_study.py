@@ -1,0 +1,289 @@
+"""Studies: their expansion, one table on any number of ranks, nothing lost or repeated by killing."""
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet as parquet
+import pytest
+from mpi4py import MPI
+from test_cli import read_rows, run, signorini
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.farm import hand_out
+from signorini_fenicsx.study import load_study, study_names
+
+STUDY = """
+title = "A small study"
+case = "example4"
+
+[set]
+eps = 1e-6
+
+[vary]
+h = ["1/4", "1/8"]
+algorithm = ["alg3", "alg4"]
+
+[[together]]
+"problem.f" = ["100*(1/2 - x)*(1/2 - y)", "x"]
+"boundary.signorini" = [["top"], ["top", "left"]]
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_expansion(tmp_path: Path):
+    study, runs = load_study(write(tmp_path, STUDY))
+    assert study.title == "A small study"
+    found = [(run.case.solve.h, run.case.solve.algorithm, run.case.boundary.signorini) for run in runs]
+    assert found[:3] == [(0.25, "alg3", ["top"]), (0.25, "alg3", ["top", "left"]), (0.25, "alg4", ["top"])]
+    assert len(runs) == len({run.name for run in runs}) == 8
+    assert {run.case.solve.eps for run in runs} == {1e-6}
+    _, same = load_study(write(tmp_path, STUDY.replace('"1/8"', '0.25, "2^-2", "1/16"').replace("small", "larger")))
+    assert len(same) == 8
+    assert {run.name for run in same[:4]} == {run.name for run in runs[:4]}
+    assert not {run.name for run in same[4:]} & {run.name for run in runs}
+
+
+def test_cases_beside_the_study(tmp_path: Path):
+    case = '[geometry]\nshape = "square"\n[boundary]\nsignorini = ["top"]\n[problem]\nf = "{}"\n'
+    (tmp_path / "mine.toml").write_text(case.format("x"))
+    _, runs = load_study(write(tmp_path, 'case = "mine.toml"'))
+    (tmp_path / "mine.toml").write_text(case.format("y"))
+    _, changed = load_study(write(tmp_path, 'case = "mine.toml"'))
+    assert [run.case.name for run in runs] == ["mine"]
+    assert runs[0].name != changed[0].name
+
+
+def test_shipped_studies_are_valid():
+    for name in study_names():
+        assert load_study(name)[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "case: must be"),
+        ('case = "example7"', "unknown case 'example7'"),
+        ('case = "example1"\nvarry = 1', "did you mean 'vary'"),
+        ('case = "example1"\n[vary]\nh = []', r"\[vary\] solve.h: must be a list"),
+        ('case = "example1"\n[vary]\nh = 0.5', r"\[vary\] solve.h: must be a list"),
+        ('case = "example1"\n[vary]\nh = [0.5, 0]', "greater than 0"),
+        ('case = "example1"\n[vary]\n"solve.hh" = [0.5]', "did you mean 'h'"),
+        ('case = "example1"\n[[together]]\nh = [0.5]\nrho = [1, 2]', "equally long"),
+        ('case = "example1"\n[convergence]\nlevels = [2, 8]', "finer than the last level"),
+        ('case = "example1"\n[convergence]\nlevels = [2]\nvary = "eps"', "alg1 has no penalty"),
+        ('case = "example1"\nranks_per_run = 0', "ranks_per_run"),
+        ('case = "example1"\n[vary]\n' + "\n".join(f'"a.b{i}" = {[0] * 10}' for i in range(9)), "1000000000 runs"),
+        ("case = ", "not a TOML file"),
+    ],
+)
+def test_bad_studies(tmp_path: Path, text: str, message: str):
+    with pytest.raises(InputError, match=message):
+        load_study(write(tmp_path, text))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a study done on one rank, without mpirun."""
+    folder = tmp_path_factory.mktemp("study")
+    write(folder, STUDY)
+    done = signorini(folder, "study", "study.toml")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("done ") == 8
+    return folder / "results" / "study-study"
+
+
+def test_table(finished: Path):
+    rows = read_rows(finished / "table.csv")
+    assert len(rows) == 8
+    assert [row["solve.h"] for row in rows] == ["0.25"] * 4 + ["0.125"] * 4
+    assert {row["status"] for row in rows} == {"done"}
+    assert {"norms.sigma_L2", "contact_measure", "iterations", "violation.trace", "solve.eps"} <= set(rows[0])
+    assert not {"ranks", "timings.solve", "command"} & set(rows[0])
+    columns = parquet.read_table(finished / "table.parquet").to_pydict()
+    assert list(columns) == list(rows[0])
+    assert [str(value) for value in columns["norms.u_L2"]] == [row["norms.u_L2"] for row in rows]
+    assert [float(row["seconds"]) > 0 for row in read_rows(finished / "timings.csv")] == [True] * 8
+
+
+def test_dry_run_writes_nothing(tmp_path: Path):
+    write(tmp_path, STUDY)
+    done = signorini(tmp_path, "study", "study.toml", "--dry-run", ranks=2)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("to do ") == 8
+    assert "algorithm = alg4  h = 0.125" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
+
+
+def stamps(results: Path) -> dict[str, tuple[int, int]]:
+    """What tells a finished run from a repeated one."""
+    files = {path.parent.name: path.stat() for path in results.glob("runs/[!.]*/run.json")}
+    return {name: (stat.st_ino, stat.st_mtime_ns) for name, stat in files.items()}
+
+
+def descendants(pid: int) -> list[int]:
+    """A process that we started, and all that it started."""
+    children = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False).stdout.split()
+    return [pid, *(process for child in children for process in descendants(int(child)))]
+
+
+def test_killed_and_continued(tmp_path: Path, finished: Path):
+    """Kill -9 on two ranks loses nothing finished; the end, on two ranks, is the table of one rank."""
+    write(tmp_path, STUDY)
+    results = tmp_path / "results" / "study-study"
+    known: dict[str, tuple[int, int]] = {}
+    for _ in range(2):
+        launch = subprocess.Popen(
+            ["mpirun", "-n", "2", "signorini", "study", "study.toml"],
+            cwd=tmp_path,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        wanted = len(known) + 2
+        while len(stamps(results)) < wanted and launch.poll() is None:
+            time.sleep(0.01)
+        for process in descendants(launch.pid):
+            os.kill(process, signal.SIGKILL)
+        launch.wait()
+        now = stamps(results)
+        assert len(now) >= wanted
+        assert known.items() <= now.items()
+        known = now
+    (results / "runs" / f".{next(iter(known))}.left.partial").mkdir()
+    done = signorini(tmp_path, "study", "study.toml", ranks=2)
+    assert done.returncode == 0, done.stderr
+    assert "runs were finished before" in done.stdout
+    assert known.items() <= stamps(results).items()
+    assert (results / "table.csv").read_bytes() == (finished / "table.csv").read_bytes()
+    assert not list(results.glob("runs/.*"))
+
+
+FAILING = """
+case = "example2"
+ranks_per_run = 2
+
+[vary]
+h = ["1/4"]
+max_iterations = [1, 50]
+algorithm = ["alg1", "alg2"]
+"""
+
+
+def test_failed_runs_are_recorded_and_do_not_stop_the_others(tmp_path: Path):
+    """Failures are told in the table and by the exit status, and repeated only when asked for."""
+    write(tmp_path, FAILING)
+    results = tmp_path / "results" / "study-study"
+    for arguments, again in [([], True), ([], False), (["--retry-failed"], True)]:
+        before = stamps(results)
+        done = signorini(tmp_path, "study", "study.toml", *arguments, ranks=2)
+        assert done.returncode == 1
+        assert done.stderr.count("2 of 4 runs") == 1
+        assert "facets still change after 1 iterations" in done.stderr
+        changed = stamps(results).items() - before.items()
+        assert bool(changed) is again
+        rows = read_rows(results / "table.csv")
+        assert [row["status"] for row in rows] == ["failed", "failed", "done", "done"]
+        assert "facets still change" in rows[0]["reason"]
+        assert float(rows[0]["norms.sigma_L2"]) > 0
+        assert {row["ranks"] for row in read_rows(results / "timings.csv")} == {"2"}
+
+
+def test_data_that_cannot_be_solved_are_a_failed_run(tmp_path: Path):
+    """What shows only when a run begins, such as a load that is not finite, does not stop the others either."""
+    write(tmp_path, 'case = "example1"\n[vary]\nh = ["1/4"]\n"problem.f" = ["sqrt(x - 0.5)", "x - 0.5"]')
+    done = signorini(tmp_path, "study", "study.toml")
+    assert done.returncode == 1
+    rows = read_rows(tmp_path / "results" / "study-study" / "table.csv")
+    assert [row["status"] for row in rows] == ["failed", "done"]
+    assert "not finite" in rows[0]["reason"]
+    assert rows[0]["norms.u_L2"] == ""
+
+
+def test_errors_as_runs(tmp_path: Path):
+    """A run may measure errors; the table then has a row per level."""
+    write(tmp_path, 'case = "example1"\n[convergence]\nlevels = [2, 3]\nreference = 4')
+    done = signorini(tmp_path, "study", "study.toml")
+    assert done.returncode == 0, done.stderr
+    results = tmp_path / "results" / "study-study"
+    rows = read_rows(results / "table.csv")
+    assert [row["level"] for row in rows] == ["2", "3"]
+    assert float(rows[0]["slides_sigma_V"]) == 1.65
+    (run,) = stamps(results)
+    kept = read_rows(results / "runs" / run / "convergence.csv")
+    assert [row["sigma_V"] for row in rows] == [row["sigma_V"] for row in kept]
+
+
+def test_a_full_disk_loses_nothing(tmp_path: Path, finished: Path):
+    """No file may grow beyond some bytes, as on a full disk: said in a sentence, and continued when there is room."""
+    write(tmp_path, STUDY)
+    script = tmp_path / "limited.py"
+    script.write_text(
+        "import resource, sys\n"
+        "from signorini_fenicsx import cli\n"  # MPI, which needs larger files, starts here
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))\n"
+        "sys.argv = ['signorini', 'study', 'study.toml']\n"
+        "cli.main()\n"
+    )
+    done = run(tmp_path, sys.executable, str(script), ranks=1)
+    assert done.returncode == 1
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    results = tmp_path / "results" / "study-study"
+    assert len(stamps(results)) < 8
+    assert not list(results.glob("runs/.*.partial"))
+    done = signorini(tmp_path, "study", "study.toml")
+    assert done.returncode == 0, done.stderr
+    assert (results / "table.csv").read_bytes() == (finished / "table.csv").read_bytes()
+
+
+def test_one_launch_at_a_time_and_only_in_its_own_folder(tmp_path: Path):
+    write(tmp_path, 'case = "example1"\n[vary]\nh = ["1/4"]')
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    done = signorini(tmp_path, "study", "study.toml", "--output", "full")
+    assert (done.returncode, "is not empty and not the folder of a study" in done.stderr) == (2, True)
+    done = signorini(tmp_path, "study", "study.toml", "--output", "/proc/mine", ranks=2)
+    assert (done.returncode, done.stderr.count("cannot be written")) == (2, 1)
+    (tmp_path / "busy").mkdir()
+    with (tmp_path / "busy" / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = signorini(tmp_path, "study", "study.toml", "--output", "busy")
+    assert (done.returncode, "another launch" in done.stderr) == (2, True)
+
+
+@pytest.mark.parallel(3)
+def test_each_task_once_by_any_grouping(folder: Path):
+    """Tasks are done once each, whatever the groups; a failure in one group ends all, and all ranks know it."""
+    comm = MPI.COMM_WORLD
+    names = [f"task{i}" for i in range(7)]
+    for ranks in (1, 2, 5):
+        claims = folder / f"claims{ranks}"
+        if comm.rank == 0:
+            claims.mkdir()
+        comm.Barrier()
+        mine: list[str] = []
+        hand_out(comm, names, ranks, claims, lambda name, group, mine=mine: mine.append((name, group.size)))
+        done = sorted(task for part in comm.allgather(mine) for task in part)
+        size = min(ranks, comm.size)
+        assert done == sorted((name, size) for name in names for _ in range(size))
+    claims = folder / "failing"
+    if comm.rank == 0:
+        claims.mkdir()
+    comm.Barrier()
+
+    def work(name: str, group: MPI.Comm) -> None:
+        if name == "task3":
+            raise OSError("no space")
+
+    with pytest.raises(OSError, match="no space"):
+        hand_out(comm, names, 1, claims, work)
