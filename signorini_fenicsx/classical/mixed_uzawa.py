@@ -39,7 +39,7 @@ class _Response:
 
     def __init__(self, task: Task, *, by_flux: bool):
         self._system = SaddlePoint(task.spaces, task.data)
-        self._by_flux, self._task = by_flux, task
+        self._by_flux = by_flux
         self._system.give_flux(np.full(len(task.spaces.facets), by_flux))
         self.start = np.zeros(len(task.spaces.facets))
         self.gradient(self.start)
@@ -47,7 +47,7 @@ class _Response:
         self._recorder = Recorder(task.spaces, self.iterate, self._conditions(self.start), task.on_step)
 
     def gradient(self, x: Array) -> Array:
-        """P for given σ·n, σ·n for given p; keeps the iterate."""
+        """The trace p for given σ·n, σ·n for given p; keeps the iterate."""
         self.iterate: Iterate = self._system.respond(flux=x, trace=x)
         return self.iterate.p if self._by_flux else self.iterate.flux
 
