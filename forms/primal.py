@@ -16,11 +16,6 @@ from ufl import Form, Measure, dx, grad, inner
 from ufl.core.expr import Expr
 
 
-def stiffness(u: Expr, v: Expr) -> Form:
-    """(∇u, ∇v)."""
-    return inner(grad(u), grad(v)) * dx
-
-
 def mass(u: Expr, v: Expr) -> Form:
     """(u, v)."""
     return inner(u, v) * dx

@@ -123,7 +123,7 @@ def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorith
     """Show fitted slopes beside those of the theory."""
     theory = {
         Vary.H: "h (8)" if algorithm.penalty is None else "h (30), (32)",
-        Vary.EPS: "√ε in general, ε for a regular flux (21)-(24)",
+        Vary.EPS: "ε" if algorithm.stabilised else "√ε in general, ε for a regular flux (21)-(24)",
     }.get(vary, "h + √ε (29), (31)")
     fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
     console.print(f"fitted slopes  {fitted}   theory: {theory}")

@@ -16,10 +16,9 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
-import ufl
-from dolfinx import fem
 
 from signorini_fenicsx.classical.on_root import RootRows
+from signorini_fenicsx.classical.task import domain_length
 from signorini_fenicsx.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
@@ -38,7 +37,7 @@ class HalfNorm:
         vertices = self._rows.gather(mesh.geometry.input_global_indices[nodes])
         corners = self._rows.gather(mesh.geometry.x[nodes])
         measure = self._rows.gather(spaces.facet_measure)
-        length = spaces.integrate(fem.Constant(mesh, 1.0) * ufl.dx) ** (1 / dim)
+        length = domain_length(spaces)
         self._matrix: Array | None = None
         if vertices is not None and corners is not None and measure is not None:
             laplacian = _facet_laplacian(vertices, corners)

@@ -15,7 +15,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 
 from forms.norms import l2
 from signorini_fenicsx.active_set import Outcome, Recorder
@@ -28,7 +27,7 @@ from signorini_fenicsx.classical.projection import (
     step_length,
 )
 from signorini_fenicsx.classical.saddle_point import SaddlePoint
-from signorini_fenicsx.classical.task import Task
+from signorini_fenicsx.classical.task import Task, domain_length
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import Spaces
 
@@ -40,7 +39,7 @@ class _Response:
 
     def __init__(self, task: Task, *, by_flux: bool):
         self._system = SaddlePoint(task.spaces, task.data)
-        self._by_flux, self._task = by_flux, task
+        self._by_flux = by_flux
         self._system.give_flux(np.full(len(task.spaces.facets), by_flux))
         self.start = np.zeros(len(task.spaces.facets))
         self.gradient(self.start)
@@ -48,7 +47,7 @@ class _Response:
         self._recorder = Recorder(task.spaces, self.iterate, self._conditions(self.start), task.on_step)
 
     def gradient(self, x: Array) -> Array:
-        """P for given σ·n, σ·n for given p; keeps the iterate."""
+        """The trace p for given σ·n, σ·n for given p; keeps the iterate."""
         self.iterate: Iterate = self._system.respond(flux=x, trace=x)
         return self.iterate.p if self._by_flux else self.iterate.flux
 
@@ -88,7 +87,7 @@ def flux_uzawa(task: Task) -> Outcome:
     The step over ρ is a trace; its size is that of the KKT residual of p ≥ 0.
     """
     response = _Response(task, by_flux=True)
-    return _pointwise(task, response, 1 / math.sqrt(_length(task.spaces)))
+    return _pointwise(task, response, 1 / math.sqrt(domain_length(task.spaces)))
 
 
 def trace_uzawa(task: Task) -> Outcome:
@@ -97,7 +96,7 @@ def trace_uzawa(task: Task) -> Outcome:
     The step over ρ is a flux; its size is that of the KKT residual of σ·n ≥ 0.
     """
     response = _Response(task, by_flux=False)
-    return _pointwise(task, response, math.sqrt(_length(task.spaces)))
+    return _pointwise(task, response, math.sqrt(domain_length(task.spaces)))
 
 
 def _pointwise(task: Task, response: _Response, unit: float) -> Outcome:
@@ -150,11 +149,6 @@ def half_uzawa(task: Task) -> Outcome:
         record=response.record,
     )
     return response.outcome(x, step, failure)
-
-
-def _length(spaces: Spaces) -> float:
-    """L = |Ω|^(1/d)."""
-    return spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
 
 
 def _scale(spaces: Spaces, iterate: Iterate) -> float:

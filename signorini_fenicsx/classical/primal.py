@@ -10,8 +10,9 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 
+from forms.crouzeix_raviart import stiffness
 from forms.mixed import load
-from forms.primal import gradient, mass, stiffness, vertex_weight
+from forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.active_set import History, Outcome
 from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.classical.task import Task

@@ -22,13 +22,14 @@ def primal_uzawa(task: Task) -> Outcome:
     """
     system = P1System(task.spaces, task.data)
     on, weights = system.signorini, system.weights
-    state = {"u": system.solve(system.load)}
-    scale = system.energy_norm(state["u"]) or 1.0
+    u = system.solve(system.load)
+    scale = system.energy_norm(u) or 1.0
     length = math.sqrt(system.dot(np.ones(len(weights)), weights))
 
     def trace(multiplier: Array) -> Array:
-        state["u"] = system.solve(system.load + system.at_signorini(weights * multiplier))
-        return state["u"][on]
+        nonlocal u
+        u = system.solve(system.load + system.at_signorini(weights * multiplier))
+        return u[on]
 
     def inner(x: Array, y: Array) -> float:
         return system.dot(weights, x * y)
@@ -37,7 +38,7 @@ def primal_uzawa(task: Task) -> Outcome:
         return system.conditions(multiplier > 0, Condition.ZERO_TRACE)
 
     start = np.zeros(len(on))
-    history = P1History(task, system, state["u"], conditions(start))
+    history = P1History(task, system, u, conditions(start))
     step = step_length(
         task.rho,
         lambda x: system.solve(system.at_signorini(weights * x))[on],
@@ -51,12 +52,12 @@ def primal_uzawa(task: Task) -> Outcome:
         lambda change: math.sqrt(inner(change, change)) / (length * scale),
         step=step,
         max_iterations=task.max_iterations,
-        record=lambda x: history.add(state["u"], conditions(x)),
+        record=lambda x: history.add(u, conditions(x)),
     )
     return primal_outcome(
         system,
         history,
-        state["u"],
+        u,
         conditions(multiplier),
         failure,
         reason="the projection changes nothing any more",

@@ -24,7 +24,7 @@ from signorini_fenicsx.active_set import Outcome, Recorder, iterate_sets
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.classical.saddle_point import SaddlePoint
-from signorini_fenicsx.classical.task import TOLERANCE, Task
+from signorini_fenicsx.classical.task import TOLERANCE, Task, domain_length
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.kkt import kkt_residuals
 
@@ -65,7 +65,7 @@ def minimisation_uzawa(task: Task) -> Outcome:
         LinearSolveFailure: If a linear system cannot be solved.
     """
     spaces = task.spaces
-    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
+    length = domain_length(spaces)
     rho = task.rho or length**2
     system = SaddlePoint(spaces, task.data, stabilisation=1 / rho)
     facets = len(spaces.facets)

@@ -3,12 +3,20 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import ufl
+from dolfinx import fem
+
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-10
 """Scale-free size of the step at which an iteration stops: 100 times below what its result is judged by."""
+
+
+def domain_length(spaces: Spaces) -> float:
+    """L = |Ω|^(1/d) (collective)."""
+    return spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
 
 
 @dataclass(frozen=True)
