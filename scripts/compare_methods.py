@@ -4,8 +4,8 @@ Usage: python scripts/compare_methods.py [--examples 1,2,3,4,5,6] [--levels 3:5]
 
 For h ≤ 2^-level it prints, and writes into FOLDER/methods.csv, one row per algorithm, then means over the examples; the
 columns are explained in `signorini_fenicsx.method_comparison.MethodRow`. The reference is Algorithm 1 with
-h ≤ 2^-reference, and ε is 1e-8 in all examples. FOLDER/methods.png shows four of the columns over h, as geometric means over the
-examples.
+h ≤ 2^-reference, and ε is 1e-8 in all examples. FOLDER/methods.png shows four of the columns over h, as geometric means
+over the examples.
 """
 
 import argparse
