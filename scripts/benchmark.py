@@ -52,7 +52,7 @@ TARGETS = {  # least cells: a / ours, b / ours, ours / f
 FULL = {"transition": ("2^-5", "2^-6", "2^-7", "2^-8", "2^-9"), "transition3d": ("0.14", "0.072", "0.057", "0.039")}
 QUICK = {"transition": ("2^-4", "2^-5", "2^-6"), "transition3d": ("0.28", "0.14", "0.1")}
 
-console = Console(highlight=False, soft_wrap=True)
+console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
 
 
 @dataclass(frozen=True)

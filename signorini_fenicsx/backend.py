@@ -15,6 +15,10 @@ from signorini_fenicsx.spaces import Spaces
 type Array = npt.NDArray[np.float64]
 
 
+MUMPS_WORKSPACE = "mat_mumps_icntl_14"
+"""PETSc's name for the part of the estimate, in per cent, that is added to it."""
+
+
 @dataclass(frozen=True)
 class Iterate:
     """Solution of one linear mixed problem. Functions hold owned and up-to-date ghost values.
@@ -41,9 +45,14 @@ class LinearSolveFailure(NumericalFailure):
 def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     """Let the user's PETSc options change a solver that has its defaults (collective).
 
+    MUMPS gets twice the workspace that it estimates, which on several ranks and small meshes is sometimes too little.
+
     Raises:
         InputError: If PETSc refuses an option.
     """
+    options = PETSc.Options()
+    if not options.hasName(MUMPS_WORKSPACE):
+        options[MUMPS_WORKSPACE] = 100
     try:
         solver.setFromOptions()
     except PETSc.Error as error:
@@ -112,8 +121,8 @@ class RoughBackend(Protocol):
 
     spaces: Spaces
 
-    def solve_roughly(self, conditions: FacetConditions) -> tuple[Array, Array]:
-        """P and σ·n per Γ_S facet of this rank after a few iterations from the last solution (collective).
+    def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
+        """Trace and σ·n per Γ_S facet of this rank after some more iterations from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.

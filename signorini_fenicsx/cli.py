@@ -1,12 +1,13 @@
 """The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
 import io
+import math
 import os
 import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import petsc4py
 import typer
@@ -15,6 +16,9 @@ from rich.console import Console
 
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.parallel import abort_all_on_exception, on_root
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.case import Case
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -28,10 +32,10 @@ app = typer.Typer(
 )
 
 CaseName = Annotated[str, typer.Argument(help="Name of a shipped case (example1 … example6) or path of a .toml file.")]
-AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, alg2, alg3, alg4, snes1, snes2 or vi.")]
+AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="One of those that `signorini methods` lists.")]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
-Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
-Epsilon = Annotated[str | None, typer.Option("--eps", help="Penalty ε of alg3, alg4, snes1, snes2.")]
+Rho = Annotated[str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
+Epsilon = Annotated[str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.")]
 BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; of alg1 to alg4 only.")]
 Settings = Annotated[
     list[str] | None,
@@ -110,6 +114,98 @@ def solve(
 
 
 @app.command()
+def adapt(
+    case: CaseName,
+    target: Annotated[
+        str | None, typer.Option("--target", help="Relative certified error to reach, such as 1e-2.")
+    ] = None,
+    max_cells: Annotated[int | None, typer.Option("--max-cells", help="Largest mesh, 10^6 cells by default.")] = None,
+    theta: Annotated[str, typer.Option("--theta", help="Part of the squared error to refine; 1 is uniform.")] = "0.5",
+    uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
+    algorithm: AlgorithmName = None,
+    h: Annotated[
+        str | None, typer.Option("--h", help="h of the first mesh; an eighth of the domain's diameter.")
+    ] = None,
+    rho: Rho = None,
+    eps: Epsilon = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures of the last solution (PNG).")] = False,
+) -> None:
+    """Refine where the certified error is large until it is small; into results/<case>-adapt/.
+
+    Examples: signorini adapt example5 --target 1e-2; signorini adapt lprism --max-cells 50000 --uniform
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.adaptive import DEFAULT_MAX_CELLS, FIRST_MESH, AdaptRow
+    from signorini_fenicsx.adaptive import adapt as adapt_case
+    from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.geometry import SHAPES
+    from signorini_fenicsx.output import write_adapt, write_solution
+    from signorini_fenicsx.results import ResultsFolder
+
+    comm = MPI.COMM_WORLD
+    if target is None and max_cells is None:
+        raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
+    wanted = None if target is None else _positive("--target", target)
+    part = _positive("--theta", theta)
+    if part > 1:
+        raise InputError(f"--theta {theta}: must be at most 1")
+    if max_cells is not None and max_cells < 1:
+        raise InputError(f"--max-cells {max_cells}: must be at least 1")
+    most = max_cells or DEFAULT_MAX_CELLS
+
+    def first_mesh() -> "Case":
+        problem = load_case(case)
+        values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+        shape = SHAPES[problem.with_values(values).geometry.shape]
+        return problem.with_values({"solve.h": shape.diameter / FIRST_MESH} | values)
+
+    problem = on_root(comm, first_mesh)
+    rows: list[AdaptRow] = []
+
+    def on_row(row: AdaptRow) -> None:
+        rows.append(row)
+        report.adapt_row(row)
+
+    with ResultsFolder(comm, output or Path("results", f"{problem.name}-adapt")) as folder:
+        report.heading(problem, comm)
+        report.adapt_heading(wanted, most)
+        try:
+            solution, certificate = adapt_case(problem, comm, target=wanted, max_cells=most, theta=part, on_row=on_row)
+            if uniform:
+                adapt_case(problem, comm, target=wanted, max_cells=most, theta=1.0, on_row=on_row)
+        except NumericalFailure as failure:
+            if failure.solution is not None:
+                write_solution(failure.solution, folder.path, plot=plot)
+                failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
+            raise
+        write_solution(solution, folder.path, certificate=certificate, plot=plot)
+        write_adapt(solution, rows, folder.path)
+        if wanted is not None and not certificate.relative <= wanted:
+            kept = folder.keep_failed()
+            raise NumericalFailure(
+                f"relative error ≤ {certificate.relative:.3g}, not {wanted:g}, with the largest mesh of at most {most} "
+                f"cells; the last state is in {kept}"
+            )
+        folder.publish()
+        report.adapted(rows, SHAPES[problem.geometry.shape].dim, certificate, folder.target)
+
+
+def _positive(option: str, text: str) -> float:
+    from signorini_fenicsx.expressions import parse_number
+
+    try:
+        value = parse_number(text)
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+    if not 0 < value < math.inf:
+        raise InputError(f"{option} {text}: must be greater than 0")
+    return value
+
+
+@app.command()
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
     output: OutputFolder = None,
@@ -133,6 +229,33 @@ def export(
         write_solution(solution, folder.path, certificate=certificate, plot=plot)
         folder.publish()
         report.results(folder.target)
+
+
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Results folder of a run.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Results folder of another run on the same domain.")],
+    output: OutputFolder = None,
+) -> None:
+    """Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
+
+    Example: signorini compare results/example5 results/example5-adapt --output results/difference
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.checkpoint import load_solution
+    from signorini_fenicsx.comparison import compare as compare_solutions
+    from signorini_fenicsx.output import write_summary
+    from signorini_fenicsx.results import ResultsFolder
+
+    comm = MPI.COMM_WORLD
+    comparison = compare_solutions(load_solution(first, comm), load_solution(second, comm))
+    report.comparison(comparison, first, second)
+    if output is not None:
+        with ResultsFolder(comm, output) as folder:
+            summary = {"runs": [str(first), str(second)]} | comparison.summary()
+            on_root(comm, lambda: write_summary(folder.path, summary))
+            folder.publish()
+            report.results(folder.target)
 
 
 @app.command()
@@ -211,6 +334,14 @@ def study(
             run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
         study_report.ended(folder)
         check_all_succeeded(runs, folder, comm)
+
+
+@app.command()
+def methods() -> None:
+    """List all algorithms: name, what it solves, where it comes from."""
+    from signorini_fenicsx import report
+
+    report.methods()
 
 
 def _levels(text: str) -> range:

@@ -52,6 +52,7 @@ class Fields:
         u: Shape (cells,).
         sigma: At the centroids, shape (cells, dim).
         divergence: ∇·σ_h, shape (cells,).
+        indicator: η_T of the certificate, shape (cells,), or None without one.
     """
 
     points: Array
@@ -59,6 +60,7 @@ class Fields:
     u: Array
     sigma: Array
     divergence: Array
+    indicator: Array | None
 
 
 def gather_facets(solution: Solution) -> FacetTable | None:
@@ -114,7 +116,7 @@ def centroid_flux(solution: Solution) -> fem.Function:
     return sigma
 
 
-def gather_fields(solution: Solution) -> Fields | None:
+def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> Fields | None:
     """Collect mesh and cell values on rank 0; None on other ranks (collective)."""
     mesh = solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
@@ -127,6 +129,7 @@ def gather_fields(solution: Solution) -> Fields | None:
     divergence = fem.Function(solution.spaces.Q)
     divergence.interpolate(fem.Expression(ufl.div(solution.sigma), solution.spaces.Q.element.interpolation_points))
     div_sigma = gather_rows(comm, divergence.x.array[:size])
+    eta = None if indicator is None else gather_rows(comm, indicator.x.array[:size])
     order = gather_rows(comm, mesh.topology.original_cell_index[:size])
     if ids is None or points is None or cells is None or u is None or sigma is None:
         return None
@@ -134,4 +137,11 @@ def gather_fields(solution: Solution) -> Fields | None:
         return None
     used, first = np.unique(ids, return_index=True)
     rows = np.argsort(order)
-    return Fields(points[first], np.searchsorted(used, cells)[rows], u[rows], sigma[rows], div_sigma[rows])
+    return Fields(
+        points[first],
+        np.searchsorted(used, cells)[rows],
+        u[rows],
+        sigma[rows],
+        div_sigma[rows],
+        None if eta is None else eta[rows],
+    )

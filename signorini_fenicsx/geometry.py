@@ -17,6 +17,7 @@ from signorini_fenicsx.parallel import on_root
 
 MAX_CELLS = 10**8
 """More cells than this are taken for a mistake in h."""
+TINY = np.finfo(np.float64).tiny
 
 type Array = npt.NDArray[np.float64]
 type Simplices = tuple[Array, npt.NDArray[np.int64]]
@@ -31,11 +32,13 @@ class Part:
         contains: Tells for points of shape (3, n) which lie on the part.
         along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
         label: Name of that coordinate.
+        nearest: Nearest points of a curved part to points of shape (3, n) near it; None for a plane.
     """
 
     contains: Callable[[Array], npt.NDArray[np.bool_]]
     along: Callable[[Array], Array]
     label: str
+    nearest: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -88,14 +91,32 @@ def _circle(radius: float, *, lower_half: bool = False) -> Part:
         on = np.isclose(np.hypot(x[0], x[1]), radius)
         return on & (x[1] < radius * 1e-9) if lower_half else on
 
-    return Part(contains, lambda x: np.arctan2(x[1], x[0]), "angle")
+    return Part(
+        contains,
+        lambda x: np.arctan2(x[1], x[0]),
+        "angle",
+        lambda x: x * radius / np.maximum(np.hypot(x[0], x[1]), TINY),
+    )
 
 
-def _polygon(*corners: tuple[float, float]) -> Callable[[], None]:
+def _hemisphere(sign: int) -> Part:
+    """The half of the unit sphere with sign·z ≥ 0."""
+
+    def contains(x: Array) -> npt.NDArray[np.bool_]:
+        return np.isclose(np.linalg.norm(x, axis=0), 1.0) & (sign * x[2] > -1e-9)
+
+    return Part(contains, lambda x: x[2], "z", lambda x: x / np.maximum(np.linalg.norm(x, axis=0), TINY))
+
+
+def _polygon(*corners: tuple[float, float], height: float = 0.0) -> Callable[[], None]:
+    """A polygon in the plane z = 0, or with a height the prism above it."""
+
     def outline() -> None:
         points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
         lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
-        gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+        base = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+        if height > 0:
+            gmsh.model.geo.extrude([(2, base)], 0, 0, height)
 
     return outline
 
@@ -119,6 +140,23 @@ def _half_disk() -> None:
 
 def _annulus() -> None:
     gmsh.model.geo.addPlaneSurface([_circle_loop(1.0), _circle_loop(0.5)])
+
+
+def _ball() -> None:
+    """The unit ball: eight octants of the sphere, so that the equator is resolved."""
+    centre, *equator, south, north = [
+        gmsh.model.geo.addPoint(*point, 0)
+        for point in [(0, 0, 0), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1), (0, 0, 1)]
+    ]
+    following = equator[1:] + equator[:1]
+    around = [gmsh.model.geo.addCircleArc(a, centre, b) for a, b in zip(equator, following, strict=True)]
+    octants = []
+    for pole in (south, north):
+        up = [gmsh.model.geo.addCircleArc(a, centre, pole) for a in equator]
+        for arc, here, there in zip(around, up, up[1:] + up[:1], strict=True):
+            loop = gmsh.model.geo.addCurveLoop([arc, there, -here])
+            octants.append(gmsh.model.geo.addSurfaceFilling([loop], sphereCenterTag=centre))
+    gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop(octants)])
 
 
 def _cube() -> None:
@@ -148,26 +186,51 @@ def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array]
     return points, np.concatenate([np.stack(t, axis=1) for t in triangles])
 
 
-def _square_grid(h: float, diagonal: str) -> Simplices:
-    return _triangle_grid(h, diagonal, side=1, keep=lambda x: np.full(x.shape[1], True))
-
-
-def _lshape_grid(h: float, diagonal: str) -> Simplices:
-    return _triangle_grid(h, diagonal, side=2, keep=lambda x: (x[0] < 1) | (x[1] < 1))
-
-
-def _cube_grid(h: float, _diagonal: str) -> Simplices:
-    """Cubes of a grid, each cut into six tetrahedra along the same space diagonal (Kuhn)."""
-    n = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
-    points = np.stack([index.ravel() / n for index in np.indices((n + 1,) * 3)], axis=1)
-    strides = ((n + 1) ** 2, n + 1, 1)
-    corner = np.indices((n,) * 3).reshape(3, -1).T @ strides
+def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
+    """Cubes of a grid on (0, side)² × (0, 1), each cut into six tetrahedra along the same space diagonal (Kuhn)."""
+    per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
+    n = side * per_unit
+    points = np.stack([index.ravel() / per_unit for index in np.indices((n + 1, n + 1, per_unit + 1))], axis=1)
+    cubes = np.indices((n, n, per_unit)).reshape(3, -1)
+    strides = ((n + 1) * (per_unit + 1), per_unit + 1, 1)
+    corner = cubes[:, keep((cubes + 0.5) / per_unit)].T @ strides
     paths = [
         np.stack([corner + offset for offset in itertools.accumulate((0, *steps))], axis=1)
         for steps in itertools.permutations(strides)
     ]
-    return points, np.concatenate(paths)
+    used, cells = np.unique(np.concatenate(paths), return_inverse=True)
+    return points[used], cells
 
+
+def _everywhere(x: Array) -> npt.NDArray[np.bool_]:
+    return np.full(x.shape[1], True)
+
+
+def _outside_notch(x: Array) -> npt.NDArray[np.bool_]:
+    return (x[0] < 1) | (x[1] < 1)
+
+
+def _square_grid(h: float, diagonal: str) -> Simplices:
+    return _triangle_grid(h, diagonal, side=1, keep=_everywhere)
+
+
+def _lshape_grid(h: float, diagonal: str) -> Simplices:
+    return _triangle_grid(h, diagonal, side=2, keep=_outside_notch)
+
+
+def _cube_grid(h: float, _diagonal: str) -> Simplices:
+    return _tetrahedron_grid(h, side=1, keep=_everywhere)
+
+
+def _lprism_grid(h: float, _diagonal: str) -> Simplices:
+    return _tetrahedron_grid(h, side=2, keep=_outside_notch)
+
+
+L_CORNERS = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
+NOTCH = {
+    "notch_x": Part(lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9), lambda x: x[1], "y"),
+    "notch_y": Part(lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9), lambda x: x[0], "x"),
+}
 
 SHAPES: Mapping[str, Shape] = {
     "square": Shape(
@@ -187,10 +250,9 @@ SHAPES: Mapping[str, Shape] = {
             "right": _plane(0, 2),
             "bottom": _plane(1, 0),
             "top": _plane(1, 2),
-            "notch_x": Part(lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9), lambda x: x[1], "y"),
-            "notch_y": Part(lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9), lambda x: x[0], "x"),
+            **NOTCH,
         },
-        _polygon((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
+        _polygon(*L_CORNERS),
         _lshape_grid,
     ),
     "half_disk": Shape(
@@ -212,6 +274,23 @@ SHAPES: Mapping[str, Shape] = {
         _cube,
         _cube_grid,
     ),
+    "lprism": Shape(
+        3,
+        3.0,
+        3.0,
+        {
+            "left": _plane(0, 0),
+            "right": _plane(0, 2),
+            "front": _plane(1, 0),
+            "back": _plane(1, 2),
+            **NOTCH,
+            "bottom": _plane(2, 0),
+            "top": _plane(2, 1),
+        },
+        _polygon(*L_CORNERS, height=1.0),
+        _lprism_grid,
+    ),
+    "ball": Shape(3, 4 / 3 * math.pi, 2.0, {"lower": _hemisphere(-1), "upper": _hemisphere(1)}, _ball),
 }
 
 
@@ -266,7 +345,14 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
 
 
 def distribute(comm: MPI.Comm, points: Array, cells: npt.NDArray[np.int64], dim: int) -> dolfinx.mesh.Mesh:
-    """Distribute a mesh of simplices that rank 0 has, the others passing empty arrays (collective)."""
+    """Make a distributed mesh without ghost cells (collective).
+
+    Args:
+        comm: Communicator of the mesh.
+        points: Some points on each rank, numbered from rank to rank.
+        cells: Some cells on each rank, of those numbers.
+        dim: Dimension.
+    """
     cell = {2: "triangle", 3: "tetrahedron"}[dim]
     element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
     return dolfinx.mesh.create_mesh(comm, cells, element, points)

@@ -1,11 +1,9 @@
 """The hybrid backend: the facet system, solved by Cholesky or by CG with auxiliary-space multigrid."""
 
-import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from signorini_fenicsx.auxiliary_space import AuxiliarySpace
-from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Array, Iterate, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.facet_system import FacetSystem
@@ -13,8 +11,6 @@ from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-12
 """Relative tolerance of CG; making the recovered flux conforming amplifies what is left by 1/h."""
-ROUGH_ITERATIONS = 5
-"""Iterations of a rough solve: enough to see on which side of 0 most p and σ·n are."""
 
 
 class HybridBackend:
@@ -58,15 +54,15 @@ class HybridBackend:
         solve_linear(self._ksp, self._system.b, self._system.x)
         return self._system.recover(conditions, self._ksp.getIterationNumber())
 
-    def solve_roughly(self, conditions: FacetConditions) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """P and σ·n per Γ_S facet after ROUGH_ITERATIONS more iterations from the last solution (collective).
+    def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
+        """Trace and σ·n per Γ_S facet after some more iterations from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
         """
         self._apply(conditions)
         limit = self._ksp.getTolerances()[3]
-        self._ksp.setTolerances(max_it=min(ROUGH_ITERATIONS, limit))
+        self._ksp.setTolerances(max_it=min(iterations, limit))
         try:
             solve_linear(self._ksp, self._system.b, self._system.x, to_tolerance=False)
         finally:

@@ -20,6 +20,8 @@ from petsc4py import PETSc
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow
+from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.checkpoint import FILE, write_checkpoint
@@ -50,8 +52,9 @@ def write_solution(
     folder = Path(folder)
     watch = Stopwatch()
     if fields:
-        write_fields(solution, folder)
-    table, cells = gather_facets(solution), gather_fields(solution)
+        write_fields(solution, folder, certificate)
+    indicator = None if certificate is None else certificate.indicator
+    table, cells = gather_facets(solution), gather_fields(solution, indicator)
     summary = solution.summary()
     if certificate is not None:
         summary["certificate"] = certificate.summary()
@@ -102,6 +105,25 @@ def write_convergence(
     on_root(comm, write)
 
 
+def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+    table, cells = gather_facets(solution), gather_fields(solution)
+
+    def write() -> None:
+        from signorini_fenicsx import plots
+
+        with (folder / "adapt.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
+            writer.writeheader()
+            writer.writerows(asdict(row) for row in rows)
+        plots.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
+        if table is not None and cells is not None:
+            contact = ALGORITHMS[solution.case.solve.algorithm].contact
+            plots.draw_mesh(folder / "mesh.png", cells, table, contact)
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """Write `summary.json`, with versions and the command (rank 0)."""
     summary = _without_nan(summary) | {"versions": versions(), "command": shlex.join(sys.argv)}
@@ -149,8 +171,8 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> 
             writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
 
 
-def write_fields(solution: Solution, folder: Path) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf` (collective).
+def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
 
     A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
     exact. XDMF takes P0: there σ is its value at the centroid.
@@ -179,7 +201,7 @@ def write_fields(solution: Solution, folder: Path) -> None:
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
         file.write_mesh(mesh)
-        for function in (solution.u, sigma, magnitude):
+        for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
             file.write_function(function)
     on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
 

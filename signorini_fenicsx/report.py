@@ -7,13 +7,18 @@ from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.adaptive import AdaptRow, rate
 from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
+from signorini_fenicsx.comparison import Comparison
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.solver import Solution
 
 console = Console(highlight=False, soft_wrap=True)
+
+VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
+DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
 
 
 def heading(case: Case, comm: MPI.Comm) -> None:
@@ -25,14 +30,16 @@ def heading(case: Case, comm: MPI.Comm) -> None:
 
 def iteration_heading(case: Case) -> None:
     """Say what the run is about and name the columns of the iterations."""
-    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].penalty is not None else ""
+    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].has_eps else ""
     console.print(f"h ≤ {case.solve.h:g}{penalty}")
     counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
     console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
 
 def step(row: Step) -> None:
-    """Show an iteration as soon as it is done."""
+    """Show an iteration as soon as it is done; of more than 20 only those with a number such as 30 or 400."""
+    if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
+        return
     counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
     changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
     console.print(f"{row.iteration:4d}{counts} {changes}")
@@ -53,8 +60,12 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     if "errors" in summary:
         lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
     if "violation" in summary:
-        left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
-        lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
+        left = "  ".join(f"{VIOLATIONS[name]} {value:.3e}" for name, value in summary["violation"].items())
+        lines["ε"] = f"{summary['eps']:g} leaves {left}"
+    if "own_residual" in summary:
+        lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
+    if summary["details"]:
+        lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
     lines["certified"] = bound(certificate)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
     memory = summary["peak_memory"]
@@ -64,10 +75,17 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     results(folder)
 
 
+def methods() -> None:
+    """List the algorithms, one line each."""
+    names, titles = max(map(len, ALGORITHMS)), max(len(algorithm.title) for algorithm in ALGORITHMS.values())
+    for name, algorithm in ALGORITHMS.items():
+        console.print(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}", markup=False)
+
+
 def bound(certificate: Certificate) -> str:
     """The guaranteed error bound in words."""
     if not math.isfinite(certificate.bound):
-        return "no error bound: u_D is negative on Γ_S, or not finite near Γ_D"
+        return "no error bound: u_D < 0 where Γ_D meets Γ_S, or not finite near Γ_D, or a linear solve for it failed"
     parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
     return (
         f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
@@ -105,10 +123,55 @@ def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorith
     """Show fitted slopes beside those of the theory."""
     theory = {
         Vary.H: "h (8)" if algorithm.penalty is None else "h (30), (32)",
-        Vary.EPS: "√ε in general, ε for a regular flux (21)-(24)",
+        Vary.EPS: "ε" if algorithm.stabilised else "√ε in general, ε for a regular flux (21)-(24)",
     }.get(vary, "h + √ε (29), (31)")
     fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
     console.print(f"fitted slopes  {fitted}   theory: {theory}")
+
+
+def adapt_heading(target: float | None, max_cells: int) -> None:
+    """Say when refinement ends and name the columns of the meshes."""
+    wanted = "" if target is None else f"relative error ≤ {target:g} or "
+    console.print(f"until {wanted}{max_cells} cells")
+    sizes = "".join(f" {name:>9}" for name in ("cells", "unknowns", "contact"))
+    console.print(f"{'mesh':>13}{sizes} {'n':>3} {'error ≤':>10} {'relative':>9} {'seconds':>9}")
+
+
+def adapt_row(row: AdaptRow) -> None:
+    """Show the certified error on one mesh."""
+    console.print(
+        f"{row.refinement:>9}{row.mesh:4d} {row.cells:9d} {row.unknowns:9d} {row.contact_measure:9.5g} "
+        f"{row.iterations:3d} {row.bound:10.4e} {row.relative:9.3e} {row.seconds:9.2f}"
+    )
+
+
+def adapted(rows: list[AdaptRow], dim: int, certificate: Certificate, folder: Path) -> None:
+    """Show the last certificate, and the fitted rates beside the best possible one."""
+    rates = {
+        name: rate([row for row in rows if row.refinement == name])
+        for name in dict.fromkeys(r.refinement for r in rows)
+    }
+    fitted = "  ".join(f"{name} {value:.2f}" for name, value in rates.items() if value is not None)
+    if fitted:
+        console.print(f"{'slopes':<10} {fitted}, of the error over the unknowns; best possible {-1 / dim:.2f}")
+    console.print(f"{'certified':<10} {bound(certificate)}", markup=False)
+    results(folder)
+
+
+def comparison(result: Comparison, first: Path, second: Path) -> None:
+    """Show how far two runs are apart."""
+    one, other = result.contact
+    norms = "  ".join(f"{ERRORS.get(name, '‖δσ·n‖_Λ')} {value:.4e}" for name, value in vars(result.norms).items())
+    lines = {
+        "A": str(first),
+        "B": str(second),
+        "contact": f"measure {one:.6g} and {other:.6g}",
+        "sets": f"Jaccard {result.jaccard:.6f}, Hausdorff distance {result.hausdorff:.4g}",
+        "norms": norms,
+        "relative": "  ".join(f"{ERRORS[name]} {value:.3e}" for name, value in result.relative.items()),
+    }
+    for name, text in lines.items():
+        console.print(f"{name:<10} {text}", markup=False)
 
 
 def _cell(value: float | None, width: int, form: str) -> str:

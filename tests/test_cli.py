@@ -64,6 +64,8 @@ def test_summary(runs: dict[int, Path]):
     for key in ("case", "algorithm", "backend", "cells", "dofs", "contact_facets", "iterations"):
         assert one[key] == two[key]
     assert set(one["kkt"]) == {"primal", "dual", "complementarity", "stationarity", "mass_balance"}
+    assert one["certificate"] == pytest.approx(two["certificate"], rel=1e-10, abs=1e-11)
+    assert one["certificate"]["relative"] < 0.25
     assert {"timings", "versions", "reason", "contact_measure", "h"} <= set(one)
 
 
@@ -109,6 +111,8 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
     area = np.abs(np.linalg.det(edges)) / 2
     u, sigma = mesh.cell_data["u"][0].ravel(), mesh.cell_data["sigma"][0]
     assert len(u) == summary["cells"]
+    gap, oscillation = summary["certificate"]["gap"], summary["certificate"]["oscillation"]
+    assert np.sum(mesh.cell_data["indicator"][0] ** 2) == pytest.approx(2 * gap + oscillation**2, rel=1e-10)
     assert np.sqrt(area @ u**2) == pytest.approx(summary["norms"]["u_L2"], rel=1e-10)
     np.testing.assert_allclose(mesh.cell_data["sigma_norm"][0].ravel(), np.linalg.norm(sigma, axis=1), atol=1e-12)
 
@@ -134,7 +138,7 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
 
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_pictures_are_drawn(runs: dict[int, Path], ranks: int):
-    for name in ("u.png", "sigma.png", "signorini.png", "iterations.png"):
+    for name in ("u.png", "sigma.png", "signorini.png", "iterations.png", "certificate.png"):
         assert (runs[ranks] / name).read_bytes().startswith(b"\x89PNG"), name
         assert (runs[ranks] / name).stat().st_size > 10_000, name
 
@@ -325,3 +329,30 @@ def test_convergence(tmp_path: Path):
     for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
     assert (tmp_path / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
+
+
+def test_methods_are_listed(tmp_path: Path):
+    done = signorini(tmp_path, "methods", ranks=2)
+    assert done.returncode == 0, done.stderr
+    names = [line.split()[0] for line in done.stdout.splitlines()]
+    assert names == list(dict.fromkeys(names))
+    assert {"alg1", "vi", "uzawa", "mixed-uzawa-h12", "qp"} <= set(names)
+    assert all("(19" in line or "(20" in line or "slides" in line for line in done.stdout.splitlines())
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_classical_method(tmp_path: Path, ranks: int):
+    arguments = ["solve", "example1", "--h", "1/4", "--algorithm"]
+    done = signorini(tmp_path, *arguments, "uzawa", "--plot", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    assert "converges for ρ <" in done.stdout
+    results = tmp_path / "results" / "example1"
+    summary = json.loads((results / "summary.json").read_text())
+    assert summary["details"]["rho"] < summary["details"]["rho_limit"]
+    assert summary["own_residual"] < 1e-8 < summary["kkt"]["mass_balance"]
+    assert len(read_rows(results / "history.csv")) == summary["iterations"] > 20
+    assert done.stdout.count("\n") < 45
+    assert (results / "iterations.png").stat().st_size > 10_000
+    done = signorini(tmp_path, *arguments, "mixed-uzawa2", "--rho", "10", ranks=ranks)
+    assert done.returncode == 1
+    assert "the iteration diverges; ρ = 10 is outside of its range (0, 0.1" in done.stderr

@@ -1,0 +1,153 @@
+"""The error bound holds: on random data, for penalties and unfinished linear solves, at the seam of Γ_D and Γ_S."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from conftest import make_case
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from forms.norms import l2
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.certificate import certify, friedrichs_constant
+from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.geometry import SHAPES
+from signorini_fenicsx.sampling import curve_gap, sampled
+from signorini_fenicsx.solver import Solution, solve
+
+COMM = MPI.COMM_WORLD
+ALGORITHMS = ("alg1", "alg2", "vi", "alg3", "alg4", "snes1", "snes2")
+
+
+def flux_difference(coarse: Solution, fine: Solution) -> float:
+    """‖σ_h − σ_h'‖ on the finer mesh."""
+    (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, curve_gap(coarse.spaces.domain.h))
+    metadata = {"quadrature_degree": 2, "quadrature_scheme": "default"}
+    dx = ufl.Measure("dx", domain=fine.spaces.mesh, metadata=metadata)
+    return math.sqrt(fine.spaces.integrate(l2(fine.sigma - sigma, dx)))
+
+
+def random_case(rng: np.random.Generator) -> Case:
+    """Random domain, mesh, Γ_S, f, u_D ≥ 0, algorithm and ε."""
+    shape = str(rng.choice(["square", "lshape", "cube"], p=[0.45, 0.35, 0.2]))
+    parts = rng.permutation(list(SHAPES[shape].parts))[: rng.integers(1, len(SHAPES[shape].parts))].tolist()
+    a, b, c, d, e = np.round(rng.uniform(-8, 8, 5), 3)
+    loads = [
+        f"{5 * a}*sin({b}*x + {c}*y)",
+        f"{4 * a} + {5 * b}*x + {5 * c}*y",
+        f"{20 * a}*exp(-5*((x - 0.4)^2 + (y - 0.6)^2)) + {5 * c}",
+        f"{10 * a} if x > {abs(b) / 8} else {5 * c}",
+    ]
+    traces = [
+        "0",
+        f"0.5*sin({d}*x + {e}*y)^2",
+        f"{abs(d) / 8} + {abs(e) / 20}*abs(x - y)",
+        f"({d}*x*y + {e}*x^2)^2/20",
+    ]
+    return Case.model_validate(
+        {
+            "geometry": {"shape": shape, "mesh": str(rng.choice(["structured", "unstructured"]))},
+            "boundary": {"signorini": parts},
+            "problem": {"f": str(rng.choice(loads)), "u_D": str(rng.choice(traces))},
+            "solve": {
+                "algorithm": str(rng.choice(ALGORITHMS)),
+                "eps": float(10 ** rng.uniform(-8, -1)),
+                "h": float(rng.uniform(0.35, 0.6) if shape == "cube" else rng.uniform(0.15, 0.4)),
+            },
+        }
+    )
+
+
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 50), marks=pytest.mark.slow)], ids=["3", "47"])
+def test_random_data(seeds: range):
+    """The bound exceeds the distance to a solution by Algorithm 1 on a mesh 8 times (3D: 3 times) as fine."""
+    for seed in seeds:
+        case = random_case(np.random.default_rng(seed))
+        solution = solve(case)
+        finer = {"solve.h": case.solve.h / (3 if case.geometry.shape == "cube" else 8), "solve.algorithm": "alg1"}
+        assert 0 < flux_difference(solution, solve(case.with_values(finer))) < certify(solution).bound, seed
+
+
+@pytest.mark.parametrize("name", ["example2", "example5"])
+def test_sharp_at_corners(name: str):
+    """At corners, where v is worst, the bound exceeds the error by less than 20 %."""
+    values = {"solve.h": 1 / 8, "solve.algorithm": "alg1", "geometry.mesh": "structured"}
+    solution = solve(load_case(name).with_values(values))
+    fine = solve(solution.case.with_values({"solve.h": 1 / 64}))
+    certificate = certify(solution)
+    error = flux_difference(solution, fine)
+    assert error < certificate.sigma_bound < 1.2 * error
+    assert certify(fine).bound < certificate.bound / 4
+
+
+@pytest.mark.parametrize("algorithm", ["alg3", "alg4", "snes1", "snes2", "vi"])
+def test_penalty_solutions(algorithm: str):
+    """The bound is for the solution of the Signorini problem, so it counts the error of the penalty in."""
+    for eps in (1.0, 1e-2, 1e-6):
+        case = load_case("transition").with_values(
+            {"solve.h": 1 / 8, "solve.algorithm": algorithm, "solve.eps": eps, "solve.backend": "mixed"}
+        )
+        solution = solve(case)
+        certificate, errors = certify(solution), solution.errors()
+        assert errors is not None
+        assert errors["sigma_L2"] < certificate.sigma_bound < (1.1 if eps < 1e-4 else 3) * errors["sigma_L2"]
+
+
+@pytest.mark.parallel(2)
+def test_unfinished_linear_solve():
+    """What CG leaves when it is stopped early is part of the error, and of the bound."""
+    options = PETSc.Options()
+    chosen = {"ksp_type": "cg", "pc_type": "jacobi", "ksp_norm_type": "unpreconditioned", "ksp_rtol": "1e-2"}
+    for name, value in chosen.items():
+        options[name] = value
+    try:
+        with pytest.raises(NumericalFailure, match="KKT residuals above") as caught:
+            solve(load_case("singular").with_values({"solve.h": 1 / 8}), COMM)
+    finally:
+        for name in chosen:
+            options.delValue(name)
+    solution = caught.value.solution
+    assert solution is not None
+    errors, certificate = solution.errors(), certify(solution)
+    assert errors is not None
+    assert certificate.remainder > 1e-4
+    assert errors["sigma_L2"] < certificate.sigma_bound
+
+
+def test_friedrichs_constant(folder: Path):
+    """Never below the best constant, 1/√λ of the first eigenvalue, which is known on boxes, and not far above."""
+    for shape, parts, best in [
+        ("square", ["bottom"], 1 / (math.pi * math.sqrt(5 / 4))),
+        ("square", ["bottom", "top", "left"], 2 / math.pi),
+        ("cube", ["bottom", "left"], 1 / (math.pi * math.sqrt(3 / 2))),
+    ]:
+        spaces = solve(make_case(folder, shape=shape, parts=parts, f="1", h=0.3), COMM).spaces
+        assert best < friedrichs_constant(spaces) < 4 * best
+
+
+def test_where_dirichlet_meets_signorini(folder: Path):
+    """Convex data that vanish at Γ_S pull their interpolant's correction below 0 there: v still has to be ≥ 0."""
+    case = make_case(folder, parts=["bottom"], f="-4", h=0.3)
+    for u_D in ("abs(x - 0.45)^3", "sin(9*x)^2*y + x^4"):
+        case = case.with_values({"problem.u_D": u_D})
+        coarse = solve(case, COMM)
+        fine = solve(case.with_values({"solve.h": 0.04, "geometry.mesh": "structured"}), COMM)
+        assert flux_difference(coarse, fine) < certify(coarse).bound < 1.6 * flux_difference(coarse, fine)
+
+
+def test_no_bound_without_a_solution(folder: Path):
+    """U = u_D < 0 next to u ≥ 0 has no finite energy."""
+    case = make_case(folder, parts=["bottom"], f="0", h=0.3).with_values({"problem.u_D": "x - 0.5"})
+    assert certify(solve(case, COMM)).bound == math.inf
+    assert math.isfinite(certify(solve(case.with_values({"problem.u_D": "x - y"}), COMM)).bound)
+
+
+@pytest.mark.parallel(3)
+def test_ranks_do_not_matter():
+    for name, algorithm in [("example2", "alg4"), ("example6", "alg3")]:
+        case = load_case(name).with_values({"solve.h": 1 / 8, "solve.algorithm": algorithm, "solve.eps": 1e-2})
+        together, alone = certify(solve(case, COMM)), certify(solve(case, MPI.COMM_SELF))
+        assert together.summary() == pytest.approx(alone.summary(), rel=1e-10, abs=1e-12)
