@@ -248,7 +248,9 @@ def compare(
     from signorini_fenicsx.results import ResultsFolder
 
     comm = MPI.COMM_WORLD
-    comparison = compare_solutions(load_solution(first, comm), load_solution(second, comm))
+    one = load_solution(first, comm)  # named, so that an exception keeps it: MPI deadlocks on freeing it meanwhile
+    other = load_solution(second, comm)
+    comparison = compare_solutions(one, other)
     report.comparison(comparison, first, second)
     if output is not None:
         with ResultsFolder(comm, output) as folder:

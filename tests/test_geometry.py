@@ -12,16 +12,16 @@ from signorini_fenicsx.geometry import SHAPES, build_domain
 
 MESHES = [(name, "unstructured", None) for name in SHAPES] + [
     (name, "structured", diagonal) for name in ("square", "lshape") for diagonal in ("left", "right", "crossed")
-] + [("cube", "structured", None)]  # fmt: skip
+] + [("cube", "structured", None), ("lprism", "structured", None)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("shape", "mesh", "diagonal"), MESHES)
 def test_fineness_and_measure(shape: str, mesh: str, diagonal: str | None):
-    for h in (0.5, 0.2, 0.11):
+    for h in (0.5, 0.2, 0.11) if SHAPES[shape].dim == 2 else (0.5, 0.3):
         domain = build_domain(MPI.COMM_SELF, shape, h, mesh=mesh, diagonal=diagonal)
         assert h / 2 < domain.h <= h * (1 + 1e-12)
         measure = fem.assemble_scalar(fem.form(fem.Constant(domain.mesh, 1.0) * ufl.dx))
-        curved = shape in ("half_disk", "annulus")
+        curved = any(part.nearest is not None for part in SHAPES[shape].parts.values())
         assert measure == pytest.approx(SHAPES[shape].measure, rel=h**2 if curved else 1e-12)
 
 

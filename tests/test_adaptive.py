@@ -1,0 +1,217 @@
+"""Refinement that keeps the domain and does not know the number of ranks, and adaptive runs with the best rate."""
+
+import csv
+import itertools
+import json
+from pathlib import Path
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from test_cli import signorini
+
+from signorini_fenicsx.adaptive import AdaptRow, adapt, rate
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.errors import InputError, NumericalFailure
+from signorini_fenicsx.geometry import SHAPES, Domain, build_domain, label_parts
+from signorini_fenicsx.refinement import dorfler, refine
+
+COMM = MPI.COMM_WORLD
+
+
+def corners(domain: Domain) -> np.ndarray:
+    """Vertices of the cells of this rank, shape (cells, dim + 1, dim)."""
+    return domain.mesh.geometry.x[domain.mesh.geometry.dofmaps[0], : domain.mesh.topology.dim]
+
+
+def refined(comm: MPI.Comm, shape: str, mesh: str, h: float, times: int) -> Domain:
+    """A mesh refined several times towards a point of Γ_S, and once everywhere."""
+    domain = build_domain(comm, shape, h, mesh=mesh)
+    corner = np.array([0.5, 0.0, 0.0] if SHAPES[shape].parts.keys() & {"bottom"} else [0.5, 0.0, -1.0])
+    for time in range(times):
+        distance = np.linalg.norm(corners(domain).mean(axis=1) - corner[: SHAPES[shape].dim], axis=1)
+        cells = dorfler(1 / (0.01 + distance), 1.0 if time == 1 else 0.3, comm)
+        domain = refine(domain, SHAPES[shape], cells)
+    return domain
+
+
+@pytest.mark.parallel([1, 3])
+def test_refined_meshes_fill_the_domain():
+    """No gap and no overlap, parts complete, curved boundaries met, cells of decent shape."""
+    for shape, mesh, h in [
+        ("lshape", "structured", 0.8),
+        ("half_disk", "unstructured", 0.5),
+        ("annulus", "unstructured", 0.5),
+        ("lprism", "structured", 1.0),
+        ("ball", "unstructured", 0.8),
+    ]:
+        domain = refined(COMM, shape, mesh, h, 4)
+        dim = SHAPES[shape].dim
+        named = np.sort(np.concatenate(list(domain.facets.values())))
+        np.testing.assert_array_equal(named, np.sort(dolfinx.mesh.exterior_facet_indices(domain.mesh.topology)))
+        curved = [part for part in SHAPES[shape].parts.values() if part.nearest is not None]
+        measure = COMM.allreduce(fem.assemble_scalar(fem.form(fem.Constant(domain.mesh, 1.0) * ufl.dx)))
+        relative = measure / SHAPES[shape].measure - 1
+        assert abs(relative) < (0.1 if curved else 1e-12)
+        for name, part in SHAPES[shape].parts.items():
+            nodes = dolfinx.mesh.entities_to_geometry(domain.mesh, dim - 1, domain.facets[name]).ravel()
+            x = domain.mesh.geometry.x[nodes].T
+            assert part.contains(x).all()
+            if part.nearest is not None:
+                np.testing.assert_allclose(x, part.nearest(x), atol=1e-15)
+        x = corners(domain)
+        longest = np.linalg.norm(x[:, :, None] - x[:, None], axis=3).max(axis=(1, 2), initial=0.0)
+        volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1]))
+        assert np.all(volume > {2: 0.15, 3: 0.015}[dim] * longest**dim)
+
+
+@pytest.mark.parallel([2, 3, 4])
+def test_refinement_does_not_depend_on_the_ranks():
+    """The same cells, also where edges of equal length compete to be bisected."""
+    for shape, mesh, h in [
+        ("square", "structured", 0.5),
+        ("cube", "structured", 0.9),
+        ("annulus", "unstructured", 0.5),
+    ]:
+        together, alone = (refined(comm, shape, mesh, h, 4) for comm in (COMM, MPI.COMM_SELF))
+        weights = np.array([1.0, np.pi, np.e])[: SHAPES[shape].dim]
+        parts = COMM.allgather(np.sort(corners(together) @ weights, axis=1))
+        cells, expected = np.concatenate(parts), np.sort(corners(alone) @ weights, axis=1)
+        assert len(cells) == len(expected) > 100
+        for rows in (cells, expected):
+            rows[:] = rows[np.lexsort(np.round(rows, 9).T)]
+        np.testing.assert_allclose(cells, expected, atol=1e-13)
+
+
+@pytest.mark.parallel([1, 3])
+def test_dorfler():
+    """The smallest set with the wanted part, but for ties, which are taken together."""
+    rng = np.random.default_rng(COMM.rank)
+    indicator = rng.uniform(0, 1, 50 + COMM.rank) ** 3
+    everything = np.concatenate(COMM.allgather(indicator))
+    for theta in (0.1, 0.5, 0.9):
+        chosen = np.concatenate(COMM.allgather(indicator[dorfler(indicator, theta, COMM)]))
+        wanted = theta * (everything**2).sum()
+        assert (chosen**2).sum() >= wanted > (chosen**2).sum() - chosen.min() ** 2
+        assert np.all(np.sort(everything)[-len(chosen) :] == np.sort(chosen))
+    ties = np.repeat([1.0, 2.0], 10) * (1 + 1e-14 * rng.uniform(-1, 1, 20))
+    assert list(dorfler(ties, 0.3, COMM)) == list(range(10, 20))
+    assert len(dorfler(ties, 1.0, COMM)) == 20
+    assert len(dorfler(np.zeros(0 if COMM.rank else 3), 0.5, COMM)) == (0 if COMM.rank else 3)
+
+
+def test_a_cell_that_would_be_flattened_is_a_failure():
+    """Two cells cannot fill a half-disk: the midpoint of the arc's chord has too far to go."""
+    shape = SHAPES["annulus"]
+    angles = np.linspace(0, 2 * np.pi, 4)[:3]
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    points = np.concatenate([0.5 * ring, ring])
+    quads = [(i, (i + 1) % 3, 3 + (i + 1) % 3, 3 + i) for i in range(3)]
+    cells = np.array([tri for a, b, c, d in quads for tri in ((a, b, d), (b, c, d))])
+    from signorini_fenicsx.geometry import distribute
+
+    domain = label_parts(distribute(MPI.COMM_SELF, points, cells, 2), shape)
+    with pytest.raises(NumericalFailure, match="flatten a cell"):
+        refine(domain, shape, np.arange(6, dtype=np.int32))
+
+
+def history(case: str, theta: float, max_cells: int, **values: object) -> list[AdaptRow]:
+    rows: list[AdaptRow] = []
+    problem = load_case(case).with_values({key.replace("_", "."): value for key, value in values.items()})
+    adapt(problem, COMM, max_cells=max_cells, theta=theta, on_row=rows.append)
+    return rows
+
+
+def test_best_rate_where_uniform_meshes_lose_it():
+    """Example 5 has a corner of 270°: adaptive meshes keep the order ½ in the unknowns, uniform ones have ⅓ to 0.4."""
+    adaptive, uniform = history("example5", 0.5, 10_000, solve_h=0.4), history("example5", 1.0, 10_000, solve_h=0.4)
+    slow, fast = rate(uniform), rate(adaptive)
+    assert slow is not None
+    assert fast is not None
+    assert slow > -0.43
+    assert fast < -0.47
+    assert adaptive[-1].unknowns < 0.6 * uniform[-1].unknowns
+    assert adaptive[-1].bound < uniform[-1].bound
+    assert all(later.bound < earlier.bound for earlier, later in itertools.pairwise(adaptive))
+    assert max(row.iterations for row in adaptive[2:]) <= 3
+
+
+@pytest.mark.parallel([2, 3])
+def test_adaptive_runs_do_not_depend_on_the_ranks():
+    for name, values in [
+        ("example2", {"solve.h": 0.6, "solve.algorithm": "alg2"}),
+        ("example6", {"solve.h": 0.5}),
+        ("lprism", {"solve.h": 1.0, "geometry.mesh": "structured"}),
+        ("ball", {"solve.h": 0.9}),
+    ]:
+        case = load_case(name).with_values(values)
+        together: list[AdaptRow] = []
+        alone: list[AdaptRow] = []
+        for comm, rows in ((COMM, together), (MPI.COMM_SELF, alone)):
+            adapt(case, comm, max_cells=1500, on_row=rows.append)
+        assert len(together) == len(alone) > 1
+        for a, b in zip(together, alone, strict=True):
+            assert (a.cells, a.unknowns, a.contact_facets, a.iterations) == (
+                b.cells,
+                b.unknowns,
+                b.contact_facets,
+                b.iterations,
+            )
+            assert (a.h, a.contact_measure, a.bound) == pytest.approx((b.h, b.contact_measure, b.bound), rel=1e-10)
+
+
+def test_all_algorithms_and_the_end():
+    """Every algorithm refines down to the target and not beyond."""
+    for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "vi"):
+        case = load_case("example4").with_values({"solve.h": 0.4, "solve.algorithm": algorithm})
+        rows: list[AdaptRow] = []
+        _, certificate = adapt(case, COMM, target=0.3, on_row=rows.append)
+        assert certificate.relative == rows[-1].relative <= 0.3 < rows[-2].relative
+    with pytest.raises(InputError, match="more than the 20 allowed"):
+        adapt(case, COMM, max_cells=20)
+
+
+@pytest.mark.parametrize(("case", "ranks"), [("example3", 1), ("lprism", 2)])
+def test_command_line(tmp_path: Path, case: str, ranks: int):
+    done = signorini(tmp_path, "adapt", case, "--max-cells", "1500", "--uniform", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    assert "best possible" in done.stdout
+    results = tmp_path / "results" / f"{case}-adapt"
+    with (results / "adapt.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["refinement"] for row in rows} == {"adaptive", "uniform"}
+    assert all(int(row["cells"]) <= 1500 for row in rows)
+    certified = json.loads((results / "summary.json").read_text())["certificate"]["bound"]
+    assert certified == float([row for row in rows if row["refinement"] == "adaptive"][-1]["bound"])
+    for name in ("adapt.png", "mesh.png"):
+        assert (results / name).stat().st_size > 10_000
+
+
+def test_target_out_of_reach_is_a_failure_with_its_state(tmp_path: Path):
+    done = signorini(tmp_path, "adapt", "example2", "--target", "1e-3", "--max-cells", "300")
+    assert done.returncode == 1
+    assert "not 0.001" in done.stderr
+    assert [path.name for path in (tmp_path / "results").iterdir()] == ["example2-adapt.failed"]
+    assert (tmp_path / "results" / "example2-adapt.failed" / "adapt.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give --target"),
+        (["--target", "0"], "must be greater than 0"),
+        (["--target", "small"], "is not a number"),
+        (["--max-cells", "0"], "at least 1"),
+        (["--max-cells", "1000", "--theta", "1.5"], "at most 1"),
+        (["--max-cells", "10"], "more than the 10 allowed"),
+    ],
+)
+def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
+    done = signorini(tmp_path, "adapt", "example2", *arguments)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,97 @@
+"""Distances of contact sets that are known, and comparisons that do not depend on order, mesh or ranks."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_cli import signorini
+
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.comparison import compare
+from signorini_fenicsx.contact_sets import FacetSet, hausdorff, jaccard
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.geometry import build_domain
+from signorini_fenicsx.solver import solve
+from signorini_fenicsx.spaces import Spaces, build_spaces
+
+COMM = MPI.COMM_WORLD
+
+
+def facet_set(spaces: Spaces, low: float, high: float) -> FacetSet:
+    """The facets of Γ_S with low < x < high."""
+    import dolfinx.mesh
+
+    x = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets)[:, 0]
+    return FacetSet(spaces, (low < x) & (x < high))
+
+
+@pytest.mark.parallel([1, 3])
+def test_known_sets():
+    """Intervals on the bottom of the square and strips on the bottom of the cube, on meshes that do not match."""
+    for shape, per_unit in (("square", (4, 10)), ("cube", (2, 6))):
+        diagonal = math.sqrt(2 if shape == "square" else 3)
+        coarse, fine = (
+            build_spaces(build_domain(COMM, shape, diagonal / n * 1.001, mesh="structured"), ["bottom"])
+            for n in per_unit
+        )
+        half, most = facet_set(coarse, 0, 0.5), facet_set(fine, 0, 0.5 + 1 / per_unit[1])
+        width = 0.5 + (1 / per_unit[1])
+        assert jaccard(half, most) == pytest.approx(0.5 / width, abs=1e-12)
+        assert hausdorff(half, most) == hausdorff(most, half) == pytest.approx(width - 0.5, abs=1e-12)
+        left, right = facet_set(coarse, 0, 0.5), facet_set(fine, 0.5, 1)
+        assert jaccard(left, right) == 0
+        assert hausdorff(left, right) == pytest.approx(0.5)
+        nothing = facet_set(fine, 2, 3)
+        assert (jaccard(half, nothing), hausdorff(half, nothing)) == (0, math.inf)
+        assert (jaccard(nothing, nothing), hausdorff(nothing, nothing)) == (1, 0)
+
+
+@pytest.mark.parallel([1, 2])
+def test_solutions():
+    """Finer solutions are closer; order and ranks do not matter; a solution does not differ from itself."""
+    case = load_case("example2")
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        coarse, middle, fine = (solve(case.with_values({"solve.h": h}), comm) for h in (1 / 4, 1 / 8, 1 / 16))
+        far, near, back = compare(coarse, fine), compare(middle, fine), compare(fine, middle)
+        assert near.norms == back.norms
+        assert (near.jaccard, near.hausdorff) == (back.jaccard, back.hausdorff)
+        assert near.norms.sigma_V < 0.6 * far.norms.sigma_V
+        assert 0.9 < near.jaccard <= 1
+        assert near.hausdorff < 1 / 4
+        same = compare(fine, fine)
+        assert same.jaccard == pytest.approx(1, abs=1e-13)
+        assert max(same.hausdorff, *vars(same.norms).values()) < 1e-12
+        found.append(near)
+    together, alone = found
+    assert vars(together.norms) == pytest.approx(vars(alone.norms), rel=1e-9)
+    assert (together.jaccard, together.hausdorff) == pytest.approx((alone.jaccard, alone.hausdorff), rel=1e-10)
+    with pytest.raises(InputError, match="of one domain and contact boundary"):
+        compare(fine, solve(load_case("example1").with_values({"solve.h": 0.5}), MPI.COMM_SELF))
+
+
+def test_position_of_the_exact_contact_set():
+    """On transition cases the contact set is found to within about a facet."""
+    for name, h in (("transition", 1 / 8), ("transition", 1 / 32), ("transition3d", 1 / 4)):
+        errors = solve(load_case(name).with_values({"solve.h": h}), MPI.COMM_SELF).errors()
+        assert errors is not None
+        assert errors["contact_hausdorff"] < 1.5 * h
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_command_line(tmp_path: Path, ranks: int):
+    for h in ("1/4", "1/8"):
+        done = signorini(tmp_path, "solve", "example3", "--h", h, "--output", h[-1])
+        assert done.returncode == 0, done.stderr
+    done = signorini(tmp_path, "compare", "4", "8", "--output", "out", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    assert "Jaccard" in done.stdout
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert 0.8 < summary["jaccard"] <= 1
+    assert np.isfinite(summary["hausdorff"])
+    bad = signorini(tmp_path, "compare", "4", "missing")
+    assert bad.returncode == 2
+    assert "Traceback" not in bad.stderr

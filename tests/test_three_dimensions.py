@@ -1,0 +1,53 @@
+"""All algorithms and both backends on the three-dimensional shapes, and their pictures."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_backends import assert_same_iterates
+from test_cli import signorini
+
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.solver import mesh_case, solve
+
+COMM = MPI.COMM_WORLD
+COARSE = {"cube": 0.5, "lprism": 0.7, "ball": 0.8}
+
+
+@pytest.mark.parallel([1, 2])
+def test_backends_agree():
+    for name, h in COARSE.items():
+        assert_same_iterates(load_case(name).with_values({"solve.h": h}), 1e-11)
+
+
+@pytest.mark.parallel([1, 2])
+def test_algorithms_agree():
+    """Those for the multipliers to rounding, SNES and penalties to about ε."""
+    for name, h in COARSE.items():
+        case = load_case(name).with_values({"solve.h": h, "solve.eps": 1e-8})
+        domain = mesh_case(case, COMM)
+        first = solve(case, domain=domain)
+        assert 0 < first.contact()[0] < first.summary()["signorini_facets"]
+        for algorithm, tolerance in (("alg2", 1e-11), ("alg3", 1e-6), ("alg4", 1e-6), ("snes1", 1e-6), ("vi", 1e-9)):
+            other = solve(case.with_values({"solve.algorithm": algorithm}), domain=domain)
+            assert other.contact() == pytest.approx(first.contact())
+            for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
+                np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance)
+
+
+@pytest.mark.parallel([1, 3])
+def test_ranks_do_not_matter():
+    for name, h in COARSE.items():
+        case = load_case(name).with_values({"solve.h": h})
+        together, alone = solve(case, COMM).summary(), solve(case, MPI.COMM_SELF).summary()
+        assert together["contact_facets"] == alone["contact_facets"]
+        assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ["lprism", "ball"])
+def test_pictures(tmp_path: Path, name: str):
+    done = signorini(tmp_path, "solve", name, "--h", str(COARSE[name]), "--plot")
+    assert done.returncode == 0, done.stderr
+    for picture in ("u.png", "sigma.png", "signorini.png"):
+        assert (tmp_path / "results" / name / picture).stat().st_size > 10_000
