@@ -50,6 +50,7 @@ COPY scripts /opt/signorini/scripts
 # ---- the tests, in the same environment and as the same user: docker build --target tests -t signorini-tests .
 FROM build AS tests
 RUN uv sync --no-editable
+COPY scripts scripts
 COPY tests tests
 RUN chown -R 1000:1000 /src
 USER 1000:1000

@@ -4,6 +4,7 @@
 - :mod:`forms.penalty`: the penalty formulations (MPε-I)_h and (MPε-II)_h.
 - :mod:`forms.crouzeix_raviart`: the facet problem with the same solution, and the way back.
 - :mod:`forms.certificate`: the gap identity, for a guaranteed error bound.
+- :mod:`forms.primal`: the formulations in conforming P1 that the classical algorithms solve.
 - :mod:`forms.norms`: the norms of V, Q and Λ.
 
 Numbers in brackets are the equations of G. Zhou, Q. Wang, J. Hu, "The fully mixed methods for the Signorini

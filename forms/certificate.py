@@ -36,9 +36,14 @@ def with_exact_dirichlet_values(v: Expr, u_D: Expr, interpolant: Expr, cut_off: 
     return max_value(v + conditional(gt(cut_off, 0), cut_off * (u_D - interpolant), 0), floor)
 
 
-def twice_the_gap(v: Expr, y: Expr, n: Expr, q: Expr, measure: Measure, ds_signorini: Measure) -> Form:
-    """2 gap(v, y), weighted by q: with the indicator of T what T contributes."""
-    return inner(grad(v) - y, grad(v) - y) * q * measure + 2 * dot(y, n) * v * q * ds_signorini
+def flux_gap(v: Expr, y: Expr, q: Expr, measure: Measure) -> Form:
+    """‖∇v − y‖², weighted by q: with the indicator of T what T contributes to 2 gap(v, y)."""
+    return inner(grad(v) - y, grad(v) - y) * q * measure
+
+
+def contact_gap(v: Expr, y: Expr, n: Expr, q: Expr, ds_signorini: Measure) -> Form:
+    """2⟨y·n, v⟩ on Γ_S, weighted by q: the rest of 2 gap(v, y)."""
+    return 2 * dot(y, n) * v * q * ds_signorini
 
 
 def oscillation_squared(f: Expr, f_h: Expr, diameter: Expr, q: Expr, measure: Measure) -> Form:

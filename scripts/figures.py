@@ -9,7 +9,7 @@ import csv
 import html
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -146,7 +146,8 @@ def draw_penalty_traces(runs: list[KeptRun]) -> Figure:
 
 def _trace(axes: Axes, arrays: dict[str, Any], part: int, key: str, color: str, label: str | None = None) -> None:
     on = arrays["facet_part"] == part
-    axes.plot(arrays["facet_along"][on], arrays[f"facet_{key}"][on], color=color, label=label)
+    style = "--" if key == "p" else "-"  # p_h lies on u_h where both are positive
+    axes.plot(arrays["facet_along"][on], arrays[f"facet_{key}"][on], style, color=color, label=label)
 
 
 def draw_iterations(runs: list[KeptRun]) -> Figure:
@@ -229,8 +230,8 @@ def table_rows(run: KeptRun, slides: dict[str, dict[str, float]]) -> list[list[s
     return lines
 
 
-def make(folder: Path) -> None:
-    """Draw everything that `reproduction.json` lists, and the page that shows it."""
+def make(folder: Path, names: Sequence[str] | None = None) -> None:
+    """Draw what `reproduction.json` lists, or some of it, and the page that shows all of it."""
     reproduction = json.loads((folder / "reproduction.json").read_text(encoding="utf-8"))
     sections = []
     for name, item in reproduction["items"].items():
@@ -241,9 +242,10 @@ def make(folder: Path) -> None:
                 csv.writer(file).writerows([list(COLUMNS.values()), *lines])
             shown = _html_table(lines)
         else:
-            figure = DRAWN[item["draw"]](runs)
-            for suffix in ("png", "pdf"):
-                figure.savefig(folder / f"{name}.{suffix}")
+            if names is None or name in names:
+                figure = DRAWN[item["draw"]](runs)
+                for suffix in ("png", "pdf"):
+                    figure.savefig(folder / f"{name}.{suffix}")
             shown = f'<a href="{name}.pdf"><img src="{name}.png" alt="{html.escape(item["caption"])}"></a>'
         seconds = sum(run.seconds for run in runs)
         sections.append(_section(name, item, shown, seconds))

@@ -1,6 +1,6 @@
 """Show a results folder in ParaView: u_h as a surface coloured by its value, σ_h as arrows, Γ_S by its condition.
 
-Usage: pvpython scripts/paraview_view.py FOLDER [PICTURE.png]; or, in ParaView's Python shell,
+Usage: pvbatch --force-offscreen-rendering scripts/paraview_view.py FOLDER PICTURE.png; or, in ParaView's Python shell,
     exec(open("scripts/paraview_view.py").read()); show("FOLDER")
 
 It reads `solution.bp` and `multiplier.bp`, for which ParaView must have been built with ADIOS2.
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from paraview import simple
 
-CONTACT = {"0": "σ·n = 0", "1": "p = 0", "2": "Robin"}
+CONTACT = {"0": "sigma.n = 0", "1": "p = 0", "2": "Robin"}
 """Values of `condition`: in contact are p = 0 (Algorithms 1, 2, 4) and Robin (Algorithm 3)."""
 
 
@@ -30,7 +30,10 @@ def show(folder: str | Path) -> None:
     low, high = solution.PointData["u"].GetRange()
     surface = solution
     if flat:
-        surface = simple.WarpByScalar(registrationName="u as height", Input=solution)
+        joined = simple.CleantoGrid(registrationName="joined", Input=solution)  # u_h is constant on each cell
+        joined.PointDataWeightingStrategy = "Average by Number"
+        joined.ToleranceIsAbsolute, joined.AbsoluteTolerance = 1, 1e-9 * extent
+        surface = simple.WarpByScalar(registrationName="u as height", Input=joined)
         surface.Scalars = ["POINTS", "u"]
         surface.ScaleFactor = 0.4 * extent / max(high - low, 1e-300)
     shown = simple.Show(surface, view)
@@ -44,7 +47,9 @@ def show(folder: str | Path) -> None:
     arrows.ScaleFactor = 0.08 * extent / max(solution.PointData["sigma_norm"].GetRange()[1], 1e-300)
     arrows.GlyphMode = "Uniform Spatial Distribution (Bounds Based)"
     arrows.MaximumNumberOfSamplePoints = 1000
-    simple.ColorBy(simple.Show(arrows, view), None)
+    shown = simple.Show(arrows, view)
+    shown.ColorArrayName = ["POINTS", ""]
+    shown.AmbientColor = shown.DiffuseColor = [0.2, 0.2, 0.2]
 
     contact = simple.Show(multiplier, view)
     contact.LineWidth = 6
@@ -58,6 +63,13 @@ def show(folder: str | Path) -> None:
         view.CameraPosition = [bounds[0] - extent, bounds[2] - 1.5 * extent, 1.5 * extent]
         view.CameraFocalPoint = [(bounds[0] + bounds[1]) / 2, (bounds[2] + bounds[3]) / 2, 0]
         view.CameraViewUp = [0, 0, 1]
+    view.UseColorPaletteForBackground = 0
+    view.Background = [1, 1, 1]
+    for name in ("u", "condition"):
+        bar = simple.GetScalarBar(simple.GetColorTransferFunction(name), view)
+        bar.TitleFontSize = bar.LabelFontSize = 12
+        bar.TitleColor = bar.LabelColor = [0, 0, 0]
+        bar.WindowLocation = "Lower Right Corner" if name == "u" else "Upper Right Corner"
     simple.ResetCamera(view)
     simple.Render(view)
 

@@ -136,26 +136,30 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
 
 
 def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], folder: Path, *, quick: bool) -> None:
-    """Write `reproduction.json`, which says what the figures are made of, and draw them (rank 0)."""
+    """Write `reproduction.json`, which says what the figures are made of, and draw the wanted ones (rank 0)."""
     import figures
 
     option = " --quick" if quick else ""
+    path = folder / "reproduction.json"
+    earlier = json.loads(path.read_text(encoding="utf-8"))["items"] if path.exists() else {}
+    new = {
+        name: {
+            "draw": item.draw,
+            "caption": item.caption,
+            "command": f"python scripts/reproduce.py{option} {name}",
+            "runs": [run.name for run in runs[name]],
+            "slides": _slides(item) if item.draw == "table" else {},
+        }
+        for name, item in wanted.items()
+    }
+    shown = earlier | new
     about = {
         "remark": "A quick pass on coarse meshes." if quick else "The meshes of the slides.",
         "versions": versions(),
-        "items": {
-            name: {
-                "draw": item.draw,
-                "caption": item.caption,
-                "command": f"python scripts/reproduce.py{option} {name}",
-                "runs": [run.name for run in runs[name]],
-                "slides": _slides(item) if item.draw == "table" else {},
-            }
-            for name, item in wanted.items()
-        },
+        "items": {name: shown[name] for name in items() if name in shown},
     }
-    (folder / "reproduction.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
-    figures.make(folder)
+    path.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    figures.make(folder, list(new))
 
 
 def _slides(item: Item) -> dict[str, dict[str, float]]:

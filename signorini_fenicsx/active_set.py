@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import ufl
@@ -63,6 +63,9 @@ class Outcome:
         backend: Name of the discrete system it was solved with.
         dofs: Unknowns of the linear systems.
         linear_solver: Name of their solver.
+        own_residual: Largest residual of the discrete problem that the method solves, scale-free, where that is neither
+            (9) nor a penalty of it: what is judged then instead of the KKT residuals.
+        details: Numbers of its own that the method chose or found, such as ρ.
         rough_steps: Set updates that went before, by rough solves.
     """
 
@@ -74,34 +77,37 @@ class Outcome:
     backend: str
     dofs: int
     linear_solver: str
+    own_residual: float | None = None
+    details: dict[str, float] = field(default_factory=dict)
     rough_steps: int = 0
 
 
-class Recorder:
-    """Builds the history: one step per iteration, each compared with the one before."""
+class History:
+    """Builds the history: one step per iteration, its conditions compared with those before."""
 
-    def __init__(self, spaces: Spaces, iterate: Iterate, conditions: FacetConditions, on_step: Callable[[Step], None]):
-        """Begin with the start, which is not a step itself (collective).
+    def __init__(self, spaces: Spaces, conditions: FacetConditions, on_step: Callable[[Step], None]):
+        """Begin with the start, which is not a step itself.
 
         Args:
             spaces: The discrete spaces.
-            iterate: The start.
-            conditions: Its facet conditions.
+            conditions: Facet conditions of the start.
             on_step: Called on all ranks with each step.
         """
         self.steps: list[Step] = []
         self._comm = spaces.mesh.comm
-        self._last, self._last_conditions, self._on_step = iterate, conditions, on_step
-        self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
-        self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
+        self._last_conditions, self._on_step = conditions, on_step
         self._began = time.perf_counter()
 
-    def add(self, iterate: Iterate, conditions: FacetConditions, *, clipped: int = 0) -> None:
-        """Record an iteration (collective)."""
-        self._sigma.x.array[:] = iterate.sigma.x.array - self._last.sigma.x.array
-        self._u.x.array[:] = iterate.u.x.array - self._last.u.x.array
-        local = np.array([fem.assemble_scalar(form) for form in self._norms])
-        sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
+    def append(
+        self,
+        conditions: FacetConditions,
+        sigma_change: float,
+        u_change: float,
+        *,
+        linear_iterations: int = 1,
+        clipped: int = 0,
+    ) -> None:
+        """Record an iteration by its conditions and the norms of what it changed (collective)."""
         counts = conditions.counts(self._comm)
         now = time.perf_counter()
         step = Step(
@@ -113,12 +119,39 @@ class Recorder:
             clipped=clipped,
             sigma_change=sigma_change,
             u_change=u_change,
-            linear_iterations=iterate.linear_iterations,
+            linear_iterations=linear_iterations,
             seconds=now - self._began,
         )
         self.steps.append(step)
-        self._last, self._last_conditions, self._began = iterate, conditions, now
+        self._last_conditions, self._began = conditions, now
         self._on_step(step)
+
+
+class Recorder(History):
+    """A history of iterates in V_h × Q_h, each compared with the one before."""
+
+    def __init__(self, spaces: Spaces, iterate: Iterate, conditions: FacetConditions, on_step: Callable[[Step], None]):
+        """Begin with the start, which is not a step itself (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            iterate: The start.
+            conditions: Its facet conditions.
+            on_step: Called on all ranks with each step.
+        """
+        self._last = iterate
+        self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
+        self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
+        super().__init__(spaces, conditions, on_step)
+
+    def add(self, iterate: Iterate, conditions: FacetConditions, *, clipped: int = 0) -> None:
+        """Record an iteration (collective)."""
+        self._sigma.x.array[:] = iterate.sigma.x.array - self._last.sigma.x.array
+        self._u.x.array[:] = iterate.u.x.array - self._last.u.x.array
+        local = np.array([fem.assemble_scalar(form) for form in self._norms])
+        sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
+        self._last = iterate
+        self.append(conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
 
 class FluxClip:

@@ -10,12 +10,15 @@
 | snes2     | (MPε-II)_h  | none: PETSc SNES solves (26)                              | 0              |
 | vi        | (MLM-I)_h   | none: PETSc SNESVI minimises over p ≥ 0                   | 0              |
 
+The classical methods have no rule either, see `signorini_fenicsx.classical`; slimane has that of alg1.
+
 After one step of alg1 and alg2 one of p and σ·n is 0 on each facet, so only signs matter and ρ changes no iterate.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +30,12 @@ type Rule = Callable[[Array, Array, float], npt.NDArray[np.int8]]
 
 
 class By(Enum):
-    """What runs an algorithm: the active-set loop, SNES on the block system, or SNESVI on the facet system."""
+    """What runs an algorithm: the active-set loop, SNES on the block system, SNESVI on the facet system, or its own."""
 
     SETS = "sets"
     SNES = "snes"
     SNESVI = "snesvi"
+    CLASSICAL = "classical"
 
 
 class Penalty(Enum):
@@ -60,6 +64,7 @@ class Algorithm:
 
     Attributes:
         title: What it solves and where it is defined.
+        reference: Where it comes from.
         start: Condition of all Γ_S facets in the start solve (Step 1).
         rule: From p, σ·n and ρ per facet to the next conditions (Step 2).
         contact: Condition of the facets in contact.
@@ -67,9 +72,12 @@ class Algorithm:
         penalty: Its penalty law, if it has one.
         clips: Whether Step 3 clips σ·n to ≥ 0 (36).
         by: What solves it; without the loop the rule is not used.
+        stabilised: Whether ε adds −ε(u, v) to the mass balance.
+        max_iterations: Iterations allowed unless the case says else.
     """
 
     title: str
+    reference: str
     start: Condition
     rule: Rule
     contact: Condition = Condition.ZERO_TRACE
@@ -77,6 +85,13 @@ class Algorithm:
     penalty: Penalty | None = None
     clips: bool = False
     by: By = By.SETS
+    stabilised: bool = False
+    max_iterations: int = 50
+
+    @property
+    def has_eps(self) -> bool:
+        """Whether its solution depends on ε."""
+        return self.penalty is not None or self.stabilised
 
     def cold_start(self, facets: int, eps: float) -> FacetConditions:
         """Conditions of the start solve on this rank's Γ_S facets (Step 1)."""
@@ -110,20 +125,35 @@ def flux_penalty_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]
     return np.where(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN).astype(np.int8)
 
 
+LAGRANGE = "Wang, Hu, Zhou: J. Comput. Appl. Math. (2024)"
+PENALTY = "Hu, Wang, Zhou: The mixed penalty method for the Signorini problem (2024)"
+GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (1984)"
+MANY = 100_000
+"""Iterations allowed to methods whose iterations are cheap."""
+
+
+def _classical(title: str, reference: str, **options: Any) -> Algorithm:
+    return Algorithm(title, reference, Condition.NO_FLUX, mlm1_rule, by=By.CLASSICAL, **options)
+
+
 ALGORITHMS: Mapping[str, Algorithm] = {
-    "alg1": Algorithm("Algorithm 1 for (MLM-I)_h", Condition.NO_FLUX, mlm1_rule, forgets_start=True),
-    "alg2": Algorithm("Algorithm 2 for (MLM-II)_h", Condition.NO_FLUX, mlm2_rule, forgets_start=True),
+    "alg1": Algorithm("Algorithm 1 for (MLM-I)_h", LAGRANGE, Condition.NO_FLUX, mlm1_rule, forgets_start=True),
+    "alg2": Algorithm("Algorithm 2 for (MLM-II)_h", LAGRANGE, Condition.NO_FLUX, mlm2_rule, forgets_start=True),
     "alg3": Algorithm(
         "Algorithm 3 for (MPε-I)_h",
+        PENALTY,
         Condition.NO_FLUX,
         trace_penalty_rule,
         Condition.ROBIN,
         penalty=Penalty.TRACE,
         clips=True,
     ),
-    "alg4": Algorithm("Algorithm 4 for (MPε-II)_h", Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX),
+    "alg4": Algorithm(
+        "Algorithm 4 for (MPε-II)_h", PENALTY, Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX
+    ),
     "snes1": Algorithm(
         "PETSc SNES for (MPε-I)_h",
+        PENALTY,
         Condition.NO_FLUX,
         trace_penalty_rule,
         Condition.ROBIN,
@@ -131,7 +161,44 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         by=By.SNES,
     ),
     "snes2": Algorithm(
-        "PETSc SNES for (MPε-II)_h", Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX, by=By.SNES
+        "PETSc SNES for (MPε-II)_h", PENALTY, Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX, by=By.SNES
     ),
-    "vi": Algorithm("PETSc SNESVI for (MLM-I)_h", Condition.NO_FLUX, mlm1_rule, by=By.SNESVI),
+    "vi": Algorithm(
+        "PETSc SNESVI for (MLM-I)_h",
+        "Benson, Munson: Optim. Methods Softw. (2006)",
+        Condition.NO_FLUX,
+        mlm1_rule,
+        by=By.SNESVI,
+    ),
+    "uzawa": _classical("Uzawa iteration for (VL), conforming P1", GLOWINSKI, max_iterations=MANY),
+    "psor": _classical("projected over-relaxation for (VI), conforming P1", GLOWINSKI, max_iterations=MANY),
+    "primal-pdas": _classical(
+        "primal-dual active set for (VI), conforming P1", "Ito, Kunisch: Lagrange Multiplier Approach (2008)"
+    ),
+    "primal-penalty": _classical(
+        "penalty (P_ε) by semismooth Newton, conforming P1",
+        "[Haslinger 04] of the slides",
+        contact=Condition.ROBIN,
+        penalty=Penalty.TRACE,
+    ),
+    "mixed-uzawa1": _classical("Uzawa iteration in σ·n, L² projection, for (MLM-I)_h", LAGRANGE, max_iterations=MANY),
+    "mixed-uzawa2": _classical("Uzawa iteration in p, L² projection, for (MLM-II)_h", LAGRANGE, max_iterations=MANY),
+    "mixed-uzawa-h12": _classical(
+        "Uzawa iteration in p, H^{1/2} projection, for (MLM-II)_h",
+        "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
+        max_iterations=MANY,
+    ),
+    "mixed-uzawa-wang": _classical(
+        "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
+        "[Wang 09] of the slides",
+        max_iterations=MANY,
+    ),
+    "slimane": _classical(
+        "stabilised unilateral mixed form, ∇·σ + f = εu",
+        "Slimane, Bendali, Laborde: ESAIM M2AN (2004)",
+        stabilised=True,
+    ),
+    "qp": _classical(
+        "(MVI)_h as a quadratic programme, interior point (PIQP)", "Theorem 2 of the slides", max_iterations=250
+    ),
 }

@@ -115,14 +115,17 @@ class Exact(_Section):
 
 
 class Solve(_Section):
-    """`[solve]`: the algorithm and its parameters; `predict` starts large problems from a coarser mesh's sets."""
+    """`[solve]`: the algorithm and its parameters; `predict` starts large problems from a coarser mesh's sets.
+
+    Without ρ or a number of iterations the algorithm takes its own.
+    """
 
     algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
     backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
     h: Positive = 2**-5
-    rho: Annotated[Positive, _within(1e-100, 1e100)] = 1.0
+    rho: Annotated[Positive, _within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, _within(1e-14, 1e6)] = 1e-8
-    max_iterations: Annotated[int, BeforeValidator(_number), _within(1, 10**6)] = 50
+    max_iterations: Annotated[int, BeforeValidator(_number), _within(1, 10**6)] | None = None
     predict: bool = True
 
 

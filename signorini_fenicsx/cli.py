@@ -32,10 +32,10 @@ app = typer.Typer(
 )
 
 CaseName = Annotated[str, typer.Argument(help="Name of a shipped case (example1 … example6) or path of a .toml file.")]
-AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="alg1, alg2, alg3, alg4, snes1, snes2 or vi.")]
+AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="One of those that `signorini methods` lists.")]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
-Rho = Annotated[str | None, typer.Option("--rho", help="Parameter ρ > 0 of the set rule.")]
-Epsilon = Annotated[str | None, typer.Option("--eps", help="Penalty ε of alg3, alg4, snes1, snes2.")]
+Rho = Annotated[str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
+Epsilon = Annotated[str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.")]
 BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; of alg1 to alg4 only.")]
 Settings = Annotated[
     list[str] | None,
@@ -336,6 +336,14 @@ def study(
             run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
         study_report.ended(folder)
         check_all_succeeded(runs, folder, comm)
+
+
+@app.command()
+def methods() -> None:
+    """List all algorithms: name, what it solves, where it comes from."""
+    from signorini_fenicsx import report
+
+    report.methods()
 
 
 def _levels(text: str) -> range:

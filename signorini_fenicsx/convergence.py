@@ -205,9 +205,9 @@ def convergence_study(
         InputError: If a mesh cannot be made, or ε is to vary for an algorithm without penalty.
         NumericalFailure: If a run fails.
     """
-    penalised = ALGORITHMS[case.solve.algorithm].penalty is not None
-    if vary is not Vary.H and not penalised:
-        raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use alg3, alg4, snes1 or snes2")
+    if vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
+        penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
+        raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
     domain = mesh_case(case, comm) if vary is Vary.EPS else None
     cases = [case.with_values(_values(vary, level)) for level in levels]
     best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
@@ -252,7 +252,7 @@ def _row(
     topology = coarse.spaces.mesh.topology
     cells = topology.index_map(topology.dim).size_global
     options = coarse.case.solve
-    eps = options.eps if ALGORITHMS[options.algorithm].penalty is not None else None
+    eps = options.eps if ALGORITHMS[options.algorithm].has_eps else None
     flux_scaled = None if eps is None else math.sqrt(eps) * error.flux_Lambda
 
     def order(name: str, value: float | None) -> float | None:

@@ -177,14 +177,17 @@ def draw_iterations(path: Path, history: list[Step], algorithm: str) -> None:
     figure = Figure(figsize=(4.8, 3.6), layout="constrained")
     axes = figure.add_subplot()
     n = np.array([step.iteration - 1 for step in history])
+    few = len(n) <= 25
     series = {
-        "‖σ⁽ⁿ⁺¹⁾ − σ⁽ⁿ⁾‖_V": ([step.sigma_change for step in history], "o-"),
-        "‖u⁽ⁿ⁺¹⁾ − u⁽ⁿ⁾‖_Q": ([step.u_change for step in history], "s--"),
+        "‖σ⁽ⁿ⁺¹⁾ − σ⁽ⁿ⁾‖_V": ([step.sigma_change for step in history], "o-" if few else "-"),
+        "‖u⁽ⁿ⁺¹⁾ − u⁽ⁿ⁾‖_Q": ([step.u_change for step in history], "s--" if few else "--"),
     }
     for label, (values, style) in series.items():
         positive = np.array(values) > 0  # a repeated set changes nothing, and 0 has no logarithm
         axes.semilogy(n[positive], np.array(values)[positive], style, label=label)
-    axes.set(xlabel="n", title=f"Iteration errors, {algorithm}", xticks=n)
+    axes.set(xlabel="n", title=f"Iteration errors, {algorithm}")
+    if few:
+        axes.set_xticks(n)
     axes.legend()
     figure.savefig(path)
 

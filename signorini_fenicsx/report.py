@@ -17,6 +17,9 @@ from signorini_fenicsx.solver import Solution
 
 console = Console(highlight=False, soft_wrap=True)
 
+VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
+DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
+
 
 def heading(case: Case, comm: MPI.Comm) -> None:
     """Say what is about to be solved."""
@@ -27,14 +30,16 @@ def heading(case: Case, comm: MPI.Comm) -> None:
 
 def iteration_heading(case: Case) -> None:
     """Say what the run is about and name the columns of the iterations."""
-    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].penalty is not None else ""
+    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].has_eps else ""
     console.print(f"h ≤ {case.solve.h:g}{penalty}")
     counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
     console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
 
 def step(row: Step) -> None:
-    """Show an iteration as soon as it is done."""
+    """Show an iteration as soon as it is done; of more than 20 only those with a number such as 30 or 400."""
+    if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
+        return
     counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
     changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
     console.print(f"{row.iteration:4d}{counts} {changes}")
@@ -55,8 +60,12 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     if "errors" in summary:
         lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
     if "violation" in summary:
-        left = "‖[p]_-‖ {trace:.3e}  ‖[σ·n]_-‖ {flux:.3e}".format(**summary["violation"])
-        lines["penalty"] = f"ε = {summary['eps']:g} leaves {left}"
+        left = "  ".join(f"{VIOLATIONS[name]} {value:.3e}" for name, value in summary["violation"].items())
+        lines["ε"] = f"{summary['eps']:g} leaves {left}"
+    if "own_residual" in summary:
+        lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
+    if summary["details"]:
+        lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
     lines["certified"] = bound(certificate)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
     memory = summary["peak_memory"]
@@ -64,6 +73,13 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     for name, text in lines.items():
         console.print(f"{name:<10} {text}", markup=False)
     results(folder)
+
+
+def methods() -> None:
+    """List the algorithms, one line each."""
+    names, titles = max(map(len, ALGORITHMS)), max(len(algorithm.title) for algorithm in ALGORITHMS.values())
+    for name, algorithm in ALGORITHMS.items():
+        console.print(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}", markup=False)
 
 
 def bound(certificate: Certificate) -> str:
@@ -107,7 +123,7 @@ def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorith
     """Show fitted slopes beside those of the theory."""
     theory = {
         Vary.H: "h (8)" if algorithm.penalty is None else "h (30), (32)",
-        Vary.EPS: "√ε in general, ε for a regular flux (21)-(24)",
+        Vary.EPS: "ε" if algorithm.stabilised else "√ε in general, ε for a regular flux (21)-(24)",
     }.get(vary, "h + √ε (29), (31)")
     fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
     console.print(f"fitted slopes  {fitted}   theory: {theory}")

@@ -18,6 +18,7 @@ from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.classical import CLASSICAL, Task
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.data import Data, project_data, quadrature
@@ -26,7 +27,7 @@ from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.facet_system import FacetSystem
 from signorini_fenicsx.geometry import Domain, build_domain
 from signorini_fenicsx.hybrid import HybridBackend
-from signorini_fenicsx.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
 from signorini_fenicsx.parallel import peak_memory
@@ -61,6 +62,8 @@ class Solution:
         backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
         dofs: Unknowns of the linear system.
         linear_solver: Name of the linear solver.
+        own_residual: Residual of the discrete problem that a classical method solves instead of (9), None for others.
+        details: Numbers that the algorithm chose or found, such as ρ.
         rough_steps: Set updates by rough solves that went before the history.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
@@ -80,6 +83,8 @@ class Solution:
     backend: str
     dofs: int
     linear_solver: str
+    own_residual: float | None = None
+    details: dict[str, float] = field(default_factory=dict)
     rough_steps: int = 0
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
@@ -138,21 +143,25 @@ class Solution:
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
     def violation(self) -> dict[str, float]:
-        """What a penalty leaves of the Signorini condition: ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ (collective)."""
+        """What ε leaves of the Signorini condition, ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ, or of the mass balance (collective)."""
         spaces = self.spaces
         negative = [
             spaces.facet_measure @ np.minimum(values, 0) ** 2
             for values in (self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma))
         ]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
-        return {"trace": trace, "flux": flux}
+        left = {"trace": trace, "flux": flux}
+        if ALGORITHMS[self.case.solve.algorithm].stabilised:
+            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
+        return left
 
     def summary(self) -> dict[str, Any]:
         """Everything about the run that fits into numbers, ready for JSON (collective)."""
         spaces, solve = self.spaces, self.case.solve
         contact_facets, contact_measure = self.contact()
+        own = {} if self.own_residual is None else {"own_residual": self.own_residual}
         errors = self.errors()
-        penalised = ALGORITHMS[solve.algorithm].penalty is not None
+        has_eps = ALGORITHMS[solve.algorithm].has_eps
         return {
             "case": self.case.name,
             "title": self.case.title,
@@ -172,7 +181,9 @@ class Solution:
             "norms": self.norms(),
             **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
-            **({"eps": solve.eps, "violation": self.violation()} if penalised else {}),
+            **own,
+            **({"eps": solve.eps, "violation": self.violation()} if has_eps else {}),
+            "details": self.details,
             "timings": self.timings,
             "peak_memory": self.peak_memory,
             "ranks": spaces.mesh.comm.size,
@@ -257,7 +268,7 @@ def solve(
     kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
-    failure = kkt.violation() if outcome.converged else outcome.reason
+    failure = _failure(outcome, kkt)
     solution = Solution(
         case=case,
         spaces=spaces,
@@ -273,6 +284,8 @@ def solve(
         backend=outcome.backend,
         dofs=outcome.dofs,
         linear_solver=outcome.linear_solver,
+        own_residual=outcome.own_residual,
+        details=outcome.details,
         rough_steps=outcome.rough_steps,
         timings=watch.longest(comm),
         peak_memory=peak_memory(comm),
@@ -280,6 +293,16 @@ def solve(
     if failure is not None:
         raise NumericalFailure(failure, solution)
     return solution
+
+
+def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
+    """Why an outcome is not a solution: by the residual of its own problem, if it has one, else by those of (9)."""
+    if not outcome.converged:
+        return outcome.reason
+    if outcome.own_residual is None:
+        return kkt.violation()
+    within = outcome.own_residual <= TOLERANCE
+    return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
 
 
 def _predicts(case: Case, spaces: Spaces) -> bool:
@@ -319,8 +342,7 @@ def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions
     touching.x.array[: len(kind)] = kind == ALGORITHMS[start.case.solve.algorithm].contact
     (sample,) = sampled([touching], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0)
     contact = np.rint(sample.x.array[: len(spaces.facets)])
-    beta = 1.0 if algorithm.penalty is None else algorithm.penalty.beta(case.solve.eps)
-    return FacetConditions(algorithm.rule(1 - contact, contact, case.solve.rho), beta)  # either p or σ·n is 0
+    return algorithm.next_conditions(1 - contact, contact, 1.0, case.solve.eps)  # either p or σ·n is 0
 
 
 def _run(
@@ -333,24 +355,27 @@ def _run(
 ) -> Outcome:
     """Set up the case's solver, run it and let it go (collective)."""
     options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
+    max_iterations = options.max_iterations or algorithm.max_iterations
+    if algorithm.by is By.CLASSICAL:
+        return CLASSICAL[options.algorithm](Task(spaces, data, options.rho, options.eps, max_iterations, on_step))
     if algorithm.by is By.SNES and algorithm.penalty is not None:
-        newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=options.max_iterations)
+        newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
         watch.lap("assembly")
         return newton.solve(on_step)
     if algorithm.by is By.SNESVI:
         system = FacetSystem(spaces, data)
         watch.lap("assembly")
-        return solve_bound_constrained(system, max_iterations=options.max_iterations, on_step=on_step)
+        return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
     backend = BACKENDS[options.backend](spaces, data)
     watch.lap("assembly")
-    parameters = {"rho": options.rho, "eps": options.eps}
+    parameters = {"rho": options.rho or 1.0, "eps": options.eps}
 
     def run(start: FacetConditions | None) -> Outcome:
         return iterate_sets(
             backend,
             algorithm,
             **parameters,
-            max_iterations=options.max_iterations,
+            max_iterations=max_iterations,
             predicted=start,
             on_step=on_step,
         )

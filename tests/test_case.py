@@ -22,8 +22,9 @@ h = "1/8"
 
 
 def test_examples_are_shipped():
-    exact = ["singular", "singular3d", "transition", "transition3d"]
-    assert case_names() == ["biactive", *(f"example{i}" for i in range(1, 7)), *exact]
+    examples = [f"example{i}" for i in range(1, 7)]
+    exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
+    assert case_names() == sorted([*examples, *exact, "ball", "cube", "lprism"])
     for name in case_names():
         assert load_case(name).name == name
 
@@ -32,7 +33,7 @@ def test_good_case(tmp_path: Path):
     path = tmp_path / "good.toml"
     path.write_text(GOOD, encoding="utf-8")
     case = load_case(path)
-    assert (case.name, case.solve.algorithm, case.solve.h, case.solve.rho) == ("good", "alg2", 0.125, 1.0)
+    assert (case.name, case.solve.algorithm, case.solve.h, case.solve.rho) == ("good", "alg2", 0.125, None)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +77,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 
 def test_unknown_names():
-    with pytest.raises(InputError, match="unknown case 'example7'; use one of biactive, example1"):
+    with pytest.raises(InputError, match="unknown case 'example7'; use one of ball, biactive, cube, example1"):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):
         load_case("nowhere/case.toml")

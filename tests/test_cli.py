@@ -329,3 +329,30 @@ def test_convergence(tmp_path: Path):
     for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
     assert (tmp_path / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
+
+
+def test_methods_are_listed(tmp_path: Path):
+    done = signorini(tmp_path, "methods", ranks=2)
+    assert done.returncode == 0, done.stderr
+    names = [line.split()[0] for line in done.stdout.splitlines()]
+    assert names == list(dict.fromkeys(names))
+    assert {"alg1", "vi", "uzawa", "mixed-uzawa-h12", "qp"} <= set(names)
+    assert all("(19" in line or "(20" in line or "slides" in line for line in done.stdout.splitlines())
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_classical_method(tmp_path: Path, ranks: int):
+    arguments = ["solve", "example1", "--h", "1/4", "--algorithm"]
+    done = signorini(tmp_path, *arguments, "uzawa", "--plot", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    assert "converges for ρ <" in done.stdout
+    results = tmp_path / "results" / "example1"
+    summary = json.loads((results / "summary.json").read_text())
+    assert summary["details"]["rho"] < summary["details"]["rho_limit"]
+    assert summary["own_residual"] < 1e-8 < summary["kkt"]["mass_balance"]
+    assert len(read_rows(results / "history.csv")) == summary["iterations"] > 20
+    assert done.stdout.count("\n") < 45
+    assert (results / "iterations.png").stat().st_size > 10_000
+    done = signorini(tmp_path, *arguments, "mixed-uzawa2", "--rho", "10", ranks=ranks)
+    assert done.returncode == 1
+    assert "the iteration diverges; ρ = 10 is outside of its range (0, 0.1" in done.stderr

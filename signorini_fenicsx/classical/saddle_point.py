@@ -1,0 +1,129 @@
+"""The saddle point of RT0/P0 with any data on Γ_S, factored once for all steps with the same essential conditions."""
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import assemble_matrix, create_vector
+from petsc4py import PETSc
+
+from forms.mixed import flux_equation, load, mass_balance, trace_term
+from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
+from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
+
+type Array = npt.NDArray[np.float64]
+
+
+class SaddlePoint:
+    """The mixed problem with σ·n or p given on each facet of Γ_S, and perhaps stabilised.
+
+        (σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,      (∇·σ, v) − ε(u, v) = −(f_h, v) − ε(u_before, v).
+
+    ε = 0 is the mixed method. ε > 0 is Slimane's stabilisation of it for u_before = 0, and a step of the proximal
+    iteration u = u_before + (1/ε)(∇·σ + f_h) otherwise. It is a backend for the active-set loop, too.
+
+    Attributes:
+        before: u_before.
+    """
+
+    name = "mixed"
+
+    def __init__(self, spaces: Spaces, data: Data, *, stabilisation: float = 0.0):
+        """Assemble (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            data: Its means over cells and facets.
+            stabilisation: ε ≥ 0.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self.spaces, self._stabilisation = spaces, stabilisation
+        V, Q = spaces.V, spaces.Q
+        W = ufl.MixedFunctionSpace(V, Q)
+        (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+        block = fem.Constant(V.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
+        blocks = ufl.extract_blocks(flux_equation(sigma, u, tau) + mass_balance(sigma, v) + block)
+        self._assembled = assemble_matrix(fem.form(blocks))
+        self._assembled.assemble()
+        self.dofs = self._assembled.getSize()[0]
+        self._flux_size = V.dofmap.index_map.size_local
+        cells = Q.dofmap.index_map.size_local
+        self._measures = cell_measures(Q)[:cells]
+        self._trace = assembled(trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet))[: self._flux_size]
+        self._load = -assembled(load(data.f_h, v))[:cells]
+        self.before = fem.Function(Q)
+
+        self._matrix = self._assembled.duplicate(copy=True)
+        self._matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._given_flux = np.zeros(len(spaces.facets), dtype=bool)
+        self._b, self._x, self._residual = (create_vector([V, Q]) for _ in range(3))
+        self._ksp = PETSc.KSP().create(V.mesh.comm)
+        self._ksp.setOperators(self._matrix)
+        self._ksp.setType("preonly")
+        self._ksp.getPC().setType("lu")
+        self._ksp.getPC().setFactorSolverType("mumps")
+        take_options(self._ksp)
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return solver_name(self._ksp)
+
+    def solve(self, conditions: FacetConditions) -> Iterate:
+        """Solve with σ·n = 0 on NO_FLUX and p = 0 on the other facets (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        nothing = np.zeros(len(self.spaces.facets))
+        self.give_flux(conditions.kind == Condition.NO_FLUX)
+        return self.respond(flux=nothing, trace=nothing)
+
+    def give_flux(self, where: npt.NDArray[np.bool_]) -> None:
+        """Make σ·n essential on these facets of this rank, natural on the others (collective)."""
+        comm = self.spaces.mesh.comm
+        if not comm.allreduce(bool(np.any(where != self._given_flux))):
+            return
+        self._given_flux = where
+        self._assembled.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._matrix.zeroRowsColumns(self._matrix.getOwnershipRange()[0] + self.spaces.flux_dofs[where])
+
+    def respond(self, *, flux: Array, trace: Array, loaded: bool = True) -> Iterate:
+        """Solve with these values on Γ_S (collective).
+
+        Args:
+            flux: σ·n per facet, used where it is essential.
+            trace: p per facet, used elsewhere.
+            loaded: Whether with f_h, u_D and u_before, or with 0 instead of all of them.
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        spaces, given = self.spaces, self._given_flux
+        b, x, residual = self._b, self._x, self._residual
+        essential = spaces.flux_dofs[given]
+        values = (flux * spaces.facet_measure / spaces.basis_flux)[given]
+        x.set(0.0)
+        x.array_w[essential] = values
+        self._assembled.mult(x, b)
+        b.scale(-1.0)
+        b.array_w[spaces.flux_dofs] += trace * spaces.basis_flux
+        if loaded:
+            cells = len(self._measures)
+            b.array_w[: self._flux_size] += self._trace
+            b.array_w[self._flux_size :] += self._load
+            b.array_w[self._flux_size :] -= self._stabilisation * self._measures * self.before.x.array[:cells]
+        b.array_w[essential] = values
+        solve_linear(self._ksp, b, x)
+
+        self._assembled.mult(x, residual)
+        sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
+        for function, part in ((sigma, x.array_r[: self._flux_size]), (u, x.array_r[self._flux_size :])):
+            function.x.array[: len(part)] = part
+            function.x.scatter_forward()
+        p = np.where(given, residual.array_r[spaces.flux_dofs] / spaces.basis_flux, trace)  # (12)
+        return Iterate(sigma, u, p, np.where(given, flux, spaces.normal_flux(sigma)), self._ksp.getIterationNumber())
