@@ -42,6 +42,13 @@ class LinearSolveFailure(NumericalFailure):
     """A Krylov or direct solver of PETSc gave up."""
 
 
+def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:
+    """Factor with MUMPS, "lu" or "cholesky", unless the user's options say else."""
+    ksp.setType("preonly")
+    ksp.getPC().setType(factorisation)
+    ksp.getPC().setFactorSolverType("mumps")
+
+
 def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     """Let the user's PETSc options change a solver that has its defaults (collective).
 

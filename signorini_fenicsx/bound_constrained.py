@@ -10,7 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.active_set import Outcome, Recorder, Step
-from signorini_fenicsx.backend import Iterate, petsc_reason, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, petsc_reason, set_direct, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.facet_system import FacetSystem
 
@@ -82,9 +82,7 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
         ksp.setTolerances(rtol=1e-12)
         pc.setType("gamg")
     else:
-        ksp.setType("preonly")
-        pc.setType("cholesky")
-        pc.setFactorSolverType("mumps")
+        set_direct(ksp, "cholesky")
     take_options(snes)
     return snes
 

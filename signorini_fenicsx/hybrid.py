@@ -3,7 +3,7 @@
 from petsc4py import PETSc
 
 from signorini_fenicsx.auxiliary_space import AuxiliarySpace
-from signorini_fenicsx.backend import Array, Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Array, Iterate, set_direct, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.facet_system import FacetSystem
@@ -84,9 +84,7 @@ class HybridBackend:
             ksp.setInitialGuessNonzero(True)
             pc.setType("mg")
         else:
-            ksp.setType("preonly")
-            pc.setType("cholesky")
-            pc.setFactorSolverType("mumps")
+            set_direct(ksp, "cholesky")
         auxiliary = AuxiliarySpace(self.spaces, self._system.space, pc) if large else None
         take_options(ksp)
         if ksp.getType() == "preonly":

@@ -7,7 +7,7 @@ from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
 from forms.mixed import flux_equation, load, mass_balance, trace_term
-from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, set_direct, solve_linear, solver_name, take_options
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
@@ -49,9 +49,7 @@ class MixedBackend:
 
         self._ksp = PETSc.KSP().create(V.mesh.comm)
         self._ksp.setOperators(self._system.matrix)
-        self._ksp.setType("preonly")
-        self._ksp.getPC().setType("lu")
-        self._ksp.getPC().setFactorSolverType("mumps")
+        set_direct(self._ksp, "lu")
         take_options(self._ksp)
 
     def solver(self) -> str:

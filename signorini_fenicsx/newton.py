@@ -13,7 +13,7 @@ from forms.mixed import multiplier_residual, trace_term
 from forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.active_set import Outcome, Recorder, Step
 from signorini_fenicsx.algorithms import Penalty
-from signorini_fenicsx.backend import Iterate, petsc_reason, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, petsc_reason, set_direct, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
@@ -67,10 +67,7 @@ class PenaltyNewton:
         snes.getLineSearch().setType("basic")
         snes.setTolerances(rtol=0.0, atol=0.0, stol=1e-12, max_it=max_iterations)
         snes.setDivergenceTolerance(PETSc.UNLIMITED)
-        ksp = snes.getKSP()
-        ksp.setType("preonly")
-        ksp.getPC().setType("lu")
-        ksp.getPC().setFactorSolverType("mumps")
+        set_direct(snes.getKSP(), "lu")
 
     def solve(self, on_step: Callable[[Step], None] = lambda step: None) -> Outcome:
         """Solve, directly or, if that fails, by continuation in ε from 1 down (collective)."""

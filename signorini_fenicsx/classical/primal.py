@@ -14,7 +14,7 @@ from forms.crouzeix_raviart import stiffness
 from forms.mixed import load
 from forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.active_set import History, Outcome
-from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, set_direct, solve_linear, solver_name, take_options
 from signorini_fenicsx.classical.task import Task
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
@@ -68,9 +68,7 @@ class P1System:
         self.load[self.dirichlet] = boundary[self.dirichlet]
         self._ksp = PETSc.KSP().create(spaces.mesh.comm)
         self._ksp.setOperators(self._factored)
-        self._ksp.setType("preonly")
-        self._ksp.getPC().setType("cholesky")
-        self._ksp.getPC().setFactorSolverType("mumps")
+        set_direct(self._ksp, "cholesky")
         take_options(self._ksp)
 
     def solver(self) -> str:

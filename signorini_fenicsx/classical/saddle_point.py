@@ -4,11 +4,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import assemble_matrix, create_vector
+from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
 from forms.mixed import flux_equation, load, mass_balance, trace_term
-from signorini_fenicsx.backend import Iterate, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, set_direct, solve_linear, solver_name, take_options
+from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
@@ -47,9 +48,8 @@ class SaddlePoint:
         (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
         block = fem.Constant(V.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
         blocks = ufl.extract_blocks(flux_equation(sigma, u, tau) + mass_balance(sigma, v) + block)
-        self._assembled = assemble_matrix(fem.form(blocks))
-        self._assembled.assemble()
-        self.dofs = self._assembled.getSize()[0]
+        self._system = ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
+        self.dofs = self._system.matrix.getSize()[0]
         self._flux_size = V.dofmap.index_map.size_local
         cells = Q.dofmap.index_map.size_local
         self._measures = cell_measures(Q)[:cells]
@@ -57,16 +57,11 @@ class SaddlePoint:
         self._load = -assembled(load(data.f_h, v))[:cells]
         self.before = fem.Function(Q)
 
-        self._matrix = self._assembled.duplicate(copy=True)
-        self._matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._given_flux = np.zeros(len(spaces.facets), dtype=bool)
         self._b, self._x, self._residual = (create_vector([V, Q]) for _ in range(3))
         self._ksp = PETSc.KSP().create(V.mesh.comm)
-        self._ksp.setOperators(self._matrix)
-        self._ksp.setType("preonly")
-        self._ksp.getPC().setType("lu")
-        self._ksp.getPC().setFactorSolverType("mumps")
+        self._ksp.setOperators(self._system.matrix)
+        set_direct(self._ksp, "lu")
         take_options(self._ksp)
 
     def solver(self) -> str:
@@ -89,8 +84,8 @@ class SaddlePoint:
         if not comm.allreduce(bool(np.any(where != self._given_flux))):
             return
         self._given_flux = where
-        self._assembled.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._matrix.zeroRowsColumns(self._matrix.getOwnershipRange()[0] + self.spaces.flux_dofs[where])
+        none = np.empty(0, dtype=np.int32)
+        self._system.impose(self.spaces.flux_dofs[where], none, none)
 
     def respond(self, *, flux: Array, trace: Array, loaded: bool = True) -> Iterate:
         """Solve with these values on Γ_S (collective).
@@ -109,7 +104,7 @@ class SaddlePoint:
         values = (flux * spaces.facet_measure / spaces.basis_flux)[given]
         x.set(0.0)
         x.array_w[essential] = values
-        self._assembled.mult(x, b)
+        self._system.natural.mult(x, b)
         b.scale(-1.0)
         b.array_w[spaces.flux_dofs] += trace * spaces.basis_flux
         if loaded:
@@ -120,7 +115,7 @@ class SaddlePoint:
         b.array_w[essential] = values
         solve_linear(self._ksp, b, x)
 
-        self._assembled.mult(x, residual)
+        self._system.natural.mult(x, residual)
         sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
         for function, part in ((sigma, x.array_r[: self._flux_size]), (u, x.array_r[self._flux_size :])):
             function.x.array[: len(part)] = part
