@@ -12,6 +12,7 @@ from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate, certify
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.geometry import SHAPES
+from signorini_fenicsx.parallel import collect_garbage
 from signorini_fenicsx.refinement import dorfler, refine
 from signorini_fenicsx.solver import Solution, mesh_case, solve
 
@@ -104,6 +105,7 @@ def adapt(
         if domain.mesh.topology.index_map(shape.dim).size_global > max_cells:
             return solution, certificate
         mesh += 1
+        collect_garbage(comm)
 
 
 def _row(refinement: str, mesh: int, solution: Solution, certificate: Certificate, seconds: float) -> AdaptRow:

@@ -1,5 +1,6 @@
 """The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
+import gc
 import io
 import math
 import os
@@ -387,6 +388,7 @@ def main() -> None:
     petsc4py.init([sys.argv[0], *petsc_options])
     comm = MPI.COMM_WORLD
     abort_all_on_exception(comm)
+    gc.disable()  # see `parallel.collect_garbage`
     if comm.rank != 0:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
     for stream in (sys.stdout, sys.stderr):

@@ -18,7 +18,7 @@ from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, data_folder
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.parallel import gather_rows
+from signorini_fenicsx.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.sampling import QUADRATURE_DEGREE, curve_gap, sampled
 from signorini_fenicsx.solver import Solution, mesh_case, solve
 
@@ -225,6 +225,7 @@ def convergence_study(
         row = _row(level, solved(problem), fine, rows[-1] if rows else None, vary, slides.get(level))
         rows.append(row)
         on_row(row)
+        collect_garbage(comm)
     return rows
 
 

@@ -1,6 +1,5 @@
 """Tasks handed out dynamically to groups of ranks within one mpirun."""
 
-import gc
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -8,10 +7,9 @@ from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.parallel import on_root
+from signorini_fenicsx.parallel import collect_garbage, on_root
 
 STOP = "stop"
 """A claim of this name tells all groups to take no further task."""
@@ -47,8 +45,7 @@ def hand_out(
             for name in names:
                 if on_root(group, partial(_claimed, claims, name)):
                     work(name, group)
-                    gc.collect()
-                    PETSc.garbage_cleanup(group)  # else queues, and with them communicators, grow from run to run
+                    collect_garbage(group)  # else communicators grow from run to run
         except (InputError, OSError) as error:
             failure = error
             (claims / STOP).touch()

@@ -1,5 +1,6 @@
 """What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
 
+import gc
 import resource
 import sys
 import traceback
@@ -9,6 +10,7 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.errors import InputError
 
@@ -57,3 +59,13 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
 def peak_memory(comm: MPI.Comm) -> int:
     """Bytes of memory that the processes have held at most since they began, summed over ranks (collective)."""
     return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+
+
+def collect_garbage(comm: MPI.Comm) -> None:
+    """Free what Python and PETSc have let go, on all ranks at the same point (collective).
+
+    A mesh frees its communicator, for which mpi4py wants a lock that it may hold just when Python's collector strikes:
+    a deadlock. So programs switch the automatic collector off and call this between solves.
+    """
+    gc.collect()
+    PETSc.garbage_cleanup(comm)

@@ -1,14 +1,25 @@
 """Shared by all tests: cases on coarse meshes, a folder that all ranks agree on."""
 
+import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from mpi4py import MPI
 
 from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.parallel import collect_garbage
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@pytest.fixture(autouse=True)
+def collect_between_tests() -> Iterator[None]:
+    """Free meshes between tests only, as the command line does (see `parallel.collect_garbage`)."""
+    gc.disable()
+    yield
+    collect_garbage(MPI.COMM_WORLD)
 
 
 @pytest.fixture
