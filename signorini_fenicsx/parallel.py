@@ -10,7 +10,6 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.errors import InputError
 
@@ -67,5 +66,7 @@ def collect_garbage(comm: MPI.Comm) -> None:
     A mesh frees its communicator, for which mpi4py wants a lock that it may hold just when Python's collector strikes:
     a deadlock. So programs switch the automatic collector off and call this between solves.
     """
+    from petsc4py import PETSc  # not before the command line has given PETSc its options
+
     gc.collect()
     PETSc.garbage_cleanup(comm)
