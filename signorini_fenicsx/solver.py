@@ -254,8 +254,8 @@ def solve(
     predicted = None
     if start is not None:
         predicted = _transferred(start, case, spaces)
-    elif own_mesh and _predicts(case, spaces):
-        predicted = _predicted(case, spaces)
+    elif own_mesh and domain.mesh.topology.dim == 2 and _predicts(case, spaces):
+        predicted = _predicted(case, spaces)  # in 3D a mesh so coarse sees too little and costs more than it saves
     watch.lap("prediction")
     outcome = _run(case, spaces, data, predicted, watch, on_step)
     watch.lap("solve")
