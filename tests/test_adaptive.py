@@ -68,7 +68,7 @@ def test_refined_meshes_fill_the_domain():
         assert np.all(volume > {2: 0.15, 3: 0.015}[dim] * longest**dim)
 
 
-@pytest.mark.parallel([2, 3, 4])
+@pytest.mark.parallel([3])
 def test_refinement_does_not_depend_on_the_ranks():
     """The same cells, also where edges of equal length compete to be bisected."""
     for shape, mesh, h in [
@@ -137,7 +137,7 @@ def test_best_rate_where_uniform_meshes_lose_it():
     assert max(row.iterations for row in adaptive[2:]) <= 3
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([3])
 def test_adaptive_runs_do_not_depend_on_the_ranks():
     for name, values in [
         ("example2", {"solve.h": 0.6, "solve.algorithm": "alg2"}),
