@@ -184,7 +184,7 @@ def check(rows: list[Row]) -> None:
     ours = rows[0]
     for row in rows:
         same_discretisation = row.method not in (SKFEM, NGSOLVE)
-        tolerance = 1e-6 if same_discretisation else 0.5
+        tolerance = 1e-6 if same_discretisation else 1.0  # P1 has 12 times fewer unknowns in 3D
         wrong = abs(row.flux_error / ours.flux_error - 1) > tolerance
         if row.cells != ours.cells or row.kkt > 1e-8 or wrong:
             raise RuntimeError(f"{row.method} has not solved the problem: {row}, ours: {ours}")
