@@ -93,6 +93,7 @@ class Phases:
         """What the backends call, with a clock (collective)."""
         watch = Stopwatch()
         ksp.setUp()
+        ksp.getPC().setUp()  # which KSP leaves to its solve where only values have changed
         watch.lap("setup")
         backend.solve_linear(ksp, b, x, to_tolerance=to_tolerance)
         watch.lap("solve")
