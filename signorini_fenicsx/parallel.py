@@ -3,6 +3,7 @@
 import gc
 import resource
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from types import TracebackType
@@ -12,6 +13,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.errors import InputError
+
+FORWARDING = 0.5
+"""Seconds that mpirun gets to pass on the last words of a rank, which it would lose when the rank aborts."""
 
 
 def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
@@ -46,10 +50,11 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
         return
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        print(f"error on rank {comm.rank}:", file=sys.__stderr__)  # sys.stderr may be silenced on this rank
-        traceback.print_exception(kind, error, trace, file=sys.__stderr__)
-        if sys.__stderr__ is not None:
+        if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
+            text = "".join(traceback.format_exception(kind, error, trace))
+            sys.__stderr__.write(f"error on rank {comm.rank}:\n{text}")
             sys.__stderr__.flush()
+            time.sleep(FORWARDING)
         comm.Abort(1)
 
     sys.excepthook = hook
