@@ -15,13 +15,13 @@ COMM = MPI.COMM_WORLD
 COARSE = {"cube": 0.5, "lprism": 0.7, "ball": 0.8}
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([2])
 def test_backends_agree():
     for name, h in COARSE.items():
         assert_same_iterates(load_case(name).with_values({"solve.h": h}), 1e-11)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1])
 def test_algorithms_agree():
     """Those for the multipliers to rounding, SNES and penalties to about ε."""
     for name, h in COARSE.items():
