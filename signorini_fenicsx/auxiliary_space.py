@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.spaces import Spaces
+from signorini_fenicsx.spaces import Spaces, owned_on_facets
 
 
 class AuxiliarySpace:
@@ -31,7 +31,7 @@ class AuxiliarySpace:
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
-        self._dirichlet = self._vertices(spaces.dirichlet_facets)
+        self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
 
@@ -55,7 +55,7 @@ class AuxiliarySpace:
         if not self._has_hierarchy:
             self._build_hierarchy(pc.getMGCoarseSolve())
         fixed = np.union1d(
-            self._dirichlet, self._vertices(self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
+            self._dirichlet, owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
         )
         self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
 
@@ -78,12 +78,6 @@ class AuxiliarySpace:
         coarse.setFromOptions()
         coarse.setUp()
         self._has_hierarchy = True
-
-    def _vertices(self, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-        """Owned P1 unknowns on the facets of all ranks (collective)."""
-        dim = self._spaces.mesh.topology.dim
-        dofs = fem.locate_dofs_topological(self._space, dim - 1, facets)
-        return dofs[dofs < self._space.dofmap.index_map.size_local]
 
     def _lumped_robin(self, conditions: FacetConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN

@@ -49,6 +49,19 @@ def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:
     ksp.getPC().setFactorSolverType("mumps")
 
 
+def direct_solver(matrix: PETSc.Mat, factorisation: str) -> PETSc.KSP:
+    """A solver that factors with MUMPS, "lu" or "cholesky", unless the user's options say else (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    ksp = PETSc.KSP().create(matrix.getComm())
+    ksp.setOperators(matrix)
+    set_direct(ksp, factorisation)
+    take_options(ksp)
+    return ksp
+
+
 def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     """Let the user's PETSc options change a solver that has its defaults (collective).
 

@@ -202,6 +202,20 @@ def case_names() -> list[str]:
     return sorted(path.stem for path in data_folder("cases").glob("*.toml"))
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not a TOML file: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+
+
 def load_case(name_or_path: str | Path) -> Case:
     """Read a case by name (`example1`) or path (`my/case.toml`).
 
@@ -217,12 +231,7 @@ def load_case(name_or_path: str | Path) -> Case:
         path = data_folder("cases") / f"{text}.toml"
         if text not in case_names():
             raise InputError(f"unknown case '{text}'; use one of {', '.join(case_names())} or the path of a .toml file")
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
+    tree = read_toml(path)
     return _validated(Case, tree, path.stem, str(path))
 
 

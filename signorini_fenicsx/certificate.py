@@ -39,7 +39,7 @@ from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import project_data, quadrature
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.solver import Solution, Stopwatch
-from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
+from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, centroids
 
 RELAXATIONS = 5
 """Steps of CG that improve v: more gain nothing, as v is then far better than σ_h, but for corners."""
@@ -183,8 +183,7 @@ def _admissible_trace(solution: Solution) -> _Trace:
     space = v.function_space
     on_signorini = fem.locate_dofs_topological(space, facet_dim, spaces.facets)
     on_dirichlet = fem.locate_dofs_topological(space, facet_dim, spaces.dirichlet_facets)
-    contact = solution.conditions.kind == ALGORITHMS[solution.case.solve.algorithm].contact
-    in_contact = fem.locate_dofs_topological(space, facet_dim, spaces.facets[contact])
+    in_contact = fem.locate_dofs_topological(space, facet_dim, spaces.facets[solution.contact_set().inside])
 
     u_D = fem.Function(space)
     u_D.interpolate(fem.Expression(data.u_D + fem.Constant(mesh, 0.0), space.element.interpolation_points))
@@ -213,8 +212,7 @@ def _averaged(solution: Solution) -> fem.Function:
     spaces = solution.spaces
     mesh = spaces.mesh
     x = ufl.SpatialCoordinate(mesh)
-    centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
-    centroid.interpolate(lambda x: x[: mesh.geometry.dim])
+    centroid = centroids(mesh)
     moment = fem.Function(spaces.Q)
     moment.x.array[:] = assembled(
         ufl.inner(x - centroid, x - centroid) * ufl.TestFunction(spaces.Q) * ufl.dx
@@ -279,7 +277,7 @@ def _relax(v: fem.Function, sigma: fem.Function, fixed: npt.NDArray[np.int32]) -
 def _remainder(solution: Solution, y: fem.Function) -> float:
     """C_F‖c‖ + ‖y − σ_h‖ with c = ∇·y + f_h (collective)."""
     spaces = solution.spaces
-    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
+    length = spaces.length()
     size = np.sqrt(spaces.integrate(l2(y, ufl.dx)))
     imbalance = np.sqrt(spaces.integrate(l2(ufl.div(y) + solution.data.f_h, ufl.dx)))
     distance = np.sqrt(spaces.integrate(l2(y - solution.sigma, ufl.dx))) if y is not solution.sigma else 0.0

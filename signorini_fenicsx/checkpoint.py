@@ -21,15 +21,13 @@ from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
-from signorini_fenicsx.data import project_data
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.gather import FacetTable, Fields, facet_vertices
 from signorini_fenicsx.geometry import SHAPES, Domain, distribute, label_parts
 from signorini_fenicsx.kkt import kkt_residuals
 from signorini_fenicsx.parallel import on_root
-from signorini_fenicsx.solver import Solution
-from signorini_fenicsx.spaces import Spaces, build_spaces
+from signorini_fenicsx.solver import Solution, discrete_data
+from signorini_fenicsx.spaces import Spaces, build_spaces, centroids
 
 FILE = "checkpoint.npz"
 
@@ -93,11 +91,8 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     sigma, u = _fields(spaces, arrays)
     sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux
     sigma.x.scatter_forward()
-    p = fem.Function(spaces.Lambda, name="p")
-    p.x.array[: len(rows)] = facets["facet_p"][rows]
-    p.x.scatter_forward()
-    x = ufl.SpatialCoordinate(spaces.mesh)
-    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+    p = spaces.multiplier(facets["facet_p"][rows])
+    data = discrete_data(case, spaces)
     return Solution(
         case=case,
         spaces=spaces,
@@ -141,13 +136,12 @@ def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]
     """σ_h and u_h from cell values that rank 0 has in the order in which the mesh was made (collective)."""
     mesh = spaces.mesh
     dim = mesh.geometry.dim
-    vectors = fem.functionspace(mesh, ("DG", 0, (dim,)))
-    middle, centroid = fem.Function(vectors), fem.Function(vectors)
+    centroid = centroids(mesh)
+    middle = fem.Function(centroid.function_space)
     divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
     for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
         values = _scattered(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
         function.x.array[:] = values.ravel()
-    centroid.interpolate(lambda x: x[:dim])
     sigma = fem.Function(spaces.V, name="sigma")
     x = ufl.SpatialCoordinate(mesh)
     sigma.interpolate(fem.Expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points))

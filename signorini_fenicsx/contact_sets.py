@@ -34,10 +34,8 @@ class FacetSet:
     inside: npt.NDArray[np.bool_]
 
     def indicator(self) -> fem.Function:
-        """1 on the set, 0 off it, in P0(Γ_S)."""
-        indicator = fem.Function(self.spaces.Lambda)
-        indicator.x.array[: len(self.inside)] = self.inside
-        return indicator
+        """1 on the set, 0 off it, in P0(Γ_S) (collective)."""
+        return self.spaces.multiplier(self.inside, "indicator")
 
     def points(self) -> Array:
         """Points of the facets of this rank, on a grid of each with its vertices, shape (points, 3)."""

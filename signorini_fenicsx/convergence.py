@@ -112,7 +112,7 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
     padding = curve_gap(coarse.spaces.domain.h)
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
     sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, padding)
-    p, flux = sampled([coarse.p, _normal_flux(coarse)], gamma, padding)
+    p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, padding)
     (p_middle,) = sampled([coarse.p], gamma, padding, degree=0)
 
     metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
@@ -122,7 +122,7 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
         l2(fine.sigma - sigma, dx) + l2(ufl.div(fine.sigma) - div_sigma, dx),
         l2(fine.u - u, dx),
         l2(fine.p - p, ds),
-        l2(_normal_flux(fine) - flux, ds),
+        l2(fine.spaces.multiplier(fine.spaces.normal_flux(fine.sigma)) - flux, ds),
     ]
     local = np.array([fem.assemble_scalar(fem.form(square)) for square in squares])
     sigma_V, u_Q, p_Lambda, flux_Lambda = np.sqrt(mesh.comm.allreduce(local)).tolist()
@@ -158,13 +158,6 @@ def _divergence(solution: Solution) -> fem.Function:
     divergence = fem.Function(Q)
     divergence.interpolate(fem.Expression(ufl.div(solution.sigma), Q.element.interpolation_points))
     return divergence
-
-
-def _normal_flux(solution: Solution) -> fem.Function:
-    """σ_h·n in P0(Γ_S)."""
-    flux = fem.Function(solution.spaces.Lambda)
-    flux.x.array[: len(solution.spaces.facets)] = solution.spaces.normal_flux(solution.sigma)
-    return flux
 
 
 def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:

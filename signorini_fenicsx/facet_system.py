@@ -13,7 +13,7 @@ from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
-from signorini_fenicsx.spaces import Spaces, cell_measures, cells_and_dofs
+from signorini_fenicsx.spaces import Spaces, cell_measures, cells_and_dofs, centroids
 
 type Array = npt.NDArray[np.float64]
 
@@ -94,8 +94,7 @@ class _Recovery:
         self._u_Dh = data.u_Dh
         self._u_cr, self._at_contact = fem.Function(data.u_Dh.function_space), fem.Function(spaces.V)
         x = ufl.SpatialCoordinate(mesh)
-        centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
-        centroid.interpolate(lambda x: x[: mesh.geometry.dim])
+        centroid = centroids(mesh)
         flux = recovered_flux(self._u_cr, f_h, centroid, x)
         self._flux = fem.Expression(flux, spaces.V.element.interpolation_points)
         self._scalar = fem.form(recovered_scalar(self._u_cr, f_h, centroid, x, ufl.TestFunction(spaces.Q)))

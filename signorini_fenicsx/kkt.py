@@ -63,7 +63,7 @@ def kkt_residuals(
 ) -> KKTResiduals:
     """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
     comm = spaces.mesh.comm
-    length = spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
+    length = spaces.length()
     sigma_norm, u_norm = (np.sqrt(spaces.integrate(l2(field, ufl.dx))) for field in (sigma, u))
     size = max(sigma_norm, CONSTANT_PART * u_norm / length)
     if size == 0:

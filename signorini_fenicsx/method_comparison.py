@@ -125,12 +125,12 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
     def norm(difference: ufl.core.expr.Expr, measure: ufl.Measure) -> float:
         return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fem.form(l2(difference, measure))))))
 
-    touching = _contact(fine).x.array[: len(spaces.facets)]
+    touching = fine.contact_set().inside
     sigma_norm, p_norm = norm(fine.sigma, dx), norm(fine.p, ds)
     gamma_measure = comm.allreduce(spaces.facet_measure.sum())
     sigmas = sampled([solution.sigma for solution in solutions], mesh, padding)
     traces = sampled([solution.p for solution in solutions], gamma, padding)
-    contacts = sampled([_contact(solution) for solution in solutions], gamma, padding, degree=0)
+    contacts = sampled([solution.contact_set().indicator() for solution in solutions], gamma, padding, degree=0)
     for sigma, p, contact in zip(sigmas, traces, contacts, strict=True):
         wrong = np.abs(np.rint(contact.x.array[: len(touching)]) - touching)
         yield (
@@ -138,11 +138,3 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
             norm(fine.p - p, ds) / p_norm,
             float(comm.allreduce(spaces.facet_measure @ wrong) / gamma_measure),
         )
-
-
-def _contact(solution: Solution) -> fem.Function:
-    """1 on the facets in contact, else 0."""
-    touching = solution.conditions.kind == ALGORITHMS[solution.case.solve.algorithm].contact
-    indicator = fem.Function(solution.spaces.Lambda)
-    indicator.x.array[: len(touching)] = touching
-    return indicator

@@ -7,7 +7,7 @@ from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
 from forms.mixed import flux_equation, load, mass_balance, trace_term
-from signorini_fenicsx.backend import Iterate, set_direct, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, direct_solver, solve_linear, solver_name
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
@@ -33,11 +33,7 @@ class MixedBackend:
         """
         self.spaces = spaces
         V, Q = spaces.V, spaces.Q
-        W = ufl.MixedFunctionSpace(V, Q)
-        (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
-        zero = fem.Constant(V.mesh, 0.0) * u * v * ufl.dx  # MatZeroRowsColumns wants every diagonal entry stored
-        blocks = ufl.extract_blocks(flux_equation(sigma, u, tau) + mass_balance(sigma, v) + zero)
-        self._system = ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
+        self._system = saddle_point_matrix(spaces)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
 
@@ -47,10 +43,7 @@ class MixedBackend:
         self._load.array_w[: self._flux_size] = trace[: self._flux_size]
         self._load.array_w[self._flux_size :] = -assembled(load(data.f_h, v))  # no ghost cells
 
-        self._ksp = PETSc.KSP().create(V.mesh.comm)
-        self._ksp.setOperators(self._system.matrix)
-        set_direct(self._ksp, "lu")
-        take_options(self._ksp)
+        self._ksp = direct_solver(self._system.matrix, "lu")
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -73,14 +66,30 @@ class MixedBackend:
         solve_linear(self._ksp, self._load, x)
 
         self._system.natural.mult(x, residual)
-        sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
-        _set_owned(sigma, x.array_r[: self._flux_size])
-        _set_owned(u, x.array_r[self._flux_size :])
+        sigma, u = flux_and_scalar(spaces, x)
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         p, flux = conditions.clean(p, spaces.normal_flux(sigma))
         return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
 
 
-def _set_owned(function: fem.Function, values: np.ndarray) -> None:
-    function.x.array[: len(values)] = values
-    function.x.scatter_forward()
+def saddle_point_matrix(spaces: Spaces, *, stabilisation: float = 0.0) -> ConditionedMatrix:
+    """[(σ, τ), (u, ∇·τ); (∇·σ, v), −ε(u, v)] (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        stabilisation: ε ≥ 0; 0 is the mixed method.
+    """
+    W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
+    (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+    block = fem.Constant(spaces.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
+    blocks = ufl.extract_blocks(flux_equation(sigma, u, tau) + mass_balance(sigma, v) + block)
+    return ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
+
+
+def flux_and_scalar(spaces: Spaces, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
+    """σ_h and u_h from a vector of the saddle point (collective)."""
+    sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
+    for function, values in zip((sigma, u), np.split(x.array_r, [spaces.V.dofmap.index_map.size_local]), strict=True):
+        function.x.array[: len(values)] = values
+        function.x.scatter_forward()
+    return sigma, u

@@ -190,10 +190,8 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
     with io.VTXWriter(comm, folder / "solution.bp", [sigma, u, magnitude]) as file:
         file.write(0.0)
 
-    flux = fem.Function(spaces.Lambda, name="flux")
-    flux.x.array[: len(spaces.facets)] = spaces.normal_flux(solution.sigma)
-    condition = fem.Function(spaces.Lambda, name="condition")
-    condition.x.array[: len(spaces.facets)] = solution.conditions.kind
+    flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
+    condition = spaces.multiplier(solution.conditions.kind, "condition")
     with io.VTXWriter(comm, folder / "multiplier.bp", [solution.p, flux, condition]) as file:
         file.write(0.0)
 

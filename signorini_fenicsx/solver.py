@@ -210,6 +210,16 @@ class Stopwatch:
         return dict(zip(self.seconds, values.tolist(), strict=True))
 
 
+def discrete_data(case: Case, spaces: Spaces) -> Data:
+    """F and u_D of a case and their means (collective).
+
+    Raises:
+        InputError: If one of them cannot be used, see `project_data`.
+    """
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    return project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+
+
 def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
     """Mesh the domain of a case (collective).
 
@@ -248,8 +258,7 @@ def solve(
     comm = domain.mesh.comm
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini)
-    x = ufl.SpatialCoordinate(domain.mesh)
-    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+    data = discrete_data(case, spaces)
     watch.lap("assembly")
     predicted = None
     if start is not None:
@@ -261,9 +270,7 @@ def solve(
     watch.lap("solve")
 
     iterate = outcome.iterate
-    p = fem.Function(spaces.Lambda, name="p")
-    p.x.array[: len(iterate.p)] = iterate.p
-    p.x.scatter_forward()
+    p = spaces.multiplier(iterate.p)
     penalty = ALGORITHMS[case.solve.algorithm].penalty
     kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
@@ -337,10 +344,9 @@ def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions
     algorithm = ALGORITHMS[case.solve.algorithm]
     if algorithm.by is not By.SETS:
         raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
-    touching = fem.Function(start.spaces.Lambda)
-    kind = start.conditions.kind
-    touching.x.array[: len(kind)] = kind == ALGORITHMS[start.case.solve.algorithm].contact
-    (sample,) = sampled([touching], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0)
+    (sample,) = sampled(
+        [start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0
+    )
     contact = np.rint(sample.x.array[: len(spaces.facets)])
     return algorithm.next_conditions(1 - contact, contact, 1.0, case.solve.eps)  # either p or σ·n is 0
 

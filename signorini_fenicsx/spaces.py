@@ -71,6 +71,17 @@ class Spaces:
         """σ·n per facet, a constant on each."""
         return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
 
+    def length(self) -> float:
+        """L = |Ω|^(1/d) (collective)."""
+        return self.integrate(fem.Constant(self.mesh, 1.0) * ufl.dx) ** (1 / self.mesh.topology.dim)
+
+    def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
+        """A function of Λ_h with these values per facet (collective)."""
+        function = fem.Function(self.Lambda, name=name)
+        function.x.array[: len(values)] = values
+        function.x.scatter_forward()
+        return function
+
     def form(self, ufl_form: ufl.Form) -> fem.Form:
         """Compile a form that may hold multipliers."""
         return fem.form(ufl_form, entity_maps=[self.entity_map])
@@ -141,6 +152,19 @@ def cells_and_dofs(
     cell_facets = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
     local = np.argmax(cell_facets == facets[:, None], axis=1)
     return cells, V.dofmap.list[cells, local]  # RT0 and CR number their degrees of freedom as the cell its facets
+
+
+def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Owned degrees of freedom on the facets of all ranks (collective)."""
+    dofs = fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, facets)
+    return dofs[dofs < space.dofmap.index_map.size_local]
+
+
+def centroids(mesh: dolfinx.mesh.Mesh) -> fem.Function:
+    """x_T, in P0 vectors, on owned and ghost cells."""
+    centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
+    centroid.interpolate(lambda x: x[: mesh.geometry.dim])
+    return centroid
 
 
 def assembled(form: ufl.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:

@@ -3,7 +3,6 @@
 import hashlib
 import itertools
 import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.case import Case, Solve, complaint, data_folder, load_case
+from signorini_fenicsx.case import Case, Solve, complaint, data_folder, load_case, read_toml
 from signorini_fenicsx.convergence import Vary
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.geometry import SHAPES, estimated_cells
@@ -125,12 +124,7 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
         path = data_folder("studies") / f"{text}.toml"
     else:
         raise InputError(f"unknown study '{text}'; use one of {', '.join(study_names())} or the path of a .toml file")
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
+    tree = read_toml(path)
     try:
         study = Study.model_validate(tree | {"name": path.stem})
         return study, expanded(study, path.parent)

@@ -8,10 +8,7 @@ import sys
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import basix.ufl
-import dolfinx.mesh
 import numpy as np
-import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -19,13 +16,12 @@ from signorini_fenicsx import backend, facet_system, hybrid, mixed, solver
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.conditions import FacetConditions
-from signorini_fenicsx.data import Data, project_data
-from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.geometry import SHAPES, Domain, label_parts
+from signorini_fenicsx.data import Data
+from signorini_fenicsx.geometry import SHAPES, Domain, distribute, label_parts
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.parallel import abort_all_on_exception, peak_memory
-from signorini_fenicsx.solver import Solution, Stopwatch
+from signorini_fenicsx.solver import Solution, Stopwatch, discrete_data
 from signorini_fenicsx.spaces import Spaces, build_spaces
 
 COMM = MPI.COMM_WORLD
@@ -66,17 +62,14 @@ def read_mesh(path: str, shape: str) -> Domain:
             points, cells = file["points"], file["cells"]
     else:
         points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
-    element = basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
-    return label_parts(dolfinx.mesh.create_mesh(COMM, cells, element, points), SHAPES[shape])
+    return label_parts(distribute(COMM, points, cells, dim), SHAPES[shape])
 
 
 def solve_known(case: Case, found: Solution) -> dict[str, float]:
     """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
     watch = Stopwatch()
     spaces = build_spaces(found.spaces.domain, case.boundary.signorini)
-    x = ufl.SpatialCoordinate(spaces.mesh)
-    data = project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
-    system = HybridBackend(spaces, data)
+    system = HybridBackend(spaces, discrete_data(case, spaces))
     watch.lap("assembly")
     system.solve(found.conditions)
     watch.lap("solve")

@@ -18,7 +18,6 @@ import numpy.typing as npt
 import scipy.linalg
 
 from signorini_fenicsx.classical.on_root import RootRows
-from signorini_fenicsx.classical.task import domain_length
 from signorini_fenicsx.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
@@ -37,7 +36,7 @@ class HalfNorm:
         vertices = self._rows.gather(mesh.geometry.input_global_indices[nodes])
         corners = self._rows.gather(mesh.geometry.x[nodes])
         measure = self._rows.gather(spaces.facet_measure)
-        length = domain_length(spaces)
+        length = spaces.length()
         self._matrix: Array | None = None
         if vertices is not None and corners is not None and measure is not None:
             laplacian = _facet_laplacian(vertices, corners)

@@ -27,7 +27,7 @@ from signorini_fenicsx.classical.projection import (
     step_length,
 )
 from signorini_fenicsx.classical.saddle_point import SaddlePoint
-from signorini_fenicsx.classical.task import Task, domain_length
+from signorini_fenicsx.classical.task import Task
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import Spaces
 
@@ -87,7 +87,7 @@ def flux_uzawa(task: Task) -> Outcome:
     The step over ρ is a trace; its size is that of the KKT residual of p ≥ 0.
     """
     response = _Response(task, by_flux=True)
-    return _pointwise(task, response, 1 / math.sqrt(domain_length(task.spaces)))
+    return _pointwise(task, response, 1 / math.sqrt(task.spaces.length()))
 
 
 def trace_uzawa(task: Task) -> Outcome:
@@ -96,7 +96,7 @@ def trace_uzawa(task: Task) -> Outcome:
     The step over ρ is a flux; its size is that of the KKT residual of σ·n ≥ 0.
     """
     response = _Response(task, by_flux=False)
-    return _pointwise(task, response, math.sqrt(domain_length(task.spaces)))
+    return _pointwise(task, response, math.sqrt(task.spaces.length()))
 
 
 def _pointwise(task: Task, response: _Response, unit: float) -> Outcome:

@@ -6,6 +6,8 @@ import scipy.sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.parallel import gather_rows
+
 
 class RootRows:
     """Arrays with some rows per rank, gathered on rank 0 and scattered back; all methods are collective."""
@@ -17,8 +19,7 @@ class RootRows:
 
     def gather(self, rows: npt.NDArray) -> npt.NDArray | None:
         """The rows of all ranks, in rank order, on rank 0; None elsewhere."""
-        parts = self.comm.gather(rows)
-        return None if parts is None else np.concatenate(parts)
+        return gather_rows(self.comm, rows)
 
     def scatter(self, rows: npt.NDArray | None) -> npt.NDArray:
         """The rows of this rank, from all of them on rank 0."""

@@ -14,12 +14,13 @@ from forms.crouzeix_raviart import stiffness
 from forms.mixed import load
 from forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.active_set import History, Outcome
-from signorini_fenicsx.backend import Iterate, set_direct, solve_linear, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, direct_solver, solve_linear, solver_name
 from signorini_fenicsx.classical.task import Task
+from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.kkt import TOLERANCE
-from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
+from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, owned_on_facets
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
@@ -50,39 +51,34 @@ class P1System:
         self._size = self.space.dofmap.index_map.size_local
         self.dofs = self.space.dofmap.index_map.size_global
         v = ufl.TestFunction(self.space)
-        self.dirichlet = self._vertices(spaces.dirichlet_facets)
-        self.signorini = np.setdiff1d(self._vertices(spaces.facets), self.dirichlet)
+        self.dirichlet = owned_on_facets(self.space, spaces.dirichlet_facets)
+        self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
-        self.matrix = assemble_matrix(fem.form(stiffness(ufl.TrialFunction(self.space), v)))
-        self.matrix.assemble()
-        self._stiffness = self.matrix.duplicate(copy=True)
-        self.matrix.zeroRowsColumns(self.dirichlet + self.matrix.getOwnershipRange()[0])
+        self._system = ConditionedMatrix(fem.form(stiffness(ufl.TrialFunction(self.space), v)), PETSc.Mat.Option.SPD)
+        self._stiffness = self._system.natural
+        self.change_matrix()
+        self.matrix = self._system.matrix.duplicate(copy=True)
         self.diagonal = self.matrix.getDiagonal().array_r.copy()
 
-        self._factored = self.matrix.duplicate(copy=True)
-        self._factored.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._factored.setOption(PETSc.Mat.Option.SPD, True)
         self._x, self._b = create_vector(self.space), create_vector(self.space)
         boundary = self._boundary_values(data)
         self.load = self._owned(load(data.f_h, v)) - self._product(self._stiffness, boundary)
         self.load[self.dirichlet] = boundary[self.dirichlet]
-        self._ksp = PETSc.KSP().create(spaces.mesh.comm)
-        self._ksp.setOperators(self._factored)
-        set_direct(self._ksp, "cholesky")
-        take_options(self._ksp)
+        self._ksp = direct_solver(self._system.matrix, "cholesky")
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
         return solver_name(self._ksp)
 
     def change_matrix(self, *, fixed: Indices | None = None, added: Array | None = None) -> None:
-        """Make the next solves those with u = 0 at the vertices `fixed` and `added` on the diagonal (collective)."""
-        self.matrix.copy(self._factored, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        if added is not None:
-            self._b.array_w[:] = added
-            self._factored.setDiagonal(self._b, PETSc.InsertMode.ADD_VALUES)
-        if fixed is not None:
-            self._factored.zeroRowsColumns(fixed + self._factored.getOwnershipRange()[0])
+        """Make the next solves those with u = 0 at the vertices `fixed` and `added` to the diagonal (collective).
+
+        Args:
+            fixed: Some of the vertices `signorini`.
+            added: A value for each of the vertices `signorini`.
+        """
+        essential = self.dirichlet if fixed is None else np.concatenate([self.dirichlet, fixed])
+        self._system.impose(essential, self.signorini, 0.0 if added is None else added)
 
     def solve(self, b: Array) -> Array:
         """Solve with this right side, which is 0 at all fixed vertices (collective).
@@ -181,11 +177,6 @@ class P1System:
         opposite = np.argmax(spaces.V.dofmap.list[spaces.cells] == spaces.flux_dofs[:, None], axis=1)
         keep = np.arange(dofs.shape[1]) != opposite[:, None]
         return dofs[keep].reshape(len(dofs), -1)
-
-    def _vertices(self, facets: Indices) -> Indices:
-        """Owned vertices on the facets of all ranks (collective)."""
-        dofs = fem.locate_dofs_topological(self.space, self.spaces.mesh.topology.dim - 1, facets)
-        return dofs[dofs < self._size]
 
     def _owned(self, form: ufl.Form) -> Array:
         return assembled(form)[: self._size].copy()

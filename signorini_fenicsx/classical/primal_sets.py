@@ -48,7 +48,7 @@ def primal_penalty(task: Task) -> Outcome:
     system = P1System(task.spaces, task.data)
 
     def solve(contact: Set) -> tuple[Array, Set]:
-        system.change_matrix(added=system.at_signorini(np.where(contact, system.weights / task.eps, 0.0)))
+        system.change_matrix(added=np.where(contact, system.weights / task.eps, 0.0))
         u = system.solve(system.load)
         return u, u[system.signorini] < 0
 

@@ -20,7 +20,7 @@ from forms.primal import mass
 from signorini_fenicsx.active_set import Outcome, Recorder
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.classical.on_root import RootRows, matrix_on_root
-from signorini_fenicsx.classical.task import Task
+from signorini_fenicsx.classical.task import Task, nothing_yet
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.spaces import assembled, cell_measures
 
@@ -71,10 +71,7 @@ def quadratic_programme(task: Task) -> Outcome:
     iterate = Iterate(sigma_h, u_h, p, spaces.normal_flux(sigma_h), iterations)
     kind = np.where(iterate.flux > p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
 
-    facets = len(spaces.facets)
-    nothing = Iterate(fem.Function(V), fem.Function(Q), np.zeros(facets), np.zeros(facets), 0)
-    start = FacetConditions(np.full(facets, Condition.NO_FLUX, dtype=np.int8))
-    recorder = Recorder(spaces, nothing, start, task.on_step)
+    recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
     recorder.add(iterate, FacetConditions(kind))
     return Outcome(
         iterate,

@@ -5,13 +5,12 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
-from petsc4py import PETSc
 
-from forms.mixed import flux_equation, load, mass_balance, trace_term
-from signorini_fenicsx.backend import Iterate, set_direct, solve_linear, solver_name, take_options
-from signorini_fenicsx.conditioned import ConditionedMatrix
+from forms.mixed import load, trace_term
+from signorini_fenicsx.backend import Iterate, direct_solver, solve_linear, solver_name
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
+from signorini_fenicsx.mixed import flux_and_scalar, saddle_point_matrix
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
 
 type Array = npt.NDArray[np.float64]
@@ -44,11 +43,8 @@ class SaddlePoint:
         """
         self.spaces, self._stabilisation = spaces, stabilisation
         V, Q = spaces.V, spaces.Q
-        W = ufl.MixedFunctionSpace(V, Q)
-        (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
-        block = fem.Constant(V.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
-        blocks = ufl.extract_blocks(flux_equation(sigma, u, tau) + mass_balance(sigma, v) + block)
-        self._system = ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
+        tau, v = ufl.TestFunction(V), ufl.TestFunction(Q)
+        self._system = saddle_point_matrix(spaces, stabilisation=stabilisation)
         self.dofs = self._system.matrix.getSize()[0]
         self._flux_size = V.dofmap.index_map.size_local
         cells = Q.dofmap.index_map.size_local
@@ -59,10 +55,7 @@ class SaddlePoint:
 
         self._given_flux = np.zeros(len(spaces.facets), dtype=bool)
         self._b, self._x, self._residual = (create_vector([V, Q]) for _ in range(3))
-        self._ksp = PETSc.KSP().create(V.mesh.comm)
-        self._ksp.setOperators(self._system.matrix)
-        set_direct(self._ksp, "lu")
-        take_options(self._ksp)
+        self._ksp = direct_solver(self._system.matrix, "lu")
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -116,9 +109,6 @@ class SaddlePoint:
         solve_linear(self._ksp, b, x)
 
         self._system.natural.mult(x, residual)
-        sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
-        for function, part in ((sigma, x.array_r[: self._flux_size]), (u, x.array_r[self._flux_size :])):
-            function.x.array[: len(part)] = part
-            function.x.scatter_forward()
+        sigma, u = flux_and_scalar(spaces, x)
         p = np.where(given, residual.array_r[spaces.flux_dofs] / spaces.basis_flux, trace)  # (12)
         return Iterate(sigma, u, p, np.where(given, flux, spaces.normal_flux(sigma)), self._ksp.getIterationNumber())

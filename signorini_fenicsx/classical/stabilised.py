@@ -15,17 +15,14 @@ would be a minimisation with the mass matrix alone, but the step in u would be b
 import math
 from dataclasses import replace
 
-import numpy as np
 import ufl
 from dolfinx import fem
 
 from forms.norms import l2
 from signorini_fenicsx.active_set import Outcome, Recorder, iterate_sets
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.classical.saddle_point import SaddlePoint
-from signorini_fenicsx.classical.task import TOLERANCE, Task, domain_length
-from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.classical.task import TOLERANCE, Task, nothing_yet
 from signorini_fenicsx.kkt import kkt_residuals
 
 
@@ -46,9 +43,7 @@ def stabilised_form(task: Task) -> Outcome:
         on_step=task.on_step,
     )
     iterate = outcome.iterate
-    p, load = fem.Function(spaces.Lambda), fem.Function(spaces.Q)
-    p.x.array[: len(iterate.p)] = iterate.p
-    p.x.scatter_forward()
+    p, load = spaces.multiplier(iterate.p), fem.Function(spaces.Q)
     load.x.array[:] = task.data.f_h.x.array - task.eps * iterate.u.x.array
     residual = max(vars(kkt_residuals(spaces, iterate.sigma, iterate.u, p, replace(task.data, f_h=load))).values())
     return replace(outcome, own_residual=residual)
@@ -58,19 +53,16 @@ def minimisation_uzawa(task: Task) -> Outcome:
     """The Uzawa iteration in u for (MVI)_h, from u^(0) = 0 (collective).
 
     Each minimisation starts from the facet sets of the one before, so that most of them are one back substitution. The
-    automatic ρ is
-    |Ω|^(2/d), the square of a length like 1/λ_1.
+    automatic ρ is |Ω|^(2/d), the square of a length like 1/λ_1.
 
     Raises:
         LinearSolveFailure: If a linear system cannot be solved.
     """
     spaces = task.spaces
-    length = domain_length(spaces)
+    length = spaces.length()
     rho = task.rho or length**2
     system = SaddlePoint(spaces, task.data, stabilisation=1 / rho)
-    facets = len(spaces.facets)
-    conditions = FacetConditions(np.full(facets, Condition.NO_FLUX, dtype=np.int8))
-    iterate = Iterate(fem.Function(spaces.V), fem.Function(spaces.Q), np.zeros(facets), np.zeros(facets), 0)
+    iterate, conditions = nothing_yet(spaces)
     recorder = Recorder(spaces, iterate, conditions, task.on_step)
     failure: str | None = f"the mass balance does not hold after {task.max_iterations} iterations"
     for _ in range(task.max_iterations):

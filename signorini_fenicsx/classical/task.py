@@ -3,20 +3,17 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import ufl
+import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.active_set import Step
+from signorini_fenicsx.backend import Iterate
+from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-10
 """Scale-free size of the step at which an iteration stops: 100 times below what its result is judged by."""
-
-
-def domain_length(spaces: Spaces) -> float:
-    """L = |Ω|^(1/d) (collective)."""
-    return spaces.integrate(fem.Constant(spaces.mesh, 1.0) * ufl.dx) ** (1 / spaces.mesh.topology.dim)
 
 
 @dataclass(frozen=True)
@@ -38,3 +35,10 @@ class Task:
     eps: float
     max_iterations: int
     on_step: Callable[[Step], None]
+
+
+def nothing_yet(spaces: Spaces) -> tuple[Iterate, FacetConditions]:
+    """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of a history whose method has no start of its own."""
+    zero = np.zeros(len(spaces.facets))
+    iterate = Iterate(fem.Function(spaces.V), fem.Function(spaces.Q), zero, zero, 0)
+    return iterate, FacetConditions(np.full(len(zero), Condition.NO_FLUX, dtype=np.int8))
