@@ -119,7 +119,8 @@ TRACES = {"u": ("$u_h$", "C0"), "flux": (r"$\sigma_h\cdot n$", "C3"), "p": ("$p_
 def draw_traces(runs: list[KeptRun]) -> Figure:
     """u_h, σ_h·n and p_h along Γ_S: a row per part, a column per quantity."""
     arrays = runs[0].solution()
-    names, labels = arrays["about"]["part_names"], arrays["about"]["part_labels"]
+    names = arrays["about"]["part_names"]
+    labels = [arrays["about"]["parts"][name] for name in names]
     figure = Figure(figsize=(11, 2.8 * len(names)), layout="constrained")
     panels = figure.subplots(len(names), 3, squeeze=False)
     for part, (name, label) in enumerate(zip(names, labels, strict=True)):
@@ -139,7 +140,7 @@ def draw_penalty_traces(runs: list[KeptRun]) -> Figure:
         for part, axes in enumerate(row):
             for key, (title, color) in TRACES.items():
                 _trace(axes, arrays, part, key, color, title)
-            axes.set(xlabel=arrays["about"]["part_labels"][part], title=f"{names[part]}, ε = {eps:.4g}")
+            axes.set(xlabel=arrays["about"]["parts"][names[part]], title=f"{names[part]}, ε = {eps:.4g}")
             axes.legend()
     return figure
 

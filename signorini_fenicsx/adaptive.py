@@ -10,8 +10,8 @@ from mpi4py import MPI
 from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate, certify
+from signorini_fenicsx.domain import Domain
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.parallel import collect_garbage
 from signorini_fenicsx.refinement import dorfler, refine
 from signorini_fenicsx.solver import Solution, mesh_case, solve
@@ -85,13 +85,12 @@ def adapt(
         InputError: If there is no first mesh, or one with too many cells.
         NumericalFailure: If a mesh cannot be solved on or refined.
     """
-    shape = SHAPES[case.geometry.shape]
     began = time.perf_counter()
     has_sets = ALGORITHMS[case.solve.algorithm].by is By.SETS
     domain = mesh_case(case, comm)
-    cells = domain.mesh.topology.index_map(shape.dim).size_global
+    cells = _cells(domain)
     if cells > max_cells:
-        raise InputError(f"the first mesh, h ≤ {case.solve.h:g}, has {cells} cells, more than the {max_cells} allowed")
+        raise InputError(f"the first mesh, {case.fineness}, has {cells} cells, more than the {max_cells} allowed")
     solution: Solution | None = None
     mesh = 0
     while True:
@@ -101,20 +100,23 @@ def adapt(
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:
             return solution, certificate
-        domain = refine(domain, shape, dorfler(certificate.indicator.x.array, theta, comm))
-        if domain.mesh.topology.index_map(shape.dim).size_global > max_cells:
+        domain = refine(domain, dorfler(certificate.indicator.x.array, theta, comm))
+        if _cells(domain) > max_cells:
             return solution, certificate
         mesh += 1
         collect_garbage(comm)
 
 
+def _cells(domain: Domain) -> int:
+    return domain.mesh.topology.index_map(domain.mesh.topology.dim).size_global
+
+
 def _row(refinement: str, mesh: int, solution: Solution, certificate: Certificate, seconds: float) -> AdaptRow:
     facets, measure = solution.contact()
-    topology = solution.spaces.mesh.topology
     return AdaptRow(
         refinement=refinement,
         mesh=mesh,
-        cells=topology.index_map(topology.dim).size_global,
+        cells=_cells(solution.spaces.domain),
         unknowns=solution.dofs,
         h=solution.spaces.domain.h,
         contact_facets=facets,

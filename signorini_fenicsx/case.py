@@ -1,6 +1,7 @@
 """Cases: what to solve, on which domain, with which algorithm; read from TOML and validated before anything runs."""
 
 import difflib
+import os
 import sysconfig
 import tomllib
 from collections.abc import Mapping
@@ -24,7 +25,8 @@ from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.data import Problem
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import parse_expression, parse_number
-from signorini_fenicsx.geometry import SHAPES
+from signorini_fenicsx.geometry import SHAPES, Shape
+from signorini_fenicsx.mesh_files import is_geometry
 
 
 def _number(value: object) -> object:
@@ -94,14 +96,21 @@ class _Section(BaseModel):
 
 
 class Geometry(_Section):
-    """`[geometry]`: a named shape and the kind of its mesh."""
+    """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or that Gmsh makes one of."""
 
-    shape: Annotated[str, _choice("shape", tuple(SHAPES))]
+    shape: Annotated[str, _choice("shape", tuple(SHAPES))] | None = None
+    file: Annotated[str, Field(min_length=1)] | None = None
     mesh: Annotated[str, _choice("mesh", ("unstructured", "structured"))] = "unstructured"
     diagonal: Annotated[str, _choice("diagonal", ("left", "right", "crossed"))] | None = None
 
     @model_validator(mode="after")
     def _mesh_exists(self) -> Self:
+        if (self.shape is None) == (self.file is None):
+            raise ValueError("must have either a shape, such as 'square', or a file, such as 'mesh.msh'")
+        if self.shape is None:
+            if {"mesh", "diagonal"} & self.model_fields_set:
+                raise ValueError("mesh and diagonal apply to named shapes, not to files")
+            return self
         shape = SHAPES[self.shape]
         if self.mesh == "structured" and shape.grid is None:
             structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
@@ -109,6 +118,11 @@ class Geometry(_Section):
         if self.diagonal is not None and (self.mesh != "structured" or shape.dim != 2):
             raise ValueError("diagonal applies to structured meshes of square and lshape only")
         return self
+
+    @property
+    def name(self) -> str:
+        """The shape, or the name of the file."""
+        return self.shape or Path(self.file or "").name
 
 
 class Boundary(_Section):
@@ -230,20 +244,52 @@ class Case(_Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        shape = SHAPES[self.geometry.shape]
-        self.boundary.check(list(shape.parts), self.geometry.shape)
+        if self.geometry.shape is not None:
+            self._check_shape(SHAPES[self.geometry.shape])
+        elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
+            raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' is as fine as it is; leave h out")
+        else:
+            self._check_expressions(3)  # the file is not read yet
+        return self
+
+    @property
+    def file_h(self) -> float | None:
+        """Mesh size asked of a `.geo` file, if one is."""
+        return self.solve.h if self.geometry.shape is None and "h" in self.solve.model_fields_set else None
+
+    @property
+    def fineness(self) -> str:
+        """What is known of the mesh size before there is a mesh."""
+        asked = self.solve.h if self.geometry.shape is not None else self.file_h
+        return f"mesh {self.geometry.name}" if asked is None else f"h ≤ {asked:g}"
+
+    def check_dimension(self, dim: int) -> None:
+        """Refuse coordinates that a mesh read from a file does not have.
+
+        Raises:
+            InputError: If an expression uses one.
+        """
+        try:
+            self._check_expressions(dim)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+
+    def _check_shape(self, shape: Shape) -> None:
+        self.boundary.check(list(shape.parts), self.geometry.name)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
             )
-        x = reference_coordinate(shape.dim)
+        self._check_expressions(shape.dim)
+
+    def _check_expressions(self, dim: int) -> None:
+        x = reference_coordinate(dim)
         texts = [("problem", *entry) for entry in self.problem.texts()] + [("exact", "u", self.exact.u or "0")]
         for section, name, text in texts:
             try:
                 parse_expression(text, x)
             except InputError as error:
                 raise ValueError(f"[{section}] {name}: {error}") from None
-        return self
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy in which keys such as `solve.h` or `geometry.mesh` have new values.
@@ -310,6 +356,9 @@ def load_case(name_or_path: str | Path) -> Case:
         if text not in case_names():
             raise InputError(f"unknown case '{text}'; use one of {', '.join(case_names())} or the path of a .toml file")
     tree = read_toml(path)
+    geometry = tree.get("geometry")
+    if isinstance(geometry, dict) and isinstance(file := geometry.get("file"), str):
+        geometry["file"] = os.path.normpath(path.parent / file)
     return _validated(Case, tree, path.stem, str(path))
 
 

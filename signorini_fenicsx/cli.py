@@ -160,8 +160,9 @@ def adapt(
     def first_mesh() -> "Case":
         problem = load_case(case)
         values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
-        shape = SHAPES[problem.with_values(values).geometry.shape]
-        return problem.with_values({"solve.h": shape.diameter / FIRST_MESH} | values)
+        shape = problem.with_values(values).geometry.shape
+        first = {} if shape is None else {"solve.h": SHAPES[shape].diameter / FIRST_MESH}
+        return problem.with_values(first | values)
 
     problem = on_root(comm, first_mesh)
     rows: list[AdaptRow] = []
@@ -191,7 +192,7 @@ def adapt(
                 f"cells; the last state is in {kept}"
             )
         folder.publish()
-        report.adapted(rows, SHAPES[problem.geometry.shape].dim, certificate, folder.target)
+        report.adapted(rows, solution.spaces.mesh.topology.dim, certificate, folder.target)
 
 
 def _positive(option: str, text: str) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 from signorini_fenicsx.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.convergence import Differences, differences
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.solver import Solution
+from signorini_fenicsx.solver import Solution, same_domain
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,11 @@ def compare(one: Solution, other: Solution) -> Comparison:
         InputError: If their domains or contact boundaries differ.
     """
     here, there = (
-        f"{solution.case.geometry.shape} with contact on {', '.join(sorted(solution.case.boundary.signorini))}"
+        f"{solution.case.geometry.name} with contact on {', '.join(sorted(solution.case.boundary.signorini))}"
         for solution in (one, other)
     )
-    if here != there:
+    domains = same_domain(one.case, one.spaces.domain, other.case, other.spaces.domain)
+    if not domains or set(one.case.boundary.signorini) != set(other.case.boundary.signorini):
         raise InputError(f"solutions of one domain and contact boundary compare, not of {here} and {there}")
     coarse, fine = sorted((one, other), key=_cells)
     norms = differences(coarse, fine)

@@ -54,7 +54,7 @@ def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
     By quadrature on the facets of the second, so exact but for those in which the first set ends.
     """
     gamma = fine.spaces.Lambda.mesh
-    gap = curve_gap(coarse.spaces.domain.h)
+    gap = curve_gap(coarse.spaces.domain)
     (theirs,) = sampled([coarse.indicator()], gamma, gap, degree=OVERLAP_DEGREE)
     mine = fine.indicator()
     dx = ufl.Measure("dx", gamma, metadata={"quadrature_degree": OVERLAP_DEGREE, "quadrature_scheme": "default"})

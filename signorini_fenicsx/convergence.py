@@ -109,7 +109,7 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
     The coarse fields are evaluated at the quadrature points. Where a curved boundary is cut differently by the two
     meshes, the nearest coarse cell is taken.
     """
-    padding = curve_gap(coarse.spaces.domain.h)
+    padding = curve_gap(coarse.spaces.domain)
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
     sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, padding)
     p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, padding)

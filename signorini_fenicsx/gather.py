@@ -8,11 +8,13 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.domain import Domain, Marks, facet_vertices, membership
 from signorini_fenicsx.parallel import gather_rows
 from signorini_fenicsx.solver import Solution
-from signorini_fenicsx.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
+
+TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,14 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         solution.p.x.array[:size],
         spaces.normal_flux(solution.sigma),
         solution.conditions.kind,
-        *facet_vertices(spaces).T,
+        *facet_vertices(spaces.mesh, spaces.facets).T,
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
     if rows is None:
         return None
-    part, *x, along = np.round(rows[:, :5].T, 10)  # rounded, so that the order does not depend on the partition
-    rows = rows[np.lexsort((*x[::-1], along, part))]
+    scale = 2.0 ** np.ceil(np.log2(np.abs(rows[:, 1:5]).max(initial=TINY)))
+    *x, along = np.round(rows[:, 1:5].T / scale, 10)  # rounded, so that the order does not depend on the partition
+    rows = rows[np.lexsort((*x[::-1], along, rows[:, 0]))]
     return FacetTable(
         part=rows[:, 0].astype(np.int64),
         x=rows[:, 1:4],
@@ -101,11 +104,25 @@ def gather_facets(solution: Solution) -> FacetTable | None:
     )
 
 
-def facet_vertices(spaces: Spaces) -> npt.NDArray[np.int64]:
-    """Vertices of the Γ_S facets of this rank, numbered as the mesh was made, ascending: shape (facets, dim)."""
-    mesh = spaces.mesh
-    nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, spaces.facets)
-    return np.sort(mesh.geometry.input_global_indices[nodes], axis=1)
+def gather_marks(domain: Domain) -> Marks:
+    """Collect parts and regions on rank 0; empty on other ranks (collective)."""
+    comm = domain.mesh.comm
+    facets = {}
+    for name, local in domain.facets.items():
+        vertices = gather_rows(comm, facet_vertices(domain.mesh, local))
+        facets[name] = (
+            np.empty((0, domain.mesh.topology.dim), dtype=np.int64) if vertices is None else _sorted(vertices)
+        )
+    cells = None
+    if domain.regions:
+        inside = gather_rows(comm, membership(domain))
+        order = gather_rows(comm, domain.mesh.topology.original_cell_index)
+        cells = None if inside is None or order is None else inside[np.argsort(order)]
+    return Marks(facets, cells, tuple(domain.regions))
+
+
+def _sorted(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    return rows[np.lexsort(rows.T[::-1])]
 
 
 def centroid_flux(solution: Solution) -> fem.Function:

@@ -1,44 +1,44 @@
-"""Named domains, their boundary parts and their meshes of a given fineness."""
+"""Domains: named shapes with meshes of a given fineness, and meshes of one's own from files."""
 
+import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import basix.ufl
 import dolfinx.mesh
 import gmsh
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.domain import AXES, Domain, Marks, Part, axis_part, distribute, largest_diameter, marked_domain
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.mesh_checks import FileMesh, check_boundary, diameters
+from signorini_fenicsx.mesh_files import MAX_CELLS, read_mesh_file
 from signorini_fenicsx.parallel import on_root
 
-MAX_CELLS = 10**8
-"""More cells than this are taken for a mistake in h."""
+BEND = 1.0
+"""No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
+OWN_BEND = 8.0
+"""The same for a domain from a file of size 1, taken to have no radius below 1/64."""
 TINY = np.finfo(np.float64).tiny
 
 type Array = npt.NDArray[np.float64]
-type Simplices = tuple[Array, npt.NDArray[np.int64]]
+type Indices = npt.NDArray[np.int64]
+type Simplices = tuple[Array, Indices]
 """Points of shape (points, dim) and cells of shape (cells, dim + 1)."""
 
 
 @dataclass(frozen=True)
-class Part:
-    """A named part of the boundary.
+class NamedPart(Part):
+    """A boundary part of a named shape.
 
     Attributes:
         contains: Tells for points of shape (3, n) which lie on the part.
-        along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
-        label: Name of that coordinate.
-        nearest: Nearest points of a curved part to points of shape (3, n) near it; None for a plane.
     """
 
-    contains: Callable[[Array], npt.NDArray[np.bool_]]
-    along: Callable[[Array], Array]
-    label: str
-    nearest: Callable[[Array], Array] | None = None
+    contains: Callable[[Array], npt.NDArray[np.bool_]] = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -57,57 +57,38 @@ class Shape:
     dim: int
     measure: float
     diameter: float
-    parts: Mapping[str, Part]
+    parts: Mapping[str, NamedPart]
     outline: Callable[[], None]
     grid: Callable[[float, str], Simplices] | None = None
 
 
-@dataclass(frozen=True)
-class Domain:
-    """A distributed mesh with named boundary parts.
-
-    Attributes:
-        mesh: The mesh; without ghost cells, so a boundary facet lives on one rank only, with its cell.
-        h: Largest cell diameter over all ranks.
-        parts: Boundary parts, in the shape's order.
-        facets: For each part its facets of this rank, ascending.
-        regions: For each named region its cells of this rank; a named shape has none.
-    """
-
-    mesh: dolfinx.mesh.Mesh
-    h: float
-    parts: Mapping[str, Part]
-    facets: Mapping[str, npt.NDArray[np.int32]]
-    regions: Mapping[str, npt.NDArray[np.int32]] = field(default_factory=dict)
-
-
-def _plane(axis: int, value: float) -> Part:
+def _plane(axis: int, value: float) -> NamedPart:
     other = 1 - min(axis, 1)
-    return Part(lambda x: np.isclose(x[axis], value), lambda x: x[other], "xy"[other])
+    return NamedPart(lambda x: x[other], "xy"[other], contains=lambda x: np.isclose(x[axis], value))
 
 
-def _circle(radius: float, *, lower_half: bool = False) -> Part:
+def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
     """A circle by its angle from the positive x axis: −π to 0 on the lower half, else −π to π."""
 
     def contains(x: Array) -> npt.NDArray[np.bool_]:
         on = np.isclose(np.hypot(x[0], x[1]), radius)
         return on & (x[1] < radius * 1e-9) if lower_half else on
 
-    return Part(
-        contains,
+    return NamedPart(
         lambda x: np.arctan2(x[1], x[0]),
         "angle",
         lambda x: x * radius / np.maximum(np.hypot(x[0], x[1]), TINY),
+        contains=contains,
     )
 
 
-def _hemisphere(sign: int) -> Part:
+def _hemisphere(sign: int) -> NamedPart:
     """The half of the unit sphere with sign·z ≥ 0."""
 
     def contains(x: Array) -> npt.NDArray[np.bool_]:
         return np.isclose(np.linalg.norm(x, axis=0), 1.0) & (sign * x[2] > -1e-9)
 
-    return Part(contains, lambda x: x[2], "z", lambda x: x / np.maximum(np.linalg.norm(x, axis=0), TINY))
+    return NamedPart(lambda x: x[2], "z", lambda x: x / np.maximum(np.linalg.norm(x, axis=0), TINY), contains=contains)
 
 
 def _polygon(*corners: tuple[float, float], height: float = 0.0) -> Callable[[], None]:
@@ -230,8 +211,8 @@ def _lprism_grid(h: float, _diagonal: str) -> Simplices:
 
 L_CORNERS = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 NOTCH = {
-    "notch_x": Part(lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9), lambda x: x[1], "y"),
-    "notch_y": Part(lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9), lambda x: x[0], "x"),
+    "notch_x": NamedPart(lambda x: x[1], "y", contains=lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9)),
+    "notch_y": NamedPart(lambda x: x[0], "x", contains=lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9)),
 }
 
 SHAPES: Mapping[str, Shape] = {
@@ -327,7 +308,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
             points, cells = shape.grid(h, diagonal or "right")
         else:
             points, cells = _gmsh_mesh(shape, h)
-        achieved = _largest_edge(points, cells)
+        achieved = float(diameters(points, cells).max())
         if not h / 2 < achieved <= h * (1 + 1e-12):
             raise InputError(
                 f"h = {h:g}: {mesh} meshes of {shape_name} near this size have largest diameter {achieved:.4g}, "
@@ -346,37 +327,71 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
-def distribute(comm: MPI.Comm, points: Array, cells: npt.NDArray[np.int64], dim: int) -> dolfinx.mesh.Mesh:
-    """Make a distributed mesh without ghost cells (collective).
-
-    Args:
-        comm: Communicator of the mesh.
-        points: Some points on each rank, numbered from rank to rank.
-        cells: Some cells on each rank, of those numbers.
-        dim: Dimension.
-    """
-    cell = {2: "triangle", 3: "tetrahedron"}[dim]
-    element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
-    return dolfinx.mesh.create_mesh(comm, cells, element, points)
-
-
 def label_parts(mesh: dolfinx.mesh.Mesh, shape: Shape) -> Domain:
-    """Find the facets of each boundary part and the largest cell diameter (collective)."""
+    """Find the facets of each boundary part of a named shape (collective)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
     }
-    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    h = mesh.comm.allreduce(mesh.h(dim, cells).max(initial=0.0), MPI.MAX)
-    return Domain(mesh, float(h), shape.parts, facets)
+    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, BEND)
 
 
-def _largest_edge(points: Array, cells: npt.NDArray[np.int64]) -> float:
-    return max(
-        float(np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=1).max())
-        for a, b in itertools.combinations(range(cells.shape[1]), 2)
-    )
+def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
+    """Read a mesh, or make that of a `.geo` file, and check it (collective).
+
+    Args:
+        comm: Communicator of the mesh; rank 0 reads it.
+        path: Of the file.
+        h: Wanted largest cell diameter of the mesh of a `.geo` file, which has sizes of its own.
+        conditions: The parts with each kind of condition, see `check_boundary`.
+
+    Raises:
+        InputError: If the file, its mesh or its parts cannot be used.
+    """
+    read: list[FileMesh] = []
+
+    def about() -> tuple[int, dict[str, str], tuple[str, ...], float]:
+        mesh = read_mesh_file(path, h)
+        try:
+            check_boundary(mesh, conditions)
+        except InputError as error:
+            raise InputError(f"mesh {path}: {error}") from None
+        read.append(mesh)
+        labels = {name: AXES[_longest_axis(mesh.points[facets])] for name, facets in mesh.parts.items()}
+        return mesh.dim, labels, tuple(mesh.regions), OWN_BEND / float(np.ptp(mesh.points, axis=0).max())
+
+    dim, labels, regions, bend = on_root(comm, about)
+    points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
+    facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
+    inside = None
+    if read:
+        points, cells, facets = read[0].points, read[0].cells, read[0].parts
+        inside = np.zeros((len(cells), len(regions)), dtype=bool)
+        for column, chosen in enumerate(read[0].regions.values()):
+            inside[chosen, column] = True
+    parts = {name: axis_part(label) for name, label in labels.items()}
+    return marked_domain(distribute(comm, points, cells, dim), parts, Marks(facets, inside, regions), bend)
+
+
+@functools.cache
+def _own_size(path: str) -> tuple[int, int, float]:
+    mesh = read_mesh_file(path)
+    return mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max())
+
+
+def expected_cells(path: str, h: float | None) -> float:
+    """Cells of the mesh of a file; for an h asked of a `.geo` file, extrapolated from its own sizes (rank 0).
+
+    Raises:
+        InputError: If the file or its mesh cannot be used.
+    """
+    dim, cells, own_h = _own_size(path)
+    return cells if h is None else cells * (own_h / h) ** dim
+
+
+def _longest_axis(points: Array) -> int:
+    return int(np.argmax(np.ptp(points.reshape(-1, points.shape[-1]), axis=0))) if points.size else 0
 
 
 def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
@@ -396,7 +411,7 @@ def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
             gmsh.model.mesh.clear()
             gmsh.model.mesh.generate(shape.dim)
             points, cells = _gmsh_simplices(shape.dim)
-            achieved = _largest_edge(points, cells)
+            achieved = float(diameters(points, cells).max())
             size *= 0.94 * h / achieved
         return points, cells
     finally:

@@ -117,7 +117,7 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
     """Flux, trace and contact errors of solutions on one mesh, whose points are searched once for all."""
     spaces, comm = fine.spaces, fine.spaces.mesh.comm
     mesh, gamma = spaces.mesh, spaces.Lambda.mesh
-    padding = curve_gap(solutions[0].spaces.domain.h)
+    padding = curve_gap(solutions[0].spaces.domain)
     metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
     dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
     ds = ufl.Measure("dx", domain=gamma, metadata=metadata)

@@ -26,7 +26,7 @@ from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
-from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields
+from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields, gather_marks
 from signorini_fenicsx.parallel import on_root
 from signorini_fenicsx.solver import Solution, Stopwatch
 
@@ -54,6 +54,7 @@ def write_solution(
         write_fields(solution, folder, certificate)
     indicator = None if certificate is None else certificate.indicator
     table, cells = gather_facets(solution), gather_fields(solution, indicator)
+    marks = gather_marks(solution.spaces.domain)
     summary = solution.summary()
     if certificate is not None:
         summary["certificate"] = certificate.summary()
@@ -62,7 +63,7 @@ def write_solution(
     def write() -> None:
         if table is not None and cells is not None:
             write_facets(folder / "facets.csv", solution.spaces.part_names, table)
-            write_checkpoint(folder / FILE, solution, cells, table)
+            write_checkpoint(folder / FILE, solution, cells, table, marks)
             if plot:
                 from signorini_fenicsx import plots  # costs two seconds, which a run without pictures need not wait
 

@@ -44,6 +44,12 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
     return None if parts is None else np.concatenate(parts)
 
 
+def scatter_rows(comm: MPI.Comm, wanted: npt.NDArray[np.int64], rows: npt.NDArray | None) -> npt.NDArray:
+    """Rows of an array of rank 0, to each rank those it wants (collective)."""
+    lists = comm.gather(wanted)
+    return comm.scatter(None if rows is None or lists is None else [rows[each] for each in lists])
+
+
 def abort_all_on_exception(comm: MPI.Comm) -> None:
     """Make an uncaught exception on one rank end all of them, instead of leaving the others in a collective call."""
     if comm.size == 1:

@@ -6,8 +6,9 @@ import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 
+from signorini_fenicsx.domain import Domain, Marks, distribute, marked_domain, membership
 from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.geometry import Domain, Shape, distribute, label_parts
+from signorini_fenicsx.parallel import gather_rows
 
 type Array = npt.NDArray[np.float64]
 
@@ -48,14 +49,14 @@ def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.in
     return np.flatnonzero(squares >= low).astype(np.int32)
 
 
-def refine(domain: Domain, shape: Shape, cells: npt.NDArray[np.int32]) -> Domain:
+def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
     """Halve all edges of some cells, and those of others that this asks for, by longest-edge bisection (collective).
 
-    New vertices on curved parts of the boundary move there. The refined mesh is distributed anew.
+    New vertices on curved parts of the boundary move there; a mesh from a file keeps its polygon or polyhedron. Parts
+    and regions are inherited. The refined mesh is distributed anew.
 
     Args:
         domain: What to refine.
-        shape: What it is a mesh of.
         cells: Owned cells to refine.
 
     Raises:
@@ -65,16 +66,27 @@ def refine(domain: Domain, shape: Shape, cells: npt.NDArray[np.int32]) -> Domain
     dim = mesh.topology.dim
     fine, parent_cell, parent_facet = _bisected(mesh, cells)
     before = _volumes(fine)
-    for name, part in shape.parts.items():
+    boundary, children = _boundary_facets(mesh, fine, parent_cell, parent_facet)
+    descendants = {name: children[np.isin(boundary, facets)] for name, facets in domain.facets.items()}
+    for name, part in domain.parts.items():
         if part.nearest is not None:
-            nodes = _on_all_ranks(fine, _descendants(mesh, domain.facets[name], fine, parent_cell, parent_facet))
+            nodes = _on_all_ranks(fine, descendants[name].ravel())
             fine.geometry.x[nodes] = part.nearest(fine.geometry.x[nodes].T).T
     if not mesh.comm.allreduce(bool(np.all(_volumes(fine) / before > FLAT)), MPI.LAND):
         raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
 
     nodes = fine.geometry.index_map()
     cell_nodes = nodes.local_to_global(fine.geometry.dofmaps[0].ravel()).reshape(-1, dim + 1)
-    return label_parts(distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim), shape)
+    marks = Marks(
+        {
+            name: np.sort(nodes.local_to_global(rows.ravel()).reshape(-1, dim), axis=1)
+            for name, rows in descendants.items()
+        },
+        gather_rows(mesh.comm, membership(domain)[parent_cell]) if domain.regions else None,
+        tuple(domain.regions),
+    )
+    distributed = distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim)
+    return marked_domain(distributed, domain.parts, marks, domain.bend)
 
 
 def _bisected(
@@ -121,22 +133,22 @@ def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:
     return np.linalg.det(_affine(_corners(mesh)))
 
 
-def _descendants(
+def _boundary_facets(
     mesh: dolfinx.mesh.Mesh,
-    facets: npt.NDArray[np.int32],
     fine: dolfinx.mesh.Mesh,
     parent_cell: npt.NDArray[np.int32],
     parent_facet: npt.NDArray[np.int8],
-) -> npt.NDArray[np.int32]:
-    """Nodes of the refined mesh on facets of the mesh, as far as this rank knows."""
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Facets of the mesh's boundary and the refined ones in them: each one's parent and nodes, shape (facets, dim)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim, dim - 1)
-    holds = np.isin(mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1), facets)
-    inside = parent_facet < 0
-    within = ~inside & np.take_along_axis(holds[parent_cell], np.where(inside, 0, parent_facet), axis=1)
-    cells, opposite = np.nonzero(within)
-    nodes = fine.geometry.dofmaps[0][cells]
-    return nodes[np.arange(dim + 1) != opposite[:, None]]
+    facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+    cells, opposite = np.nonzero(parent_facet >= 0)
+    parents = facets[parent_cell[cells], parent_facet[cells, opposite]]
+    outside = np.isin(parents, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    nodes = fine.geometry.dofmaps[0][cells[outside]]
+    others = nodes[np.arange(dim + 1) != opposite[outside, None]]
+    return parents[outside], others.reshape(-1, dim)
 
 
 def _on_all_ranks(mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:

@@ -31,7 +31,7 @@ def heading(case: Case, comm: MPI.Comm) -> None:
 def iteration_heading(case: Case) -> None:
     """Say what the run is about and name the columns of the iterations."""
     penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].has_eps else ""
-    console.print(f"h ≤ {case.solve.h:g}{penalty}")
+    console.print(f"{case.fineness}{penalty}", markup=False)
     counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
     console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
@@ -101,7 +101,7 @@ def results(folder: Path) -> None:
 def about_to_solve(case: Case) -> None:
     """Say which problem is being solved, until its row replaces the line."""
     if console.is_terminal:
-        console.print(f"solving h = {case.solve.h:g}, {case.solve.algorithm} …", end="\r")
+        console.print(f"solving {case.fineness}, {case.solve.algorithm} …", end="\r", markup=False)
 
 
 def convergence_heading() -> None:

@@ -7,13 +7,15 @@ import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.domain import Domain
+
 QUADRATURE_DEGREE = 2
 """Exact for squares of RT0 differences on fine cells that one coarse cell covers."""
 
 
-def curve_gap(h: float) -> float:
-    """A length above the gap between two polygons with edges ≤ h that approximate one curve of radius ≥ 1/8."""
-    return h**2
+def curve_gap(domain: Domain) -> float:
+    """A length above the gap between this mesh and a finer one of the same domain with a curved boundary."""
+    return domain.bend * domain.h**2
 
 
 def sampled(

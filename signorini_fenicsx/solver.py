@@ -25,7 +25,7 @@ from signorini_fenicsx.data import Data, Problem, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.facet_system import FacetSystem
-from signorini_fenicsx.geometry import Domain, build_domain
+from signorini_fenicsx.geometry import SHAPES, Domain, build_domain, estimated_cells, expected_cells, own_domain
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.mixed import MixedBackend
@@ -220,13 +220,33 @@ def discrete_data(case: Case, spaces: Spaces) -> Data:
 
 
 def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
-    """Mesh the domain of a case (collective).
+    """Mesh the domain of a case, or read its mesh (collective).
 
     Raises:
-        InputError: If there is no mesh with the case's h.
+        InputError: If there is no mesh with the case's h, or the file's mesh does not suit the case.
     """
     geometry = case.geometry
-    return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
+    if geometry.shape is not None:
+        return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
+    boundary = case.boundary
+    conditions = {"signorini": boundary.signorini, "neumann": boundary.neumann}
+    if boundary.dirichlet is not None:
+        conditions["dirichlet"] = boundary.dirichlet
+    domain = own_domain(comm, geometry.file or "", case.file_h, conditions)
+    case.check_dimension(domain.mesh.topology.dim)
+    return domain
+
+
+def rough_cells(case: Case) -> float:
+    """About how many cells the mesh of a case has, without making it; a file is read (rank 0).
+
+    Raises:
+        InputError: If the file or its mesh cannot be used.
+    """
+    geometry = case.geometry
+    if geometry.shape is not None:
+        return estimated_cells(SHAPES[geometry.shape], case.solve.h)
+    return expected_cells(geometry.file or "", case.file_h)
 
 
 def solve(
@@ -338,6 +358,16 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
     return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
 
 
+def same_domain(case: Case, domain: Domain, other_case: Case, other: Domain) -> bool:
+    """Whether two meshes are of one domain: by the name of the shape; with files, by bounding boxes (collective)."""
+    if case.geometry.shape is not None and other_case.geometry.shape is not None:
+        return case.geometry.shape == other_case.geometry.shape
+    if domain.mesh.topology.dim != other.mesh.topology.dim:
+        return False
+    distance = np.abs(domain.box() - other.box()).max()
+    return bool(distance <= curve_gap(domain) + curve_gap(other))
+
+
 @dataclass(frozen=True)
 class _Run:
     """A discrete problem and what solves it."""
@@ -373,16 +403,13 @@ class _Run:
         Raises:
             InputError: If the domains differ, or the algorithm has no sets to start from.
         """
-        shape, other = self.case.geometry.shape, start.case.geometry.shape
-        if shape != other:
-            raise InputError(f"the start was solved on shape '{other}', not on '{shape}'")
+        case, spaces = self.case, self.spaces
+        if not same_domain(case, spaces.domain, start.case, start.spaces.domain):
+            raise InputError(f"the start was solved on '{start.case.geometry.name}', not on '{case.geometry.name}'")
         if self.algorithm.by is not By.SETS:
-            raise InputError(
-                f"{self.case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4"
-            )
-        spaces = self.spaces
+            raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
         (sample,) = sampled(
-            [start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0
+            [start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain), degree=0
         )
         contact = np.rint(sample.x.array[: len(spaces.facets)])
         # either p or σ·n is 0

@@ -15,7 +15,7 @@ from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, Solve, complaint, data_folder, load_case, read_toml
 from signorini_fenicsx.convergence import Vary
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geometry import SHAPES, estimated_cells
+from signorini_fenicsx.solver import rough_cells
 
 SHORT = tuple(Solve.model_fields)
 """Keys of [solve] that a study may write without `solve.`"""
@@ -194,12 +194,27 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     return make_run(case, task, fields=study.fields, plot=study.plot)
 
 
+def _file_digest(path: str) -> str:
+    """Digest of a mesh file: a run is known by the mesh, not by the name of its file (rank 0).
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"mesh {path}: {error.strerror}") from None
+
+
 def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
     """A run, named by what it is."""
+    values = case.model_dump(mode="json")
+    if case.geometry.file is not None:
+        values["geometry"]["file"] = _file_digest(case.geometry.file)
     content = {
         "version": __version__,
         "case": case.name,
-        "values": case.model_dump(mode="json"),
+        "values": values,
         "convergence": None if task is None else task.model_dump(mode="json"),
         "fields": fields,
         "plot": plot,
@@ -210,10 +225,10 @@ def make_run(case: Case, task: Convergence | None = None, *, fields: bool = Fals
 
 def _cells(case: Case, task: Convergence | None) -> Iterator[float]:
     """Rough sizes of the meshes of a run."""
-    shape = SHAPES[case.geometry.shape]
     if task is None:
-        yield estimated_cells(shape, case.solve.h)
+        yield rough_cells(case)
     elif task.vary is Vary.EPS:
-        yield (len(task.levels) + 1) * estimated_cells(shape, case.solve.h)
+        yield (len(task.levels) + 1) * rough_cells(case)
     else:
-        yield from (estimated_cells(shape, 2.0**-level) for level in (*task.levels, task.reference))
+        for level in (*task.levels, task.reference):
+            yield rough_cells(case.with_values({"solve.h": 2.0**-level}))

@@ -34,7 +34,7 @@ def refined(comm: MPI.Comm, shape: str, mesh: str, h: float, times: int) -> Doma
     for time in range(times):
         distance = np.linalg.norm(corners(domain).mean(axis=1) - corner[: SHAPES[shape].dim], axis=1)
         cells = dorfler(1 / (0.01 + distance), 1.0 if time == 1 else 0.3, comm)
-        domain = refine(domain, SHAPES[shape], cells)
+        domain = refine(domain, cells)
     return domain
 
 
@@ -113,7 +113,7 @@ def test_a_cell_that_would_be_flattened_is_a_failure():
     cells = np.array([tri for a, b, c, d in quads for tri in ((a, b, d), (b, c, d))])
     domain = label_parts(distribute(MPI.COMM_SELF, points, cells, 2), shape)
     with pytest.raises(NumericalFailure, match="flatten a cell"):
-        refine(domain, shape, np.arange(6, dtype=np.int32))
+        refine(domain, np.arange(6, dtype=np.int32))
 
 
 def history(case: str, theta: float, max_cells: int, **values: object) -> list[AdaptRow]:
