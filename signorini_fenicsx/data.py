@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import basix
+import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -93,10 +95,8 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
             solution leave the range of floating-point numbers; if κ is not symmetric and positive definite, or has no
             value somewhere.
     """
-    f = _expression(spaces, "f", problem.f, family="DG")
-    u_D, g_N, psi, q_S = (
-        _expression(spaces, name, getattr(problem, name), family="Lagrange") for name in ("u_D", "g_N", "psi", "q_S")
-    )
+    f = _expression(spaces, "f", problem.f, continuous=False)
+    u_D, g_N, psi, q_S = (_expression(spaces, name, getattr(problem, name)) for name in ("u_D", "g_N", "psi", "q_S"))
     kappa = _conductivity(spaces, problem.kappa)
     f_h = fem.Function(spaces.Q, name="f_h")
     f_means = _cell_means(spaces, f).ravel()
@@ -156,15 +156,19 @@ def is_constant(value: Expr) -> bool:
     return isinstance(value, ufl.constantvalue.ConstantValue) and value.ufl_shape == ()
 
 
-def _expression(spaces: Spaces, name: str, given: Given, *, family: str, matrix: bool = False) -> Expr:
-    """UFL of what was given; functions of points become piecewise quadratic."""
+def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Expr:
+    """UFL of what was given; functions of points become piecewise quadratic, those that may jump by inner points."""
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
     if isinstance(given, Expr):
         value = given
     elif callable(given):
         probe = np.asarray(given(np.zeros((3, 1))))
-        value = fem.Function(fem.functionspace(spaces.mesh, (family, 2, probe.shape[:-1])), name=name)
+        variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
+        element = basix.ufl.element(
+            "P", spaces.mesh.basix_cell(), 2, variant, shape=probe.shape[:-1], discontinuous=not continuous
+        )
+        value = fem.Function(fem.functionspace(spaces.mesh, element), name=name)
         value.interpolate(lambda x: np.reshape(given(x), (-1, x.shape[1])))
     else:
         value = ufl.as_ufl(given)
@@ -176,7 +180,7 @@ def _expression(spaces: Spaces, name: str, given: Given, *, family: str, matrix:
 def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
     """UFL of κ; one value per region becomes a sum of characteristic functions times values."""
     if not isinstance(given, Mapping):
-        return _expression(spaces, "kappa", given, family="DG", matrix=True)
+        return _expression(spaces, "kappa", given, continuous=False, matrix=True)
     regions = spaces.domain.regions
     for name in given:
         if name not in regions:
@@ -184,7 +188,8 @@ def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
             raise InputError(f"[problem] kappa: unknown region '{name}' of the mesh; {known}")
     covered = np.zeros(spaces.Q.dofmap.index_map.size_local, dtype=bool)
     values = {
-        name: _expression(spaces, f"kappa.{name}", value, family="DG", matrix=True) for name, value in given.items()
+        name: _expression(spaces, f"kappa.{name}", value, continuous=False, matrix=True)
+        for name, value in given.items()
     }
     is_matrix = any(value.ufl_shape for value in values.values())
     kappa = None
