@@ -360,7 +360,7 @@ def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions
     algorithm = ALGORITHMS[case.solve.algorithm]
     if algorithm.by is not By.SETS:
         raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
-    (sample,) = sampled([start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain), degree=0)
+    (sample,) = sampled([start.contact_set().indicator()], spaces.Lambda.mesh, start.spaces.domain, degree=0)
     contact = np.rint(sample.x.array[: len(spaces.facets)])
     return algorithm.next_conditions(1 - contact, contact, 1.0, case.solve.eps)  # either p or σ·n is 0
 
