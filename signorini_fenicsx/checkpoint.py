@@ -93,7 +93,7 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     points = arrays.get("points", np.empty((0, dim)))
     cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
     domain = marked_domain(distribute(comm, points, cells, dim), _parts(case, about), _marks(about, arrays, dim), bend)
-    spaces = build_spaces(domain, case.boundary.signorini)
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)
     sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux
@@ -102,6 +102,7 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     data = discrete_data(case, spaces)
     return Solution(
         case=case,
+        algorithm=ALGORITHMS[case.solve.algorithm],
         spaces=spaces,
         data=data,
         sigma=sigma,

@@ -214,8 +214,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             that are left are Γ_D.
 
     Raises:
-        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, or a component of
-            the domain has no facet of Γ_D.
+        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, or one of several
+            components of the domain has no facet of Γ_D.
     """
     known = ", ".join(f"'{name}'" for name in mesh.parts) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
@@ -242,24 +242,22 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             used.append(name)
     boundary = times == 1
     left = boundary & (owner < 0)
-    given = conditions.get("dirichlet", [])
-    if given and np.any(left):
-        place = mesh.points[rows[np.flatnonzero(left)[0]]]
-        raise InputError(f"{_count(int(left.sum()), 'boundary facet')} in no part, the first at {_places(place)}")
-    fixed = np.isin(owner, [used.index(name) for name in given]) if given else left
-    if not np.any(fixed):
-        raise InputError("[boundary]: no facet is left to the Dirichlet condition u = u_D")
+    given = conditions.get("dirichlet")
+    if given is not None and np.any(left):
+        where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
+        raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
+    fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
     _check_components(mesh, everything, first[fixed])
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:
-    """Refuse a component of the domain without a facet of Γ_D; these are given by rows of the facets of all cells."""
+    """Refuse one of several components without a facet of Γ_D; these are given by rows of the facets of all cells."""
     size = len(mesh.cells)
     one, other = (facets % size for facets in neighbours(everything))
     links = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(size, size))
     count, component = connected_components(links, directed=False)
     free = np.setdiff1d(np.arange(count), component[fixed % size])
-    if len(free) > 0:
+    if count > 1 and len(free) > 0:
         centre = mesh.points[mesh.cells[np.flatnonzero(component == free[0])[:1]]].mean(axis=1)
         raise InputError(
             f"the domain has {count} components that do not meet in facets, and the one around {_places(centre)} has "

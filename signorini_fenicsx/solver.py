@@ -14,14 +14,14 @@ from petsc4py import PETSc
 
 from forms.norms import l2
 from signorini_fenicsx.active_set import Outcome, Step, iterate_sets, settle_sets
-from signorini_fenicsx.algorithms import ALGORITHMS, By
+from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.classical import CLASSICAL, Task
-from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.contact_sets import FacetSet, hausdorff
-from signorini_fenicsx.data import Data, project_data, quadrature
+from signorini_fenicsx.data import Data, Problem, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.facet_system import FacetSystem
@@ -49,6 +49,7 @@ class Solution:
 
     Attributes:
         case: What was solved.
+        algorithm: Its algorithm.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
         data: f and u_D, and their means.
         sigma: Flux σ_h in RT0.
@@ -70,6 +71,7 @@ class Solution:
     """
 
     case: Case
+    algorithm: Algorithm
     spaces: Spaces
     data: Data
     sigma: fem.Function
@@ -114,7 +116,7 @@ class Solution:
         metadata = quadrature(u)
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
         squares = {
-            "sigma_L2": l2(ufl.grad(u) - self.sigma, dx),
+            "sigma_L2": l2(self.data.kappa * ufl.grad(u) - self.sigma, dx),
             "div_sigma_L2": l2(self.data.f + ufl.div(self.sigma), dx),
             "u_L2": l2(u - self.u, dx),
             "p_L2": l2(u - self.p, spaces.ds(metadata=metadata)),
@@ -129,11 +131,11 @@ class Solution:
         trace.interpolate(fem.Expression(parse_expression(u, ufl.SpatialCoordinate(gamma.mesh)), points))
         values = trace.x.array[: len(self.spaces.facets)]
         largest = gamma.mesh.comm.allreduce(np.abs(values).max(initial=0.0), MPI.MAX)
-        return FacetSet(self.spaces, values <= EXACT_CONTACT * largest)
+        return FacetSet(self.spaces, values - self.data.psi_h <= EXACT_CONTACT * largest)
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition."""
-        return FacetSet(self.spaces, self.conditions.kind == ALGORITHMS[self.case.solve.algorithm].contact)
+        return FacetSet(self.spaces, self.conditions.kind == self.algorithm.contact)
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""
@@ -143,15 +145,14 @@ class Solution:
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
     def violation(self) -> dict[str, float]:
-        """What ε leaves of the Signorini condition, ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ, or of the mass balance (collective)."""
-        spaces = self.spaces
-        negative = [
-            spaces.facet_measure @ np.minimum(values, 0) ** 2
-            for values in (self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma))
-        ]
+        """What ε leaves of the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or of (9b) (collective)."""
+        spaces, data = self.spaces, self.data
+        gap = self.p.x.array[: len(spaces.facets)] - data.psi_h
+        excess = spaces.normal_flux(self.sigma) - data.q_Sh
+        negative = [spaces.facet_measure @ np.minimum(values, 0) ** 2 for values in (gap, excess)]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
-        if ALGORITHMS[self.case.solve.algorithm].stabilised:
+        if self.algorithm.stabilised:
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
         return left
 
@@ -161,7 +162,6 @@ class Solution:
         contact_facets, contact_measure = self.contact()
         own = {} if self.own_residual is None else {"own_residual": self.own_residual}
         errors = self.errors()
-        has_eps = ALGORITHMS[solve.algorithm].has_eps
         return {
             "case": self.case.name,
             "title": self.case.title,
@@ -182,7 +182,7 @@ class Solution:
             **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **own,
-            **({"eps": solve.eps, "violation": self.violation()} if has_eps else {}),
+            **({"eps": solve.eps, "violation": self.violation()} if self.algorithm.has_eps else {}),
             "details": self.details,
             "timings": self.timings,
             "peak_memory": self.peak_memory,
@@ -211,13 +211,12 @@ class Stopwatch:
 
 
 def discrete_data(case: Case, spaces: Spaces) -> Data:
-    """F and u_D of a case and their means (collective).
+    """The data of a case and their means (collective).
 
     Raises:
         InputError: If one of them cannot be used, see `project_data`.
     """
-    x = ufl.SpatialCoordinate(spaces.mesh)
-    return project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+    return project_data(spaces, case.problem.on(ufl.SpatialCoordinate(spaces.mesh)))
 
 
 def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
@@ -229,8 +228,7 @@ def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    conditions = {"signorini": case.boundary.signorini}
-    domain = own_domain(comm, geometry.file or "", case.file_h, conditions)
+    domain = own_domain(comm, geometry.file or "", case.file_h, case.boundary.model_dump(exclude_none=True))
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 
@@ -252,6 +250,9 @@ def solve(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
+    problem: Problem | None = None,
+    algorithm: Algorithm | None = None,
+    backend: Callable[[Spaces, Data], Backend] | None = None,
     start: Solution | None = None,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Solution:
@@ -261,6 +262,9 @@ def solve(
         case: The problem, its discretisation and algorithm.
         comm: Communicator to run on, if there is no mesh yet.
         domain: Mesh to solve on, instead of the case's own.
+        problem: Data on that mesh, instead of the case's.
+        algorithm: Instead of the case's.
+        backend: Instead of the case's.
         start: Solution whose contact set is taken for the first one.
         on_step: Called on all ranks after each iteration.
 
@@ -274,27 +278,31 @@ def solve(
     domain = domain or mesh_case(case, comm)
     comm = domain.mesh.comm
     watch.lap("mesh")
-    spaces = build_spaces(domain, case.boundary.signorini)
-    data = discrete_data(case, spaces)
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+    data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
+    _check_solvability(spaces, data)
+    run = _Run(
+        case, algorithm or ALGORITHMS[case.solve.algorithm], backend or BACKENDS[case.solve.backend], spaces, data
+    )
     watch.lap("assembly")
     predicted = None
     if start is not None:
-        predicted = _transferred(start, case, spaces)
-    elif own_mesh and domain.mesh.topology.dim == 2 and _predicts(case, spaces):
-        predicted = _predicted(case, spaces)  # in 3D a mesh so coarse sees too little and costs more than it saves
+        predicted = run.transferred(start)
+    elif own_mesh and domain.mesh.topology.dim == 2 and run.predicts():
+        predicted = run.predicted()  # in 3D a mesh so coarse sees too little and costs more than it saves
     watch.lap("prediction")
-    outcome = _run(case, spaces, data, predicted, watch, on_step)
+    outcome = run.outcome(predicted, watch, on_step)
     watch.lap("solve")
 
     iterate = outcome.iterate
-    p = spaces.multiplier(iterate.p)
-    penalty = ALGORITHMS[case.solve.algorithm].penalty
-    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
+    p = spaces.multiplier(iterate.p + data.psi_h)
+    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, run.algorithm.penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)
     solution = Solution(
         case=case,
+        algorithm=run.algorithm,
         spaces=spaces,
         data=data,
         sigma=iterate.sigma,
@@ -319,6 +327,23 @@ def solve(
     return solution
 
 
+def _check_solvability(spaces: Spaces, data: Data) -> None:
+    """Without Γ_D the total load decides (collective).
+
+    The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
+    it is 0, u is a solution of the Neumann problem that any large constant may be added to.
+
+    Raises:
+        InputError: If there is no solution, or more than one.
+    """
+    if not spaces.has_dirichlet and data.total_load >= 0:
+        verdict = "there is no solution" if data.total_load > 0 else "u is not unique"
+        raise InputError(
+            "no part of the boundary is left to u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+            f"{data.total_load:.3g}: {verdict}; it must be negative, or part of the boundary in Γ_D"
+        )
+
+
 def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
     """Why an outcome is not a solution: by the residual of its own problem, if it has one, else by those of (9)."""
     if not outcome.converged:
@@ -327,42 +352,6 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
         return kkt.violation()
     within = outcome.own_residual <= TOLERANCE
     return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
-
-
-def _predicts(case: Case, spaces: Spaces) -> bool:
-    """Whether the sets are worth a prediction."""
-    options, facets = case.solve, spaces.V.dofmap.index_map.size_global
-    return options.predict and ALGORITHMS[options.algorithm].by is By.SETS and facets >= PREDICT_FROM
-
-
-def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
-    """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
-
-    The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
-    """
-    try:
-        coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), spaces.mesh.comm)
-    except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
-        return None
-    return _transferred(coarse, case, spaces)
-
-
-def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions:
-    """The contact set of another solution as conditions of this case's algorithm (collective).
-
-    A facet is taken to be in contact where the other's facet at its midpoint is.
-
-    Raises:
-        InputError: If the domains differ, or the algorithm has no sets to start from.
-    """
-    if not same_domain(case, spaces.domain, start.case, start.spaces.domain):
-        raise InputError(f"the start was solved on '{start.case.geometry.name}', not on '{case.geometry.name}'")
-    algorithm = ALGORITHMS[case.solve.algorithm]
-    if algorithm.by is not By.SETS:
-        raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
-    (sample,) = sampled([start.contact_set().indicator()], spaces.Lambda.mesh, start.spaces.domain, degree=0)
-    contact = np.rint(sample.x.array[: len(spaces.facets)])
-    return algorithm.next_conditions(1 - contact, contact, 1.0, case.solve.eps)  # either p or σ·n is 0
 
 
 def same_domain(case: Case, domain: Domain, other_case: Case, other: Domain) -> bool:
@@ -375,51 +364,108 @@ def same_domain(case: Case, domain: Domain, other_case: Case, other: Domain) -> 
     return bool(distance <= curve_gap(domain) + curve_gap(other))
 
 
-def _run(
-    case: Case,
-    spaces: Spaces,
-    data: Data,
-    predicted: FacetConditions | None,
-    watch: Stopwatch,
-    on_step: Callable[[Step], None],
-) -> Outcome:
-    """Set up the case's solver, run it and let it go (collective)."""
-    options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
-    max_iterations = options.max_iterations or algorithm.max_iterations
-    if algorithm.by is By.CLASSICAL:
-        return CLASSICAL[options.algorithm](Task(spaces, data, options.rho, options.eps, max_iterations, on_step))
-    if algorithm.by is By.SNES and algorithm.penalty is not None:
-        newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
-        watch.lap("assembly")
-        return newton.solve(on_step)
-    if algorithm.by is By.SNESVI:
-        system = FacetSystem(spaces, data)
-        watch.lap("assembly")
-        return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
-    backend = BACKENDS[options.backend](spaces, data)
-    watch.lap("assembly")
-    parameters = {"rho": options.rho or 1.0, "eps": options.eps}
+@dataclass(frozen=True)
+class _Run:
+    """A discrete problem and what solves it."""
 
-    def run(start: FacetConditions | None) -> Outcome:
-        return iterate_sets(
-            backend,
-            algorithm,
-            **parameters,
-            max_iterations=max_iterations,
-            predicted=start,
-            on_step=on_step,
-        )
+    case: Case
+    algorithm: Algorithm
+    backend: Callable[[Spaces, Data], Backend]
+    spaces: Spaces
+    data: Data
 
-    with contextlib.suppress(LinearSolveFailure):
-        steps = 0
-        if isinstance(backend, HybridBackend) and backend.iterative and _predicts(case, spaces):
-            predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted)
-            watch.lap("prediction")
-        if predicted is not None:
-            outcome = replace(run(predicted), rough_steps=steps)
-            if outcome.converged:
-                return outcome
-    cold = run(None)
-    if predicted is None:
-        return cold
-    return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+    def predicts(self) -> bool:
+        """Whether the sets are worth a prediction."""
+        facets = self.spaces.V.dofmap.index_map.size_global
+        return self.case.solve.predict and self.algorithm.by is By.SETS and facets >= PREDICT_FROM
+
+    def predicted(self) -> FacetConditions | None:
+        """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
+
+        The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
+        """
+        case = self.case
+        try:
+            coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), self.spaces.mesh.comm)
+        except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
+            return None
+        return self.transferred(coarse)
+
+    def transferred(self, start: Solution) -> FacetConditions:
+        """The contact set of another solution as conditions of this algorithm (collective).
+
+        A facet is taken to be in contact where the other's facet at its midpoint is.
+
+        Raises:
+            InputError: If the domains differ, or the algorithm has no sets to start from.
+        """
+        spaces, geometry, other = self.spaces, self.case.geometry, start.case.geometry
+        if not same_domain(self.case, spaces.domain, start.case, start.spaces.domain):
+            raise InputError(f"the start was solved on '{other.name}', not on '{geometry.name}'")
+        if self.algorithm.by is not By.SETS:
+            raise InputError(
+                f"{self.case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4"
+            )
+        (sample,) = sampled([start.contact_set().indicator()], spaces.Lambda.mesh, start.spaces.domain, degree=0)
+        contact = np.rint(sample.x.array[: len(spaces.facets)])
+        # either p or σ·n is 0
+        return self.algorithm.next_conditions(1 - contact, contact, 1.0, self.case.solve.eps)
+
+    def outcome(self, predicted: FacetConditions | None, watch: Stopwatch, on_step: Callable[[Step], None]) -> Outcome:
+        """Set up the solver, run it and let it go (collective)."""
+        options, algorithm, spaces, data = self.case.solve, self.algorithm, self.spaces, self.data
+        max_iterations = options.max_iterations or algorithm.max_iterations
+        if algorithm.by is By.CLASSICAL:
+            if not spaces.has_dirichlet:
+                raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
+            task = Task(spaces, data, options.rho, options.eps, max_iterations, on_step)
+            return CLASSICAL[options.algorithm](task)
+        if algorithm.by is By.SNES and algorithm.penalty is not None:
+            newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
+            watch.lap("assembly")
+            return newton.solve(on_step)
+        if algorithm.by is By.SNESVI:
+            system = FacetSystem(spaces, data)
+            watch.lap("assembly")
+            return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
+        backend = self.backend(spaces, data)
+        watch.lap("assembly")
+        return self._by_sets(backend, max_iterations, predicted, watch, on_step)
+
+    def _by_sets(
+        self,
+        backend: Backend,
+        max_iterations: int,
+        predicted: FacetConditions | None,
+        watch: Stopwatch,
+        on_step: Callable[[Step], None],
+    ) -> Outcome:
+        """The active-set loop from a prediction, or from a cold start where there is none or it fails (collective)."""
+        spaces, options, algorithm = self.spaces, self.case.solve, self.algorithm
+        parameters = {"rho": options.rho or 1.0, "eps": options.eps}
+        in_contact = np.full(len(spaces.facets), Condition.ZERO_TRACE, dtype=np.int8)
+        first = None if spaces.has_dirichlet else FacetConditions(in_contact)  # others might be Neumann problems
+
+        def run(start: FacetConditions | None) -> Outcome:
+            return iterate_sets(
+                backend,
+                algorithm,
+                **parameters,
+                max_iterations=max_iterations,
+                predicted=start or first,
+                on_step=on_step,
+            )
+
+        with contextlib.suppress(LinearSolveFailure):
+            steps = 0
+            if isinstance(backend, HybridBackend) and backend.iterative and self.predicts():
+                predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted or first)
+                watch.lap("prediction")
+            if predicted is not None:
+                outcome = replace(run(predicted), rough_steps=steps)
+                if outcome.converged:
+                    return outcome
+        cold = run(None)
+        if predicted is None:
+            return cold
+        return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
