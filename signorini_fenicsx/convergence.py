@@ -16,10 +16,11 @@ from mpi4py import MPI
 
 from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.case import Case, data_folder
+from signorini_fenicsx.case import Case
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.shipped import data_folder
 from signorini_fenicsx.solver import Solution, mesh_case, solve
 
 type Array = npt.NDArray[np.float64]

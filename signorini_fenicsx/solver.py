@@ -280,7 +280,7 @@ def solve(
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
-    _check_solvability(spaces, data)
+    check_solvability(spaces, data)
     run = _Run(
         case, algorithm or ALGORITHMS[case.solve.algorithm], backend or BACKENDS[case.solve.backend], spaces, data
     )
@@ -327,7 +327,7 @@ def solve(
     return solution
 
 
-def _check_solvability(spaces: Spaces, data: Data) -> None:
+def check_solvability(spaces: Spaces, data: Data) -> None:
     """Without Γ_D the total load decides (collective).
 
     The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
