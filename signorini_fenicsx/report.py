@@ -101,25 +101,26 @@ def bound(certificate: Certificate) -> str:
 def expected(case: Case, estimate: Expected) -> None:
     """Show the sizes of a case and what a run should take."""
     about = "" if estimate.exact else "≈ "
-    console.print(f"{'mesh':<10} {case.fineness}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns")
+    console.print(
+        f"{'mesh':<10} {case.fineness.removeprefix('mesh ')}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns"
+    )
     for name, part in estimate.parts.items():
         size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
         console.print(f"{'part':<10} {name}: {part['condition']}{size}", markup=False)
     for name, cells in estimate.regions.items():
         console.print(f"{'region':<10} {name}: {cells} cells", markup=False)
     usual = "" if is_typical(case) else "; these are rates of alg1 to alg4 with the hybrid backend, others take more"
-    console.print(f"{'memory':<10} ≈ {estimate.memory / 2**30:.2g} GiB (estimate{usual})")
+    console.print(f"{'memory':<10} ≈ {estimate.memory / 2**20:.0f} MiB (an estimate{usual})")
     console.print(
-        f"{'seconds':<10} ≈ {estimate.solver_seconds:.2g} to solve, {estimate.run_seconds:.2g} in all but Gmsh's "
-        f"(estimate, on free cores{usual})"
+        f"{'seconds':<10} ≈ {estimate.solver_seconds:.1f} to solve, {estimate.run_seconds:.0f} in all, without Gmsh's "
+        f"(an estimate, for free cores{usual})"
     )
 
 
 def checked(counts: Mapping[str, int]) -> None:
     """Say that a case can be solved, and how large it is."""
-    facets = ", ".join(
-        f"{counts[f'{kind}_facets']} {kind.capitalize()}" for kind in ("signorini", "neumann", "dirichlet")
-    )
+    kinds = ("signorini", "neumann", "dirichlet")
+    facets = ", ".join(f"{counts[f'{kind}_facets']} on Γ_{kind[0].upper()}" for kind in kinds)
     console.print(f"{'ready':<10} {counts['cells']} cells; facets: {facets}")
 
 
