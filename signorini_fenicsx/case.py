@@ -49,7 +49,7 @@ def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
 
     def check(value: object) -> object:
         if value not in known:
-            raise ValueError(f"unknown {kind} {value!r}; use one of {', '.join(known)}")
+            raise ValueError(f"unknown {kind} {_shown(value)}; use one of {', '.join(known)}")
         return value
 
     return BeforeValidator(check)

@@ -113,10 +113,10 @@ def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:
 
 def _refusal(kind: str, count: int) -> str:
     if kind.startswith(("line", "triangle", "tetra")):
-        return f"holds {count} curved elements ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
-    return (
-        f"holds {count} elements of kind '{kind}'; only triangles and tetrahedra will do (in Gmsh, without Recombine)"
-    )
+        elements = _count(count, "curved element")
+        return f"holds {elements} ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
+    elements = _count(count, "element")
+    return f"holds {elements} of kind '{kind}'; only triangles and tetrahedra will do (in Gmsh, without Recombine)"
 
 
 def _in_its_space(points: Array, dim: int) -> Array:

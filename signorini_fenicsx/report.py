@@ -101,8 +101,9 @@ def bound(certificate: Certificate) -> str:
 def expected(case: Case, estimate: Expected) -> None:
     """Show the sizes of a case and what a run should take."""
     about = "" if estimate.exact else "≈ "
+    mesh = case.fineness.removeprefix("mesh ")
     console.print(
-        f"{'mesh':<10} {case.fineness.removeprefix('mesh ')}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns"
+        f"{'mesh':<10} {mesh}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns", markup=False
     )
     for name, part in estimate.parts.items():
         size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
