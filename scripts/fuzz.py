@@ -23,8 +23,7 @@ SECONDS = 120
 
 def verdict(path: Path, ranks: int) -> tuple[str, str]:
     """How a run ended, and what it said."""
-    coarse = ["--h", "1/4"] if "shape =" in path.read_text(errors="replace") and path.stem.startswith("coarse") else []
-    command = ["mpirun", "-n", str(ranks), "signorini", "solve", path.name, *coarse, "--output", f"{path.stem}-out"]
+    command = ["mpirun", "-n", str(ranks), "signorini", "solve", path.name, "--output", f"{path.stem}-out"]
     try:
         done = subprocess.run(
             command,
