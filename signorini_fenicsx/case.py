@@ -2,7 +2,6 @@
 
 import difflib
 import os
-import sysconfig
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,6 +26,7 @@ from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import parse_expression, parse_number
 from signorini_fenicsx.geometry import SHAPES, Shape
 from signorini_fenicsx.mesh_files import is_geometry
+from signorini_fenicsx.shipped import case_names, data_folder
 
 
 def _number(value: object) -> object:
@@ -49,7 +49,7 @@ def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
 
     def check(value: object) -> object:
         if value not in known:
-            raise ValueError(f"unknown {kind} {value!r}; use one of {', '.join(known)}")
+            raise ValueError(f"unknown {kind} {_shown(value)}; use one of {', '.join(known)}")
         return value
 
     return BeforeValidator(check)
@@ -313,17 +313,6 @@ def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
     """Coordinate of a domain that has a dimension but no mesh yet."""
     cell = {2: "triangle", 3: "tetrahedron"}[dim]
     return ufl.SpatialCoordinate(ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(dim,))))
-
-
-def data_folder(kind: str) -> Path:
-    """Folder of the shipped data (`cases`, `tables`): the checkout's, or that of the installed package."""
-    checkout = Path(__file__).parents[1] / "data" / kind
-    return checkout if checkout.is_dir() else Path(sysconfig.get_path("data"), "share", "signorini_fenicsx", kind)
-
-
-def case_names() -> list[str]:
-    """Names of the shipped cases."""
-    return sorted(path.stem for path in data_folder("cases").glob("*.toml"))
 
 
 def read_toml(path: Path) -> dict[str, Any]:

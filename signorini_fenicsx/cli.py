@@ -17,6 +17,7 @@ from rich.console import Console
 
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.parallel import abort_all_on_exception, on_root
+from signorini_fenicsx.shipped import case_names, study_names
 
 if TYPE_CHECKING:
     from signorini_fenicsx.case import Case
@@ -28,12 +29,28 @@ MAX_LEVEL = 30
 app = typer.Typer(
     help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
-CaseName = Annotated[str, typer.Argument(help="Name of a shipped case (example1 … example6) or path of a .toml file.")]
-AlgorithmName = Annotated[str | None, typer.Option("--algorithm", help="One of those that `signorini methods` lists.")]
+
+def _names_of_algorithms() -> list[str]:
+    from signorini_fenicsx.algorithms import ALGORITHMS
+
+    return list(ALGORITHMS)
+
+
+CaseName = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a shipped case (example1 … example6) or path of a .toml file.", autocompletion=case_names
+    ),
+]
+AlgorithmName = Annotated[
+    str | None,
+    typer.Option(
+        "--algorithm", help="One of those that `signorini methods` lists.", autocompletion=_names_of_algorithms
+    ),
+]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
 Rho = Annotated[str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
 Epsilon = Annotated[str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.")]
@@ -42,6 +59,8 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the summary, and nothing else.")]
 OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
 
 
@@ -79,10 +98,17 @@ def solve(
     ] = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
-    """Solve a case and write its results, by default into results/<case>/.
+    r"""Solve a case and write its results, by default into results/<case>/.
 
-    Example: mpirun -n 2 signorini solve example2 --h 2^-7 --plot -- -ksp_view
+    \b
+    Examples:
+      signorini solve example1 --plot
+      signorini solve dam --algorithm alg2 --output results/seepage
+      signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]'
+      mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.case import load_case
@@ -93,6 +119,7 @@ def solve(
     from signorini_fenicsx.solver import solve as solve_case
 
     comm = MPI.COMM_WORLD
+    report.console.quiet = quiet or as_json
     values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     cold = {} if predict else {"solve.predict": False}
     problem = on_root(comm, lambda: load_case(case).with_values(values | cold))
@@ -112,6 +139,8 @@ def solve(
         write_solution(solution, folder.path, certificate=certificate, plot=plot)
         folder.publish()
         report.solution(solution, folder.target, certificate)
+        if as_json:
+            report.summary(folder.target)
 
 
 @app.command()
@@ -124,19 +153,22 @@ def adapt(
     theta: Annotated[str, typer.Option("--theta", help="Part of the squared error to refine; 1 is uniform.")] = "0.5",
     uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
     algorithm: AlgorithmName = None,
-    h: Annotated[
-        str | None, typer.Option("--h", help="h of the first mesh; an eighth of the domain's diameter.")
-    ] = None,
+    h: Annotated[str | None, typer.Option("--h", help="h of the first mesh; an eighth of a shape's diameter.")] = None,
     rho: Rho = None,
     eps: Epsilon = None,
     backend: BackendName = None,
     settings: Settings = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures of the last solution (PNG).")] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
-    """Refine where the certified error is large until it is small; into results/<case>-adapt/.
+    r"""Refine where the certified error is large until it is small; into results/<case>-adapt/.
 
-    Examples: signorini adapt example5 --target 1e-2; signorini adapt lprism --max-cells 50000 --uniform
+    \b
+    Examples:
+      signorini adapt example5 --target 1e-2
+      signorini adapt lprism --max-cells 50000 --uniform
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.adaptive import DEFAULT_MAX_CELLS, FIRST_MESH, AdaptRow
@@ -147,6 +179,7 @@ def adapt(
     from signorini_fenicsx.results import ResultsFolder
 
     comm = MPI.COMM_WORLD
+    report.console.quiet = quiet or as_json
     if target is None and max_cells is None:
         raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
     wanted = None if target is None else _positive("--target", target)
@@ -193,6 +226,8 @@ def adapt(
             )
         folder.publish()
         report.adapted(rows, solution.spaces.mesh.topology.dim, certificate, folder.target)
+        if as_json:
+            report.summary(folder.target)
 
 
 def _positive(option: str, text: str) -> float:
@@ -213,9 +248,11 @@ def export(
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
 ) -> None:
-    """Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
+    r"""Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
 
-    Example: mpirun -n 2 signorini export results/example2 --plot
+    \b
+    Example:
+      mpirun -n 2 signorini export results/example2 --plot
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.certificate import certify
@@ -238,10 +275,14 @@ def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="Results folder of a run.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Results folder of another run on the same domain.")],
     output: OutputFolder = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
-    """Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
+    r"""Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
 
-    Example: signorini compare results/example5 results/example5-adapt --output results/difference
+    \b
+    Example:
+      signorini compare results/example5 results/example5-adapt --output results/difference
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.checkpoint import load_solution
@@ -250,13 +291,16 @@ def compare(
     from signorini_fenicsx.results import ResultsFolder
 
     comm = MPI.COMM_WORLD
+    report.console.quiet = quiet or as_json
     one = load_solution(first, comm)  # named, so that an exception keeps it: MPI deadlocks on freeing it meanwhile
     other = load_solution(second, comm)
     comparison = compare_solutions(one, other)
     report.comparison(comparison, first, second)
+    summary = {"runs": [str(first), str(second)]} | comparison.summary()
+    if as_json:
+        report.json_object(summary)
     if output is not None:
         with ResultsFolder(comm, output) as folder:
-            summary = {"runs": [str(first), str(second)]} | comparison.summary()
             on_root(comm, lambda: write_summary(folder.path, summary))
             folder.publish()
             report.results(folder.target)
@@ -276,10 +320,12 @@ def convergence(
     settings: Settings = None,
     output: OutputFolder = None,
 ) -> None:
-    """Measure errors against a fine solution, or those of the penalty; into results/<case>-convergence/.
+    r"""Measure errors against a fine solution, or those of the penalty; into results/<case>-convergence/.
 
-    Examples: signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2;
-    signorini convergence example4 --algorithm alg3 --vary eps --levels 0:8 --h 2^-8
+    \b
+    Examples:
+      signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2
+      signorini convergence example4 --algorithm alg3 --vary eps --levels 0:8 --h 2^-8
     """
     from signorini_fenicsx import report
     from signorini_fenicsx.algorithms import ALGORITHMS
@@ -310,14 +356,19 @@ def convergence(
 
 @app.command()
 def study(
-    study: Annotated[str, typer.Argument(help="Name of a shipped study or path of a .toml file.")],
+    study: Annotated[
+        str, typer.Argument(help="Name of a shipped study or path of a .toml file.", autocompletion=study_names)
+    ],
     output: OutputFolder = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and their sizes; run nothing.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again.")] = False,
 ) -> None:
-    """Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
+    r"""Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
 
-    Example: mpirun -n 4 signorini study my-study.toml
+    \b
+    Examples:
+      signorini study my-study.toml --dry-run
+      mpirun -n 4 signorini study my-study.toml
     """
     from signorini_fenicsx import study_report
     from signorini_fenicsx.study import load_study
@@ -346,6 +397,78 @@ def methods() -> None:
     from signorini_fenicsx import report
 
     report.methods()
+
+
+@app.command()
+def info(
+    case: CaseName,
+    algorithm: AlgorithmName = None,
+    h: MeshSize = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    r"""Show the sizes and boundary parts of a case, and about how much memory and time a run takes; solve nothing.
+
+    \b
+    Examples:
+      signorini info dam
+      mpirun -n 4 signorini info cube --h 2^-6
+    """
+    from signorini_fenicsx import report
+    from signorini_fenicsx.case import load_case
+    from signorini_fenicsx.inspection import expected
+
+    comm = MPI.COMM_WORLD
+    values = _overrides(settings, algorithm=algorithm, h=h, backend=backend)
+    problem = on_root(comm, lambda: load_case(case).with_values(values))
+    estimate = on_root(comm, lambda: expected(problem, comm.size))
+    report.console.quiet = as_json
+    report.heading(problem, comm)
+    report.expected(problem, estimate)
+    if as_json:
+        report.json_object({"case": problem.name, "title": problem.title, "ranks": comm.size} | vars(estimate))
+
+
+@app.command()
+def check(
+    case: CaseName,
+    algorithm: AlgorithmName = None,
+    h: MeshSize = None,
+    rho: Rho = None,
+    eps: Epsilon = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    quiet: Quiet = False,
+) -> None:
+    r"""Do all that a run does before it solves: read the case, make or read its mesh, find its parts, take its data.
+
+    \b
+    Examples:
+      signorini check my-case.toml
+      signorini check dam --set 'boundary.signorini=["face", "top"]'
+    """
+    from signorini_fenicsx import inspection, report
+    from signorini_fenicsx.case import load_case
+
+    comm = MPI.COMM_WORLD
+    report.console.quiet = quiet
+    values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    problem = on_root(comm, lambda: load_case(case).with_values(values))
+    report.heading(problem, comm)
+    report.checked(inspection.check(problem, comm))
+
+
+@app.command()
+def version(as_json: Json = False) -> None:
+    """Show the versions of this program and of all that can change a result."""
+    from signorini_fenicsx import report
+    from signorini_fenicsx.output import versions
+
+    if as_json:
+        report.json_object(versions())
+    else:
+        report.versions(versions())
 
 
 def _levels(text: str) -> range:

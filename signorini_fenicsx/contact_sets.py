@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.sampling import curve_gap, sampled
+from signorini_fenicsx.sampling import of_unit_size, sampled
 from signorini_fenicsx.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
@@ -54,8 +54,7 @@ def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
     By quadrature on the facets of the second, so exact but for those in which the first set ends.
     """
     gamma = fine.spaces.Lambda.mesh
-    gap = curve_gap(coarse.spaces.domain)
-    (theirs,) = sampled([coarse.indicator()], gamma, gap, degree=OVERLAP_DEGREE)
+    (theirs,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
     mine = fine.indicator()
     dx = ufl.Measure("dx", gamma, metadata={"quadrature_degree": OVERLAP_DEGREE, "quadrature_scheme": "default"})
     forms = [fem.form(integrand * dx) for integrand in (theirs * mine, theirs + mine - theirs * mine)]
@@ -83,9 +82,10 @@ def _largest_distance(one: FacetSet, other: FacetSet) -> float:
     nearest = np.full(len(points), np.inf)
     if len(cells) > 0:
         dim = gamma.topology.dim
-        tree = dolfinx.geometry.bb_tree(gamma, dim, entities=cells)
-        middles = dolfinx.geometry.create_midpoint_tree(gamma, dim, cells)
-        closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, points)
-        nearest = np.sqrt(dolfinx.geometry.squared_distance(gamma, dim, closest, points))
+        with of_unit_size(other.spaces.domain, gamma) as factor:
+            tree = dolfinx.geometry.bb_tree(gamma, dim, entities=cells)
+            middles = dolfinx.geometry.create_midpoint_tree(gamma, dim, cells)
+            closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, factor * points)
+            nearest = np.sqrt(dolfinx.geometry.squared_distance(gamma, dim, closest, factor * points)) / factor
     comm.Allreduce(MPI.IN_PLACE, nearest, op=MPI.MIN)
     return float(nearest.max())

@@ -16,10 +16,11 @@ from mpi4py import MPI
 
 from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.case import Case, data_folder
+from signorini_fenicsx.case import Case
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.parallel import collect_garbage, gather_rows
-from signorini_fenicsx.sampling import QUADRATURE_DEGREE, curve_gap, sampled
+from signorini_fenicsx.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.shipped import data_folder
 from signorini_fenicsx.solver import Solution, mesh_case, solve
 
 type Array = npt.NDArray[np.float64]
@@ -109,11 +110,11 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
     The coarse fields are evaluated at the quadrature points. Where a curved boundary is cut differently by the two
     meshes, the nearest coarse cell is taken.
     """
-    padding = curve_gap(coarse.spaces.domain)
+    source = coarse.spaces.domain
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
-    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, padding)
-    p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, padding)
-    (p_middle,) = sampled([coarse.p], gamma, padding, degree=0)
+    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, source)
+    p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, source)
+    (p_middle,) = sampled([coarse.p], gamma, source, degree=0)
 
     metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
     dx = ufl.Measure("dx", domain=mesh, metadata=metadata)

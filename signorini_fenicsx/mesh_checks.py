@@ -113,10 +113,10 @@ def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:
 
 def _refusal(kind: str, count: int) -> str:
     if kind.startswith(("line", "triangle", "tetra")):
-        return f"holds {count} curved elements ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
-    return (
-        f"holds {count} elements of kind '{kind}'; only triangles and tetrahedra will do (in Gmsh, without Recombine)"
-    )
+        elements = _count(count, "curved element")
+        return f"holds {elements} ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
+    elements = _count(count, "element")
+    return f"holds {elements} of kind '{kind}'; only triangles and tetrahedra will do (in Gmsh, without Recombine)"
 
 
 def _in_its_space(points: Array, dim: int) -> Array:
@@ -214,8 +214,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             that are left are Γ_D.
 
     Raises:
-        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, or a component of
-            a domain of several has no facet of Γ_D.
+        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, or one of several
+            components of the domain has no facet of Γ_D.
     """
     known = ", ".join(f"'{name}'" for name in mesh.parts) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
@@ -244,17 +244,14 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     left = boundary & (owner < 0)
     given = conditions.get("dirichlet")
     if given is not None and np.any(left):
-        place = mesh.points[rows[np.flatnonzero(left)[0]]]
-        raise InputError(f"{_count(int(left.sum()), 'boundary facet')} in no part, the first at {_places(place)}")
+        where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
+        raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
     fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
     _check_components(mesh, everything, first[fixed])
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:
-    """Refuse one of several components without a facet of Γ_D; these are given by rows of the facets of all cells.
-
-    Of a domain of one component the data decide whether it needs Γ_D.
-    """
+    """Refuse one of several components without a facet of Γ_D; these are given by rows of the facets of all cells."""
     size = len(mesh.cells)
     one, other = (facets % size for facets in neighbours(everything))
     links = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(size, size))

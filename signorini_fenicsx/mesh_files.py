@@ -38,8 +38,8 @@ FORBIDDEN = (
 )
 """Words of Gmsh's language that run programs, read or write other files, or end the process."""
 LITERAL = re.compile(r'"[^"]*"|\'[^\']*\'|/\*.*?\*/|//[^\n]*', re.DOTALL)
-LONGEST_LITERAL = 1000
-"""Gmsh ends strings that are longer than this, and takes the rest for commands."""
+LONGEST_STRING = 1000
+"""Gmsh ends strings that are somewhat longer than this, and takes the rest for commands."""
 
 
 def is_geometry(path: str) -> bool:
@@ -82,14 +82,17 @@ def _read(path: Path, h: float | None) -> Contents:
     return _meshio(path)
 
 
-def _refuse_commands(text: bytes) -> None:
+def _refuse_commands(content: bytes) -> None:
     """Refuse a `.geo` file that could do more than describe a geometry: Gmsh itself can be told to refuse nothing."""
     try:
-        commands = LITERAL.sub(_unless_too_long, text.decode())
+        text = content.decode()
     except UnicodeDecodeError:
         raise InputError("is not a text file") from None
-    if "\0" in commands:
+    if "\0" in text:  # Gmsh would end comments there
         raise InputError("is not a text file")
+    if any(len(literal[0]) > LONGEST_STRING for literal in LITERAL.finditer(text) if literal[0][0] != "/"):
+        raise InputError(f"has a string of more than {LONGEST_STRING} characters, which Gmsh does not take")
+    commands = LITERAL.sub(" ", text)
     word = re.search(rf"\b({'|'.join(FORBIDDEN)})\b", commands)
     if word is not None or re.search(r"Printf\s*\([^;]*\)\s*>", commands):
         raise InputError(
@@ -98,18 +101,15 @@ def _refuse_commands(text: bytes) -> None:
         )
 
 
-def _unless_too_long(literal: re.Match[str]) -> str:
-    if "\0" in literal[0]:
-        return "\0"
-    return literal[0] if len(literal[0]) > LONGEST_LITERAL and literal[0][0] != "/" else " "
-
-
 def _gmsh(path: Path, h: float | None) -> Contents:
     """Let Gmsh read or mesh a file, in another process, and from a copy: beside it, Gmsh would read its `.opt` file."""
     worker = Path(__file__).with_name("gmsh_worker.py")
     with tempfile.TemporaryDirectory(prefix="signorini-") as folder:
         source, target = Path(folder, "mesh" + path.suffix), Path(folder, "mesh.npz")
         shutil.copyfile(path, source)
+        if path.suffix == ".geo":  # else Gmsh ignores a last line that does not end
+            with source.open("ab") as file:
+                file.write(b"\n")
         command = [sys.executable, "-P", str(worker), str(source), str(target), repr(h or 0.0), repr(float(MAX_CELLS))]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
         if done.returncode != 0:

@@ -12,7 +12,7 @@ from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.sampling import QUADRATURE_DEGREE, curve_gap, sampled
+from signorini_fenicsx.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.solver import Solution, mesh_case, solve
 
 
@@ -117,7 +117,7 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
     """Flux, trace and contact errors of solutions on one mesh, whose points are searched once for all."""
     spaces, comm = fine.spaces, fine.spaces.mesh.comm
     mesh, gamma = spaces.mesh, spaces.Lambda.mesh
-    padding = curve_gap(solutions[0].spaces.domain)
+    source = solutions[0].spaces.domain
     metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
     dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
     ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
@@ -128,9 +128,9 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
     touching = fine.contact_set().inside
     sigma_norm, p_norm = norm(fine.sigma, dx), norm(fine.p, ds)
     gamma_measure = comm.allreduce(spaces.facet_measure.sum())
-    sigmas = sampled([solution.sigma for solution in solutions], mesh, padding)
-    traces = sampled([solution.p for solution in solutions], gamma, padding)
-    contacts = sampled([solution.contact_set().indicator() for solution in solutions], gamma, padding, degree=0)
+    sigmas = sampled([solution.sigma for solution in solutions], mesh, source)
+    traces = sampled([solution.p for solution in solutions], gamma, source)
+    contacts = sampled([solution.contact_set().indicator() for solution in solutions], gamma, source, degree=0)
     for sigma, p, contact in zip(sigmas, traces, contacts, strict=True):
         wrong = np.abs(np.rint(contact.x.array[: len(touching)]) - touching)
         yield (

@@ -6,6 +6,7 @@ import math
 import platform
 import shlex
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -126,13 +127,18 @@ def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """Write `summary.json`, with versions and the command (rank 0)."""
-    summary = _without_nan(summary) | {"versions": versions(), "command": shlex.join(sys.argv)}
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
+    (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
+
+
+def json_text(values: Mapping[str, Any]) -> str:
+    """Values as JSON, with null for a number that is not finite."""
+    return json.dumps(_without_nan(values), indent=2, allow_nan=False)
 
 
 def _without_nan(value: Any) -> Any:
     """Replace numbers that JSON does not know by null, at any depth: a failed state may hold them."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _without_nan(entry) for key, entry in value.items()}
     if isinstance(value, list):
         return [_without_nan(entry) for entry in value]

@@ -1,7 +1,10 @@
 """What the command line shows; only rank 0 writes."""
 
 import math
+import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 from rich.console import Console
@@ -13,6 +16,8 @@ from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.comparison import Comparison
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
+from signorini_fenicsx.inspection import Expected, is_typical
+from signorini_fenicsx.output import json_text
 from signorini_fenicsx.solver import Solution
 
 console = Console(highlight=False, soft_wrap=True)
@@ -91,6 +96,51 @@ def bound(certificate: Certificate) -> str:
         f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
         f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
     )
+
+
+def expected(case: Case, estimate: Expected) -> None:
+    """Show the sizes of a case and what a run should take."""
+    about = "" if estimate.exact else "≈ "
+    mesh = case.fineness.removeprefix("mesh ")
+    console.print(
+        f"{'mesh':<10} {mesh}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns", markup=False
+    )
+    for name, part in estimate.parts.items():
+        size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
+        console.print(f"{'part':<10} {name}: {part['condition']}{size}", markup=False)
+    for name, cells in estimate.regions.items():
+        console.print(f"{'region':<10} {name}: {cells} cells", markup=False)
+    usual = "" if is_typical(case) else "; these are rates of alg1 to alg4 with the hybrid backend, others take more"
+    console.print(f"{'memory':<10} ≈ {estimate.memory / 2**20:.0f} MiB (an estimate{usual})")
+    console.print(
+        f"{'seconds':<10} ≈ {estimate.solver_seconds:.1f} to solve, {estimate.run_seconds:.0f} in all, without Gmsh's "
+        f"(an estimate, for free cores{usual})"
+    )
+
+
+def checked(counts: Mapping[str, int]) -> None:
+    """Say that a case can be solved, and how large it is."""
+    kinds = ("signorini", "neumann", "dirichlet")
+    facets = ", ".join(f"{counts[f'{kind}_facets']} on Γ_{kind[0].upper()}" for kind in kinds)
+    console.print(f"{'ready':<10} {counts['cells']} cells; facets: {facets}")
+
+
+def versions(found: Mapping[str, str]) -> None:
+    """Show versions, one per line."""
+    width = max(map(len, found))
+    for name, text in found.items():
+        console.print(f"{name:<{width}}  {text}", markup=False)
+
+
+def summary(folder: Path) -> None:
+    """Print the `summary.json` of a results folder to standard output, also when all else is quiet (rank 0)."""
+    if MPI.COMM_WORLD.rank == 0:
+        sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+def json_object(values: Mapping[str, Any]) -> None:
+    """Print values as one JSON object to standard output, also when all else is quiet (rank 0)."""
+    sys.stdout.write(json_text(values) + "\n")
 
 
 def results(folder: Path) -> None:

@@ -228,11 +228,7 @@ def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    boundary = case.boundary
-    conditions = {"signorini": boundary.signorini, "neumann": boundary.neumann}
-    if boundary.dirichlet is not None:
-        conditions["dirichlet"] = boundary.dirichlet
-    domain = own_domain(comm, geometry.file or "", case.file_h, conditions)
+    domain = own_domain(comm, geometry.file or "", case.file_h, case.boundary.model_dump(exclude_none=True))
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 
@@ -284,7 +280,7 @@ def solve(
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
-    _check_solvability(spaces, data)
+    check_solvability(spaces, data)
     run = _Run(
         case, algorithm or ALGORITHMS[case.solve.algorithm], backend or BACKENDS[case.solve.backend], spaces, data
     )
@@ -331,7 +327,7 @@ def solve(
     return solution
 
 
-def _check_solvability(spaces: Spaces, data: Data) -> None:
+def check_solvability(spaces: Spaces, data: Data) -> None:
     """Without Γ_D the total load decides (collective).
 
     The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
@@ -403,14 +399,14 @@ class _Run:
         Raises:
             InputError: If the domains differ, or the algorithm has no sets to start from.
         """
-        case, spaces = self.case, self.spaces
-        if not same_domain(case, spaces.domain, start.case, start.spaces.domain):
-            raise InputError(f"the start was solved on '{start.case.geometry.name}', not on '{case.geometry.name}'")
+        spaces, geometry, other = self.spaces, self.case.geometry, start.case.geometry
+        if not same_domain(self.case, spaces.domain, start.case, start.spaces.domain):
+            raise InputError(f"the start was solved on '{other.name}', not on '{geometry.name}'")
         if self.algorithm.by is not By.SETS:
-            raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
-        (sample,) = sampled(
-            [start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain), degree=0
-        )
+            raise InputError(
+                f"{self.case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4"
+            )
+        (sample,) = sampled([start.contact_set().indicator()], spaces.Lambda.mesh, start.spaces.domain, degree=0)
         contact = np.rint(sample.x.array[: len(spaces.facets)])
         # either p or σ·n is 0
         return self.algorithm.next_conditions(1 - contact, contact, 1.0, self.case.solve.eps)

@@ -12,9 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.case import Case, Solve, complaint, data_folder, load_case, read_toml
+from signorini_fenicsx.case import Case, Solve, complaint, load_case, read_toml
 from signorini_fenicsx.convergence import Vary
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.shipped import data_folder, study_names
 from signorini_fenicsx.solver import rough_cells
 
 SHORT = tuple(Solve.model_fields)
@@ -104,11 +105,6 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in tree.items():
         flat |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
     return flat
-
-
-def study_names() -> list[str]:
-    """Names of the shipped studies."""
-    return sorted(path.stem for path in data_folder("studies").glob("*.toml"))
 
 
 def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:

@@ -1,0 +1,24 @@
+// Half of a bath with anodes at both ends, in which a hollow workpiece hangs, open below; y = 0.5 is a plane of symmetry.
+SetFactory("OpenCASCADE");
+h = 0.13;
+Box(1) = {0, 0, 0, 2, 0.5, 1};
+Box(2) = {0.7, 0.25, 0.35, 0.6, 0.25, 0.65};
+Box(3) = {0.85, 0.35, 0.35, 0.3, 0.15, 0.5};
+workpiece() = BooleanDifference{ Volume{2}; Delete; }{ Volume{3}; Delete; };
+bath() = BooleanDifference{ Volume{1}; Delete; }{ Volume{workpiece()}; Delete; };
+e = 1e-3;
+anodes() = Surface In BoundingBox{-e, -e, -e, e, 1, 1 + e};
+anodes() += Surface In BoundingBox{2 - e, -e, -e, 2 + e, 1, 1 + e};
+walls() = Surface In BoundingBox{-e, -e, -e, 2 + e, e, 1 + e};
+walls() += Surface In BoundingBox{-e, 0.5 - e, -e, 2 + e, 0.5 + e, 1 + e};
+walls() += Surface In BoundingBox{-e, -e, -e, 2 + e, 1, e};
+walls() += Surface In BoundingBox{-e, -e, 1 - e, 2 + e, 1, 1 + e};
+painted() = Surface{:};
+painted() -= anodes();
+painted() -= walls();
+Physical Surface("anodes") = anodes();
+Physical Surface("walls") = walls();
+Physical Surface("workpiece") = painted();
+Physical Volume("bath") = bath();
+MeshSize{ PointsOf{ Volume{bath()}; } } = h;
+MeshSize{ PointsOf{ Surface{painted()}; } } = 0.08;

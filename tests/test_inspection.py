@@ -1,0 +1,108 @@
+"""A case looked at before it is solved, output for programs, and broken case files: one sentence each."""
+
+import json
+import os
+import random
+import subprocess
+from pathlib import Path
+
+import pytest
+from broken_input import write_broken_case
+from mpi4py import MPI
+from test_cli import signorini
+
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.inspection import check, expected
+from signorini_fenicsx.solver import solve
+
+
+def test_sizes_are_those_of_the_mesh():
+    """Exact for mesh files, near for shapes; the parts have their conditions and measures."""
+    for name, tolerance in (("dam", 0), ("electropainting", 0), ("example2", 0.25), ("cube", 0.35)):
+        case = load_case(name)
+        case = case if case.geometry.file else case.with_values({"solve.h": 0.2})
+        estimate, counts = expected(case, 1), check(case, MPI.COMM_SELF)
+        assert estimate.exact == (tolerance == 0)
+        assert estimate.cells == pytest.approx(counts["cells"], rel=tolerance)
+    dam = expected(load_case("dam"), 2)
+    assert dam.facets == solve(load_case("dam"), MPI.COMM_SELF).dofs
+    assert {name: part["condition"] for name, part in dam.parts.items()} == {
+        "upstream": "dirichlet",
+        "face": "signorini",
+        "downstream": "dirichlet",
+        "top": "neumann",
+        "base": "neumann",
+    }
+    assert dam.parts["face"]["measure"] == pytest.approx(8 * 2**0.5, rel=1e-12)
+    assert dam.regions.keys() == {"shell", "core"}
+
+
+def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Each is refused with one line of decent length, or is still a case."""
+    monkeypatch.chdir(tmp_path)
+    rng = random.Random(7)
+    said = []
+    for index in range(400):
+        path = write_broken_case(tmp_path, rng, index)
+        try:
+            load_case(path)
+        except InputError as error:
+            said.append(str(error))
+    assert 300 < len(said) < 400
+    assert not [text for text in said if "\n" in text or len(text) > 500]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0])
+def test_broken_input_at_the_command_line(seed: int):
+    script = Path(__file__).parents[1] / "scripts" / "fuzz.py"
+    done = subprocess.run(["python", str(script), "--seed", str(seed)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_output_for_programs(tmp_path: Path, ranks: int):
+    """--json: one object on standard output, the summary; --quiet: nothing. Neither has colours or goes with errors."""
+    done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--json", ranks=ranks)
+    assert (done.returncode, done.stderr) == (0, "")
+    summary = json.loads(done.stdout)
+    assert summary == json.loads((tmp_path / "results" / "example1" / "summary.json").read_text())
+    done = signorini(tmp_path, "solve", "example1", "--h", "1/5", "--quiet", "--output", "other", ranks=ranks)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    done = signorini(tmp_path, "compare", "results/example1", "other", "--json", ranks=ranks)
+    assert 0 < json.loads(done.stdout)["jaccard"] <= 1
+    done = signorini(tmp_path, "solve", "example7", "--quiet", "--json", ranks=ranks)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: unknown case")
+
+
+def test_adapt_as_json(tmp_path: Path):
+    done = signorini(tmp_path, "adapt", "dam", "--max-cells", "1500", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["case"] == "dam"
+
+
+def test_info_check_and_version(tmp_path: Path):
+    done = signorini(tmp_path, "info", "dam", ranks=2)
+    assert "face: signorini, 24 facets" in done.stdout
+    assert "an estimate" in done.stdout
+    assert json.loads(signorini(tmp_path, "info", "lprism", "--json").stdout)["dim"] == 3
+    assert "ready" in signorini(tmp_path, "check", "dam", ranks=2).stdout
+    bad = signorini(tmp_path, "check", "dam", "--set", 'boundary.signorini=["crest"]', ranks=2)
+    assert bad.returncode == 2
+    assert bad.stderr.count("unknown part 'crest'") == 1
+    assert json.loads(signorini(tmp_path, "version", "--json").stdout).keys() >= {"dolfinx", "petsc", "mpi", "python"}
+    assert "\x1b" not in done.stdout + bad.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("words", "expected"), [("solve exam", "example4"), ("solve dam --algorithm al", "alg2")])
+def test_shell_completion(words: str, expected: str):
+    environment = {
+        "COMP_WORDS": f"signorini {words}",
+        "COMP_CWORD": str(len(words.split())),
+        "_SIGNORINI_COMPLETE": "complete_bash",
+    }
+    done = subprocess.run(["signorini"], env=os.environ | environment, capture_output=True, text=True, check=False)
+    assert expected in done.stdout.split()
