@@ -1,30 +1,45 @@
 """The Crouzeix-Raviart problem whose solution is that of the mixed RT0/P0 method, and the way back to it.
 
-With f_h the P0 projection of f, let u_CR solve (∇_h u_CR, ∇_h v) = (f_h, v) with the facet conditions of Γ_S imposed on
-facet means. Then, with x_T the centroid of cell T and d the dimension (Marini 1985),
+With f_h the P0 projection of f and κ_h constant on each cell, let u_CR have the mean of u_D on each facet of Γ_D and
+solve
+
+    (κ_h ∇_h u_CR, ∇_h v) = (f_h, v) + (g_h, v) on Γ_N and Γ_S,   g_h = mean of g_N or q_S per facet,
+
+for all Crouzeix-Raviart v with mean 0 on Γ_D and the facets of Γ_S in contact, where the mean of u_CR is that of ψ.
+Then, with x_T the centroid of cell T and d the dimension (Marini 1985, for κ = 1),
 
     p_h|_e = mean of u_CR on e,
-    σ_h|_T = ∇u_CR − (f_h/d)(x − x_T),
-    u_h|_T = mean over T of u_CR + (f_h/d²)|x − x_T|².
+    σ_h|_T = κ_h ∇u_CR − (f_h/d)(x − x_T),
+    u_h|_T = mean over T of u_CR + (f_h/d²)(x − x_T)·κ_h⁻¹(x − x_T).
 
-Why: this σ has ∇·σ = −f_h; its normal fluxes are constant on facets and, by the equation tested with the basis function
-of a facet, equal from both sides; and integration by parts of (∇u_CR, τ) cell by cell gives (9a) with these u and p.
+Proof. ∇·σ_h = −f_h is (9b). σ_h·n is constant on facets, because (x − x_T)·n is. Take v the basis function of a facet
+e, mean 1 on e and 0 on the others. On each cell T at e, with f_h, κ_h constant, (κ_h ∇u_CR, ∇v)_T − (f_h, v)_T = (σ_h,
+∇v)_T + (f_h/d)(x − x_T, ∇v)_T − (f_h, v)_T, where the middle term vanishes, x − x_T having mean 0, and integration by
+parts of the first leaves ∫_e σ_h·n, as (∇·σ_h, v)_T cancels the last. So the equation says that the fluxes from both
+sides of an inner e agree, and that σ_h·n is g_h on Γ_N and where Γ_S is not in contact: σ_h is in V_h. For τ_h in V_h,
+(κ_h⁻¹σ_h, τ_h)_T = (∇u_CR, τ_h)_T − (f_h/d)(κ_h⁻¹(x − x_T), τ_h)_T. The first term is −(u_CR, ∇·τ_h)_T + ⟨u_CR,
+τ_h·n⟩_∂T, whose sum over T sees facet means only and is 0 inside Ω. In the second τ_h = τ_h(x_T) + (∇·τ_h/d)(x − x_T),
+and the constant part drops out: it is −(f_h/d²)((x − x_T)·κ_h⁻¹(x − x_T), ∇·τ_h)_T. Together (κ_h⁻¹σ_h, τ_h) + (u_h,
+∇·τ_h) = ⟨p_h, τ_h·n⟩ + ⟨u_D, τ_h·n⟩: (9a).
 """
 
-from ufl import Form, SpatialCoordinate, dx, grad, inner
+from ufl import Form, SpatialCoordinate, as_ufl, dot, dx, grad, inner, inv
 from ufl.core.expr import Expr
 
-
-def stiffness(u: Expr, v: Expr) -> Form:
-    """(∇_h u, ∇_h v), cell by cell."""
-    return inner(grad(u), grad(v)) * dx
+ONE = as_ufl(1.0)
 
 
-def recovered_flux(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate) -> Expr:
-    """σ_h = ∇u_CR − (f_h/d)(x − x_T), an RT0 field."""
-    return grad(u_cr) - f_h / len(x) * (x - centroid)
+def stiffness(u: Expr, v: Expr, kappa: Expr = ONE) -> Form:
+    """(κ∇_h u, ∇_h v), cell by cell."""
+    return inner(kappa * grad(u), grad(v)) * dx
 
 
-def recovered_scalar(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate, v: Expr) -> Form:
-    """(u_CR + (f_h/d²)|x − x_T|², v), which divided by |T| is u_h for v the indicator of T."""
-    return (u_cr + f_h / len(x) ** 2 * inner(x - centroid, x - centroid)) * v * dx
+def recovered_flux(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate, kappa: Expr = ONE) -> Expr:
+    """σ_h = κ_h ∇u_CR − (f_h/d)(x − x_T), an RT0 field."""
+    return kappa * grad(u_cr) - f_h / len(x) * (x - centroid)
+
+
+def recovered_scalar(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate, v: Expr, kappa: Expr = ONE) -> Form:
+    """(u_CR + (f_h/d²)(x − x_T)·κ_h⁻¹(x − x_T), v), which divided by |T| is u_h for v the indicator of T."""
+    r = x - centroid
+    return (u_cr + f_h / len(x) ** 2 * dot(inv(kappa) * r, r)) * v * dx

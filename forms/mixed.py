@@ -1,21 +1,29 @@
 """The mixed multiplier formulations (MLM-I)_h, equation (9), and (MLM-II)_h, equation (10).
 
-Strong form: σ = ∇u, ∇·σ + f = 0 in Ω, u = u_D on Γ_D, and on Γ_S with p = u
+Strong form: σ = κ∇u, ∇·σ + f = 0 in Ω, u = u_D on Γ_D, σ·n = g_N on Γ_N, and on Γ_S with p = u
 
-    p ≥ 0,   σ·n ≥ 0,   p σ·n = 0.
+    p ≥ ψ,   σ·n ≥ q_S,   (p − ψ)(σ·n − q_S) = 0.
 
-The Dirichlet data are natural: where u_D ≠ 0, the flux equation gets the trace term of u_D on Γ_D beside that of p.
+The slides have κ = 1, no Γ_N and all other data but f zero. The Dirichlet data are natural: where u_D ≠ 0, the flux
+equation gets the trace term of u_D on Γ_D beside that of p. Flux data are essential.
 
 (9c) and (10c) are variational inequalities; as the elementwise projections below they are equations, for any ρ > 0.
 """
 
-from ufl import Coefficient, Form, Measure, div, dot, dx, inner, max_value
+from ufl import Form, Measure, as_ufl, div, dot, dx, inner, inv, max_value
 from ufl.core.expr import Expr
 
+ONE = as_ufl(1.0)
 
-def flux_equation(sigma: Expr, u: Expr, tau: Expr) -> Form:
-    """(σ, τ) + (u, ∇·τ): the left side of (11b) and (12)."""
-    return inner(sigma, tau) * dx + u * div(tau) * dx
+
+def flux_product(sigma: Expr, tau: Expr, kappa: Expr = ONE) -> Form:
+    """(κ⁻¹σ, τ) with κ a scalar or a matrix."""
+    return inner(inv(kappa) * sigma, tau) * dx
+
+
+def flux_equation(sigma: Expr, u: Expr, tau: Expr, kappa: Expr = ONE) -> Form:
+    """(κ⁻¹σ, τ) + (u, ∇·τ): the left side of (11b) and (12)."""
+    return flux_product(sigma, tau, kappa) + u * div(tau) * dx
 
 
 def trace_term(p: Expr, tau: Expr, n: Expr, ds_signorini: Measure) -> Form:
@@ -45,17 +53,18 @@ def trace_projection(sigma: Expr, p: Expr, q: Expr, rho: float, n: Expr, ds_sign
 
 
 def multiplier_residual(
-    sigma: Coefficient,
-    u: Coefficient,
-    p: Coefficient,
+    sigma: Expr,
+    u: Expr,
+    p: Expr,
     f: Expr,
     tau: Expr,
     v: Expr,
     n: Expr,
     ds_signorini: Measure,
+    kappa: Expr = ONE,
 ) -> list[Form]:
     """Residuals of (9a) and (9b), which are also (10a) and (10b), as forms in τ and v."""
     return [
-        flux_equation(sigma, u, tau) - trace_term(p, tau, n, ds_signorini),
+        flux_equation(sigma, u, tau, kappa) - trace_term(p, tau, n, ds_signorini),
         mass_balance(sigma, v) + load(f, v),
     ]

@@ -7,9 +7,11 @@ per vertex,
 
     (VI), (VL)  min(u_i, λ_i) = 0,      (P_ε)  λ_i = [u_i]_-/ε,  that is  min(λ_i, u_i + ελ_i) = 0.
 
-σ = ∇u_h has no normal flux that is single valued. Its L² projection to RT0 together with the cell means of u_h and the
-facet means of its trace satisfies (9a) exactly, since ∇·τ_h and τ_h·n are constant on cells and facets; (9b) it does
-not satisfy.
+σ = κ_h∇u_h has no normal flux that is single valued. Its projection to RT0 in (κ_h⁻¹·, ·) together with the cell means
+of u_h and the facet means of its trace satisfies (9a) exactly, since ∇·τ_h and τ_h·n are constant on cells and facets;
+(9b) it does not satisfy.
+
+General data shift the unknowns: u_i stands for u_i − ψ, λ for κ∇u·n − q_S.
 """
 
 from ufl import Form, Measure, dx, grad, inner
@@ -27,5 +29,5 @@ def vertex_weight(v: Expr, ds_signorini: Measure) -> Form:
 
 
 def gradient(u: Expr, tau: Expr) -> Form:
-    """(∇u, τ): with mass(σ, τ) on the left its solution is the L² projection of ∇u."""
+    """(∇u, τ): with (κ_h⁻¹σ, τ) on the left its solution is a projection of κ_h∇u."""
     return inner(grad(u), tau) * dx

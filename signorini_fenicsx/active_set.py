@@ -22,10 +22,12 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from forms.mixed import flux_product
 from forms.norms import l2, v_norm
 from signorini_fenicsx.algorithms import Algorithm
 from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure, RoughBackend
 from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
 ROUGH_ITERATIONS = 5
@@ -172,17 +174,17 @@ class Recorder(History):
 
 
 class FluxClip:
-    """Step 3 of Algorithm 3: σ·n ≥ 0 on the ROBIN facets (36), and the trace that belongs to it (37)."""
+    """Step 3 of Algorithm 3: σ·n ≥ q_S on the ROBIN facets (36), and the trace that belongs to it (37)."""
 
-    def __init__(self, spaces: Spaces):
+    def __init__(self, spaces: Spaces, data: Data):
         self._spaces = spaces
         self._change = fem.Function(spaces.V)
-        self._form = fem.form(ufl.inner(self._change, ufl.TestFunction(spaces.V)) * ufl.dx)
+        self._form = fem.form(flux_product(self._change, ufl.TestFunction(spaces.V), data.kappa_h))
 
     def __call__(self, iterate: Iterate, conditions: FacetConditions) -> tuple[Iterate, int]:
         """Clip an iterate (collective).
 
-        A clipped flux moves p on every Γ_S facet of its cell, by (δσ, τ_h) of that facet's basis function τ_h.
+        A clipped flux moves p on every Γ_S facet of its cell, by (κ_h⁻¹δσ, τ_h) of that facet's basis function τ_h.
 
         Returns:
             The clipped iterate and the number of clipped facets over all ranks.
@@ -192,11 +194,11 @@ class FluxClip:
         clipped = spaces.mesh.comm.allreduce(int(np.count_nonzero(negative)))
         if clipped == 0:
             return iterate, 0
-        dofs = spaces.flux_dofs[negative]
         self._change.x.array[:] = 0.0
-        self._change.x.array[dofs] = -iterate.sigma.x.array[dofs]
+        change = -iterate.flux * spaces.facet_measure / spaces.basis_flux
+        self._change.x.array[spaces.flux_dofs[negative]] = change[negative]
         sigma = iterate.sigma.copy()
-        sigma.x.array[dofs] = 0.0
+        sigma.x.array[:] += self._change.x.array
         moved = fem.assemble_vector(self._form)
         moved.scatter_reverse(la.InsertMode.add)
         p = iterate.p + moved.array[spaces.flux_dofs] / spaces.basis_flux
@@ -308,7 +310,7 @@ def iterate_sets(
     """
     spaces = backend.spaces
     comm = spaces.mesh.comm
-    clip = FluxClip(spaces) if algorithm.clips else None
+    clip = FluxClip(spaces, backend.data) if algorithm.clips else None
     single: SingleChange | None = None
 
     def end(reason: str, *, converged: bool) -> Outcome:

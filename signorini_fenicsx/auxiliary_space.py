@@ -10,6 +10,7 @@ from petsc4py import PETSc
 from forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data, mean_conductivity
 from signorini_fenicsx.spaces import Spaces, owned_on_facets
 
 
@@ -20,13 +21,13 @@ class AuxiliarySpace:
     fixed, ROBIN facets add their lumped mass.
     """
 
-    def __init__(self, spaces: Spaces, crouzeix_raviart: fem.FunctionSpace, pc: PETSc.PC):
+    def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
         """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective)."""
-        self._spaces = spaces
+        self._spaces, self._kappa = spaces, data.kappa_h
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        self._operator = ConditionedMatrix(fem.form(stiffness(u, v)), PETSc.Mat.Option.SPD)
-        self._full_interpolation = interpolation_matrix(self._space, crouzeix_raviart)
+        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._full_interpolation = interpolation_matrix(self._space, data.u_lift.function_space)
         self._full_interpolation.assemble()
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
@@ -73,11 +74,18 @@ class AuxiliarySpace:
         They come from the problem with all of Γ_S free: functions that vanish on Γ_S cannot correct what a later set
         frees, whereas a fixed vertex costs nothing, since the operators know it.
         """
-        none = np.empty(0, dtype=np.int32)
-        self._operator.impose(self._dirichlet, none, none)
+        self._operator.impose(self._dirichlet, self._all, self._tied_down())
         coarse.setFromOptions()
         coarse.setUp()
         self._has_hierarchy = True
+
+    def _tied_down(self) -> npt.NDArray[np.float64]:
+        """Without Γ_D a weak Robin condition, which makes the operator regular."""
+        spaces = self._spaces
+        if spaces.has_dirichlet:
+            return np.zeros(len(self._all))
+        weak = mean_conductivity(spaces, self._kappa) / spaces.length()
+        return self._lumped_robin(FacetConditions(np.full(len(spaces.facets), Condition.ROBIN, dtype=np.int8), weak))
 
     def _lumped_robin(self, conditions: FacetConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN

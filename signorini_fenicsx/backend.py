@@ -9,6 +9,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.spaces import Spaces
 
@@ -26,8 +27,8 @@ class Iterate:
     Attributes:
         sigma: Flux in RT0.
         u: Scalar in P0.
-        p: Trace per Γ_S facet of this rank.
-        flux: σ·n per Γ_S facet of this rank.
+        p: Trace above its bound, p − ψ, per Γ_S facet of this rank.
+        flux: Flux above its bound, σ·n − q_S, per Γ_S facet of this rank.
         linear_iterations: Iterations of the Krylov solver; 1 for a direct one.
     """
 
@@ -120,11 +121,12 @@ class Backend(Protocol):
 
     name: str
     spaces: Spaces
+    data: Data
     dofs: int
     """Number of unknowns of its linear system."""
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = u_D on Γ_D (collective).
+        """Solve with these conditions on Γ_S, u = u_D on Γ_D, σ·n = g_N on Γ_N (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -142,7 +144,7 @@ class RoughBackend(Protocol):
     spaces: Spaces
 
     def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
-        """Trace and σ·n per Γ_S facet of this rank after some more iterations from the last solution (collective).
+        """`Iterate.p` and `Iterate.flux` after some more iterations from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.

@@ -16,11 +16,12 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
-    field_validator,
     model_validator,
 )
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.data import Problem
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import parse_expression, parse_number
 from signorini_fenicsx.geometry import SHAPES
@@ -63,6 +64,29 @@ def _within(low: float, high: float) -> AfterValidator:
 
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
 Expression = Annotated[str, BeforeValidator(_text)]
+type Conductivity = str | list[list[str]] | dict[str, str | list[list[str]]]
+
+
+def _conductivity(value: object) -> object:
+    """A number or text, a square matrix of them, or a table with one of them per region."""
+    if isinstance(value, dict):
+        if not value:
+            raise ValueError("the table of regions is empty")
+        return {region: _matrix_or_text(entry) for region, entry in value.items()}
+    return _matrix_or_text(value)
+
+
+def _matrix_or_text(value: object) -> object:
+    value = _text(value)
+    if isinstance(value, list):
+        rows = [[_text(entry) for entry in row] if isinstance(row, list) else [] for row in value]
+        if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
+            raise ValueError("a matrix must have 2 rows of 2 expressions, in 3D 3 of 3")
+        if all(isinstance(entry, str) for row in rows for entry in row):
+            return rows
+    elif isinstance(value, str):
+        return value
+    raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
 
 
 class _Section(BaseModel):
@@ -88,24 +112,84 @@ class Geometry(_Section):
 
 
 class Boundary(_Section):
-    """`[boundary]`: the parts that make up Γ_S; everything else is Γ_D."""
+    """`[boundary]`: the parts that make up Γ_S and Γ_N; everything else is Γ_D, which may be listed to make sure."""
 
     signorini: list[str] = Field(min_length=1)
+    neumann: list[str] = []
+    dirichlet: list[str] | None = None
 
-    @field_validator("signorini")
-    @classmethod
-    def _no_repetition(cls, parts: list[str]) -> list[str]:
+    @model_validator(mode="after")
+    def _no_repetition(self) -> Self:
+        parts = self.listed()
         repeated = sorted({part for part in parts if parts.count(part) > 1})
         if repeated:
             raise ValueError(f"'{repeated[0]}' is listed twice")
-        return parts
+        return self
+
+    def check(self, known: list[str], where: str) -> None:
+        """Make sure that the named parts exist and, if Γ_D is listed, that none is left.
+
+        Args:
+            known: All parts of the boundary.
+            where: Name of the domain.
+
+        Raises:
+            ValueError: If not; the message names key and part.
+        """
+        for key in ("signorini", "neumann", "dirichlet"):
+            for part in getattr(self, key) or []:
+                if part not in known:
+                    raise ValueError(
+                        f"[boundary] {key}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
+                    )
+        left = [part for part in known if part not in self.listed()]
+        if self.dirichlet is not None and left:
+            raise ValueError(f"[boundary] '{left[0]}' is in none of signorini, neumann and dirichlet")
+
+    def listed(self) -> list[str]:
+        """All parts that are named."""
+        return [*self.signorini, *self.neumann, *(self.dirichlet or [])]
 
 
-class Problem(_Section):
-    """`[problem]`: the data of −Δu = f in Ω, u = u_D on Γ_D, as text in x, y, z."""
+class ProblemTexts(_Section):
+    """`[problem]`: the data of a `data.Problem`, as text in x, y, z; κ as text, a matrix or one of them per region."""
 
     f: Expression
+    kappa: Annotated[Conductivity, BeforeValidator(_conductivity)] = "1"
     u_D: Expression = "0"
+    g_N: Expression = "0"
+    psi: Expression = "0"
+    q_S: Expression = "0"
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key."""
+        found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
+        if isinstance(self.kappa, dict):
+            values = [(f"kappa.{region}", value) for region, value in self.kappa.items()]
+        else:
+            values = [("kappa", self.kappa)]
+        for name, value in values:
+            found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
+        return found
+
+    def on(self, x: ufl.SpatialCoordinate) -> Problem:
+        """The data in these coordinates.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        f, u_D, g_N, psi, q_S = (parse_expression(getattr(self, key), x) for key in ("f", "u_D", "g_N", "psi", "q_S"))
+
+        def conductivity(text: str | list[list[str]]) -> Expr:
+            if isinstance(text, str):
+                return parse_expression(text, x)
+            return ufl.as_matrix([[parse_expression(entry, x) for entry in row] for row in text])
+
+        if isinstance(self.kappa, dict):
+            kappa: Expr | dict[str, Expr] = {region: conductivity(text) for region, text in self.kappa.items()}
+        else:
+            kappa = conductivity(self.kappa)
+        return Problem(f=f, kappa=kappa, u_D=u_D, g_N=g_N, psi=psi, q_S=q_S)
 
 
 class Exact(_Section):
@@ -140,31 +224,25 @@ class Case(_Section):
     title: str = ""
     geometry: Geometry
     boundary: Boundary
-    problem: Problem
+    problem: ProblemTexts
     exact: Exact = Exact()
     solve: Solve = Solve()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         shape = SHAPES[self.geometry.shape]
-        for part in self.boundary.signorini:
-            if part not in shape.parts:
-                raise ValueError(
-                    f"[boundary] signorini: unknown part '{part}' of {self.geometry.shape}; "
-                    f"its parts are {', '.join(shape.parts)}"
-                )
-        if len(self.boundary.signorini) == len(shape.parts):
-            raise ValueError("[boundary] signorini: one part at least must be left to the Dirichlet condition u = u_D")
+        self.boundary.check(list(shape.parts), self.geometry.shape)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
             )
-        for section in ("problem", "exact"):
-            for name, text in getattr(self, section):
-                try:
-                    parse_expression(text or "0", reference_coordinate(shape.dim))
-                except InputError as error:
-                    raise ValueError(f"[{section}] {name}: {error}") from None
+        x = reference_coordinate(shape.dim)
+        texts = [("problem", *entry) for entry in self.problem.texts()] + [("exact", "u", self.exact.u or "0")]
+        for section, name, text in texts:
+            try:
+                parse_expression(text, x)
+            except InputError as error:
+                raise ValueError(f"[{section}] {name}: {error}") from None
         return self
 
     def with_values(self, values: Mapping[str, Any]) -> Self:

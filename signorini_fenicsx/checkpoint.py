@@ -85,7 +85,9 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     points = arrays.get("points", np.empty((0, dim)))
     cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
     spaces = build_spaces(
-        label_parts(distribute(comm, points, cells, dim), SHAPES[case.geometry.shape]), case.boundary.signorini
+        label_parts(distribute(comm, points, cells, dim), SHAPES[case.geometry.shape]),
+        case.boundary.signorini,
+        case.boundary.neumann,
     )
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces))
     sigma, u = _fields(spaces, arrays)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,56 +12,125 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from forms.mixed import trace_term
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, cells_and_dofs
 
 type Array = npt.NDArray[np.float64]
+type Given = float | Expr | Callable[[Array], npt.ArrayLike]
+"""A number; a UFL expression on the mesh, also a `fem.Function`; or a function of points of shape (3, n)."""
 
 DATA_RANGE = 1e-100, 1e100
+ROUNDING = 1e-12
+"""Relative size of what is rounding: in the symmetry of κ and in the sum of all loads."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; u ≥ ψ, κ∇u·n ≥ q_S, one of them equal, on Γ_S.
+
+    Attributes:
+        f: Load.
+        kappa: κ: a scalar, a symmetric positive definite matrix, or one of them for each region of the mesh.
+        u_D: Trace on Γ_D, continuous.
+        g_N: Flux on Γ_N, out of Ω where negative, like κ∇u·n everywhere here.
+        psi: Lower bound of the trace on Γ_S, continuous.
+        q_S: Lower bound of the flux on Γ_S.
+    """
+
+    f: Given
+    kappa: Given | Mapping[str, Given] = 1.0
+    u_D: Given = 0.0
+    g_N: Given = 0.0
+    psi: Given = 0.0
+    q_S: Given = 0.0
 
 
 @dataclass(frozen=True)
 class Data:
-    """f and u_D. Functions hold owned and up-to-date ghost values.
+    """The data on a mesh. Functions hold owned and up-to-date ghost values.
+
+    The lifts turn the problem into one for u − u_lift and σ − σ_lift with homogeneous conditions on the boundary.
 
     Attributes:
         f: Load as given.
+        kappa: κ as given.
         u_D: Dirichlet data as given.
+        g_N: Flux on Γ_N as given.
+        psi: Bound of the trace as given.
+        q_S: Bound of the flux as given.
         f_h: P0 projection of f.
-        u_Dh: Crouzeix-Raviart function whose mean is that of u_D on each facet of Γ_D, and 0 on all other facets. As
-            τ_h·n is constant on a facet, (u_Dh, τ_h·n) on Γ_D is (u_D, τ_h·n).
+        kappa_h: P0 projection of κ, entry by entry; a constant scalar is itself.
+        u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
+            others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
+        sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
+            others.
+        psi_h: Mean of ψ per Γ_S facet of this rank.
+        q_Sh: Mean of q_S per Γ_S facet of this rank.
+        total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
     """
 
     f: Expr
+    kappa: Expr
     u_D: Expr
+    g_N: Expr
+    psi: Expr
+    q_S: Expr
     f_h: fem.Function
-    u_Dh: fem.Function
+    kappa_h: Expr
+    u_lift: fem.Function
+    sigma_lift: fem.Function
+    psi_h: Array
+    q_Sh: Array
+    total_load: float
 
 
-def project_data(spaces: Spaces, f: Expr, u_D: Expr) -> Data:
-    """Take cell means of f and facet means of u_D, by quadrature of the degree UFL estimates, at least 8 (collective).
+def project_data(spaces: Spaces, problem: Problem) -> Data:
+    """Take means over cells and facets, by quadrature of the degree UFL estimates, at least 8 (collective).
 
     Raises:
-        InputError: If one is not finite at all quadrature points, or so large or small that squares of the solution
-            leave the range of floating-point numbers.
+        InputError: If something is not finite at all quadrature points, or so large or small that squares of the
+            solution leave the range of floating-point numbers; if κ is not symmetric and positive definite, or has no
+            value somewhere.
     """
-    mesh = spaces.mesh
+    f = _expression(spaces, "f", problem.f, family="DG")
+    u_D, g_N, psi, q_S = (
+        _expression(spaces, name, getattr(problem, name), family="Lagrange") for name in ("u_D", "g_N", "psi", "q_S")
+    )
+    kappa = _conductivity(spaces, problem.kappa)
     f_h = fem.Function(spaces.Q, name="f_h")
-    dx = ufl.Measure("dx", domain=mesh, metadata=quadrature(f))
-    zero = fem.Constant(mesh, 0.0)  # UFL would drop the integral of a plain 0
-    f_h.x.array[:] = assembled((f + zero) * ufl.TestFunction(spaces.Q) * dx) / cell_measures(spaces.Q)
-    _check("f", "in the domain", f_h, mesh.comm)
+    f_means = _cell_means(spaces, f).ravel()
+    f_h.x.array[:] = f_means
+    _check("f", "in the domain", f_means, spaces)
 
-    tau = ufl.TestFunction(spaces.V)
-    ds = spaces.ds_dirichlet(metadata=quadrature(u_D))
-    flux_dofs = cells_and_dofs(spaces.V, spaces.dirichlet_facets)[1]
-    weighted, plain = (assembled(trace_term(value, tau, spaces.n, ds))[flux_dofs] for value in (u_D + zero, 1.0 + zero))
-    u_Dh = fem.Function(fem.functionspace(mesh, ("CR", 1)), name="u_D")
-    u_Dh.x.array[cells_and_dofs(u_Dh.function_space, spaces.dirichlet_facets)[1]] = weighted / plain
-    u_Dh.x.scatter_forward()
-    _check("u_D", "on Γ_D", u_Dh, mesh.comm)
-    return Data(f, u_D, f_h, u_Dh)
+    psi_h = _facet_means(spaces, "psi", psi, spaces.facets, spaces.ds, "on Γ_S")
+    q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, spaces.ds, "on Γ_S")
+    dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
+    neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
+    u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
+    for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
+        u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
+    sigma_lift = fem.Function(spaces.V, name="sigma_lift")
+    sigma_lift.x.array[spaces.neumann_dofs] = neumann_means * spaces.neumann_measure / spaces.neumann_basis_flux
+    sigma_lift.x.array[spaces.flux_dofs] = q_Sh * spaces.facet_measure / spaces.basis_flux
+    for lift in (u_lift, sigma_lift):
+        lift.x.scatter_forward()
+    measures = cell_measures(spaces.Q)
+    loads = [measures * f_h.x.array, spaces.neumann_measure * neumann_means, spaces.facet_measure * q_Sh]  # no ghosts
+    return Data(
+        f=f,
+        kappa=kappa,
+        u_D=u_D,
+        g_N=g_N,
+        psi=psi,
+        q_S=q_S,
+        f_h=f_h,
+        kappa_h=_projected_conductivity(spaces, kappa),
+        u_lift=u_lift,
+        sigma_lift=sigma_lift,
+        psi_h=psi_h,
+        q_Sh=q_Sh,
+        total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
+    )
 
 
 def quadrature(value: Expr) -> dict[str, int]:
@@ -68,11 +138,129 @@ def quadrature(value: Expr) -> dict[str, int]:
     return {"quadrature_degree": min(max(8, ufl.algorithms.estimate_total_polynomial_degree(value)), 30)}
 
 
-def _check(name: str, where: str, means: fem.Function, comm: MPI.Comm) -> None:
-    values = means.x.array
-    if not comm.allreduce(bool(np.isfinite(values).all()), op=MPI.LAND):
+def scalar_conductivity(kappa: Expr) -> Expr:
+    """κ, or the mean of its eigenvalues."""
+    return ufl.tr(kappa) / len(kappa) if kappa.ufl_shape else kappa
+
+
+def mean_conductivity(spaces: Spaces, kappa: Expr) -> float:
+    """Mean over Ω of the scalar conductivity (collective)."""
+    zero = fem.Constant(spaces.mesh, 0.0)  # integrates a plain number on this mesh
+    return spaces.integrate((scalar_conductivity(kappa) + zero) * ufl.dx) / spaces.length() ** spaces.mesh.geometry.dim
+
+
+def is_constant(value: Expr) -> bool:
+    """Whether an expression is a number."""
+    return isinstance(value, ufl.constantvalue.ConstantValue) and value.ufl_shape == ()
+
+
+def _expression(spaces: Spaces, name: str, given: Given, *, family: str, matrix: bool = False) -> Expr:
+    """UFL of what was given; functions of points become piecewise quadratic."""
+    dim = spaces.mesh.geometry.dim
+    shapes = [(), (dim, dim)] if matrix else [()]
+    if isinstance(given, Expr):
+        value = given
+    elif callable(given):
+        probe = np.asarray(given(np.zeros((3, 1))))
+        value = fem.Function(fem.functionspace(spaces.mesh, (family, 2, probe.shape[:-1])), name=name)
+        value.interpolate(lambda x: np.reshape(given(x), (-1, x.shape[1])))
+    else:
+        value = ufl.as_ufl(given)
+    if value.ufl_shape not in shapes:
+        raise InputError(f"[problem] {name}: has shape {value.ufl_shape}, not {' or '.join(map(str, shapes))}")
+    return value
+
+
+def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
+    """UFL of κ; one value per region becomes a sum of characteristic functions times values."""
+    if not isinstance(given, Mapping):
+        return _expression(spaces, "kappa", given, family="DG", matrix=True)
+    regions = spaces.domain.regions
+    for name in given:
+        if name not in regions:
+            known = f"its regions are {', '.join(regions)}" if regions else "it has none"
+            raise InputError(f"[problem] kappa: unknown region '{name}' of the mesh; {known}")
+    covered = np.zeros(spaces.Q.dofmap.index_map.size_local, dtype=bool)
+    values = {
+        name: _expression(spaces, f"kappa.{name}", value, family="DG", matrix=True) for name, value in given.items()
+    }
+    is_matrix = any(value.ufl_shape for value in values.values())
+    kappa = None
+    for name, value in values.items():
+        inside = fem.Function(spaces.Q, name=name)
+        inside.x.array[regions[name]] = 1.0
+        covered[regions[name]] = True
+        term = inside * (value * ufl.Identity(spaces.mesh.geometry.dim) if is_matrix and not value.ufl_shape else value)
+        kappa = term if kappa is None else kappa + term
+    without = spaces.mesh.comm.allreduce(int(np.count_nonzero(~covered)))
+    if kappa is None or without > 0:
+        missing = [name for name in regions if name not in given]
+        raise InputError(f"[problem] kappa: {without} cells have no value; regions without one: {', '.join(missing)}")
+    return kappa
+
+
+def _projected_conductivity(spaces: Spaces, kappa: Expr) -> Expr:
+    """κ_h (collective)."""
+    means = np.array([float(kappa)]) if is_constant(kappa) else _cell_means(spaces, kappa)
+    _check("kappa", "in the domain", means, spaces)
+    matrices = means.reshape(len(means), *(kappa.ufl_shape or (1, 1)))
+    size = np.abs(matrices).max(axis=(1, 2))
+    symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= ROUNDING * size
+    comm = spaces.mesh.comm
+    if not comm.allreduce(bool(symmetric.all()), MPI.LAND):
+        raise InputError("[problem] kappa: is not symmetric everywhere")
+    smallest = comm.allreduce(float(np.linalg.eigvalsh(matrices).min(initial=np.inf)), MPI.MIN)
+    if not smallest > 0:
+        what = "eigenvalue" if kappa.ufl_shape else "mean over a cell"
+        raise InputError(f"[problem] kappa: must be positive; its smallest {what} is {smallest:.3g}")
+    if is_constant(kappa):
+        return kappa
+    element = ("DG", 0, kappa.ufl_shape) if kappa.ufl_shape else ("DG", 0)
+    kappa_h = fem.Function(fem.functionspace(spaces.mesh, element), name="kappa_h")
+    kappa_h.x.array[:] = means.ravel()  # no ghost cells
+    return kappa_h
+
+
+def _cell_means(spaces: Spaces, value: Expr) -> Array:
+    """Mean of a scalar or tensor on each cell of this rank, shape (cells, entries)."""
+    mesh = spaces.mesh
+    dx = ufl.Measure("dx", domain=mesh, metadata=quadrature(value))
+    size = int(np.prod(value.ufl_shape))
+    if is_constant(value):
+        return np.full((spaces.Q.dofmap.index_map.size_local, 1), float(value))
+    entries = [value[index] for index in np.ndindex(value.ufl_shape)] if value.ufl_shape else [value]
+    zero = fem.Constant(mesh, 0.0)  # an entry may be a plain 0, whose integral UFL would drop
+    integrals = [assembled((entry + zero) * ufl.TestFunction(spaces.Q) * dx) for entry in entries]
+    return np.stack(integrals, axis=1).reshape(-1, size) / cell_measures(spaces.Q)[:, None]
+
+
+def _facet_means(
+    spaces: Spaces, name: str, value: Expr, facets: npt.NDArray[np.int32], ds: ufl.Measure, where: str
+) -> Array:
+    """Mean on each of these boundary facets, which `ds` covers (collective)."""
+    if is_constant(value):
+        means = np.full(len(facets), float(value))
+    else:
+        dofs = cells_and_dofs(spaces.V, facets)[1]
+        flux = ufl.dot(ufl.TestFunction(spaces.V), spaces.n)  # a constant on each facet, 0 on all but one
+        weighted, plain = (assembled(form)[dofs] for form in (value * flux * ds(metadata=quadrature(value)), flux * ds))
+        means = weighted / plain
+    _check(name, where, means, spaces)
+    return means
+
+
+def _check(name: str, where: str, means: Array, spaces: Spaces) -> None:
+    """Refuse means that are not finite, or too large or small (collective)."""
+    comm = spaces.mesh.comm
+    if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
         raise InputError(f"[problem] {name}: not finite everywhere {where}")
-    largest = comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
+    largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
     low, high = DATA_RANGE
     if largest != 0 and not low <= largest <= high:
         raise InputError(f"[problem] {name}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+
+
+def _sum(loads: Array, comm: MPI.Comm) -> float:
+    """Their sum over all ranks, 0 if it is rounding (collective)."""
+    total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
+    return total if abs(total) > ROUNDING * size else 0.0

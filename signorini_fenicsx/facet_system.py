@@ -8,7 +8,7 @@ from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
 from forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
-from forms.mixed import load
+from forms.mixed import load, trace_term
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
@@ -32,7 +32,7 @@ class FacetSystem:
         space: Crouzeix-Raviart functions.
         matrix: The Crouzeix-Raviart matrix under the conditions last applied.
         b: Its right side.
-        x: Its solution, u_CR less the lifting u_Dh of the Dirichlet data; the start of the next iterative solve.
+        x: Its solution, u_CR less the lift of u_D and ψ; the start of the next iterative solve.
         trace_dofs: The unknown of each Γ_S facet.
         dofs: Unknowns over all ranks.
         large: Whether iterative solvers are the default at this size.
@@ -45,16 +45,19 @@ class FacetSystem:
             spaces: The discrete spaces.
             data: Its means over cells and facets.
         """
-        self.spaces = spaces
-        self.space = data.u_Dh.function_space
+        self.spaces, self._data = spaces, data
+        self.space = data.u_lift.function_space
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > DIRECT_UP_TO
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        self._operator = ConditionedMatrix(fem.form(stiffness(u, v)), PETSc.Mat.Option.SPD)
+        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
-        self._load = fem.assemble_vector(fem.form(load(data.f_h, v) - stiffness(data.u_Dh, v)))
+        given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
+        self._load = fem.assemble_vector(
+            fem.form(load(data.f_h, v) + given_flux - stiffness(data.u_lift, v, data.kappa_h))
+        )
         self._load.scatter_reverse(la.InsertMode.add)
         self.x, self.b = create_vector(self.space), create_vector(self.space)
         self.x.set(0.0)
@@ -75,14 +78,16 @@ class FacetSystem:
         """σ_h, u_h and p_h from the present `x`, a solution under these conditions (collective)."""
         spaces = self.spaces
         sigma, u = self._recovery.fields(self.x)
-        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], spaces.normal_flux(sigma))
-        sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
+        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], spaces.normal_flux(sigma) - self._data.q_Sh)
+        sigma.x.array[spaces.flux_dofs] = (flux + self._data.q_Sh) * spaces.facet_measure / spaces.basis_flux
+        sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
         return Iterate(sigma, u, p, flux, linear_iterations)
 
     def recover_traces(self, conditions: FacetConditions) -> tuple[Array, Array]:
-        """P and σ·n per Γ_S facet from the present `x`, without the fields (collective)."""
-        return conditions.clean(self.x.array_r[self.trace_dofs], self._recovery.normal_flux(self.x))
+        """What `recover` gives per Γ_S facet, without the fields (collective)."""
+        flux = self._recovery.normal_flux(self.x) - self._data.q_Sh
+        return conditions.clean(self.x.array_r[self.trace_dofs], flux)
 
 
 class _Recovery:
@@ -90,14 +95,14 @@ class _Recovery:
 
     def __init__(self, spaces: Spaces, data: Data):
         self._spaces = spaces
-        mesh, f_h = spaces.mesh, data.f_h
-        self._u_Dh = data.u_Dh
-        self._u_cr, self._at_contact = fem.Function(data.u_Dh.function_space), fem.Function(spaces.V)
+        mesh, f_h, kappa = spaces.mesh, data.f_h, data.kappa_h
+        self._lift = data.u_lift
+        self._u_cr, self._at_contact = fem.Function(data.u_lift.function_space), fem.Function(spaces.V)
         x = ufl.SpatialCoordinate(mesh)
         centroid = centroids(mesh)
-        flux = recovered_flux(self._u_cr, f_h, centroid, x)
+        flux = recovered_flux(self._u_cr, f_h, centroid, x, kappa)
         self._flux = fem.Expression(flux, spaces.V.element.interpolation_points)
-        self._scalar = fem.form(recovered_scalar(self._u_cr, f_h, centroid, x, ufl.TestFunction(spaces.Q)))
+        self._scalar = fem.form(recovered_scalar(self._u_cr, f_h, centroid, x, ufl.TestFunction(spaces.Q), kappa))
         self._measures = cell_measures(spaces.Q)
 
     def fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
@@ -119,4 +124,4 @@ class _Recovery:
         owned: Array = x.array_r
         self._u_cr.x.array[: len(owned)] = owned
         self._u_cr.x.scatter_forward()
-        self._u_cr.x.array[:] += self._u_Dh.x.array
+        self._u_cr.x.array[:] += self._lift.x.array

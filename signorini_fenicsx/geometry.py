@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import basix.ufl
 import dolfinx.mesh
@@ -71,12 +71,14 @@ class Domain:
         h: Largest cell diameter over all ranks.
         parts: Boundary parts, in the shape's order.
         facets: For each part its facets of this rank, ascending.
+        regions: For each named region its cells of this rank; a named shape has none.
     """
 
     mesh: dolfinx.mesh.Mesh
     h: float
     parts: Mapping[str, Part]
     facets: Mapping[str, npt.NDArray[np.int32]]
+    regions: Mapping[str, npt.NDArray[np.int32]] = field(default_factory=dict)
 
 
 def _plane(axis: int, value: float) -> Part:

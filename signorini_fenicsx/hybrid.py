@@ -32,7 +32,7 @@ class HybridBackend:
             spaces: The discrete spaces.
             data: Its means over cells and facets.
         """
-        self.spaces = spaces
+        self.spaces, self.data = spaces, data
         self._system = FacetSystem(spaces, data)
         self.dofs = self._system.dofs
         self._ksp = PETSc.KSP().create(spaces.mesh.comm)
@@ -45,7 +45,7 @@ class HybridBackend:
         return solver_name(self._ksp)
 
     def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S and u = u_D on Γ_D, starting from the last solution (collective).
+        """Solve as `Backend.solve` says, starting from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -55,7 +55,7 @@ class HybridBackend:
         return self._system.recover(conditions, self._ksp.getIterationNumber())
 
     def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
-        """Trace and σ·n per Γ_S facet after some more iterations from the last solution (collective).
+        """`Iterate.p` and `Iterate.flux` after some more iterations from the last solution (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
@@ -85,7 +85,7 @@ class HybridBackend:
             pc.setType("mg")
         else:
             set_direct(ksp, "cholesky")
-        auxiliary = AuxiliarySpace(self.spaces, self._system.space, pc) if large else None
+        auxiliary = AuxiliarySpace(self.spaces, self.data, pc) if large else None
         take_options(ksp)
         if ksp.getType() == "preonly":
             ksp.setInitialGuessNonzero(False)

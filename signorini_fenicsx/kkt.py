@@ -10,7 +10,7 @@ from dolfinx.fem.petsc import assemble_matrix
 from forms.mixed import multiplier_residual, trace_term
 from forms.norms import l2
 from signorini_fenicsx.algorithms import Penalty
-from signorini_fenicsx.data import Data
+from signorini_fenicsx.data import Data, mean_conductivity
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-8
@@ -21,19 +21,20 @@ CONSTANT_PART = 1e-2
 
 @dataclass(frozen=True)
 class KKTResiduals:
-    """Residuals of (MLM-I)_h and (MLM-II)_h, with S = max(‖σ‖, 1e-2 ‖u‖/L) and L = |Ω|^(1/d); all 0 if S = 0.
+    """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
 
-    The second term of S matters for a constant u ≠ 0 only, whose σ is rounding.
+    L = |Ω|^(1/d) is a length, G = max(‖κ_h⁻¹σ‖, 1e-2 ‖u‖/L) a gradient and S = max(‖σ‖, 1e-2 k‖u‖/L) a flux, with k the
+    mean of κ_h; all residuals are 0 if S = 0. The second terms matter for a constant u ≠ 0 only, whose σ is rounding.
 
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
     its primal and dual residuals and its complementarity refer to.
 
     Attributes:
-        primal: ‖[p]_-‖_Λ / (√L S), the violation of p ≥ 0.
+        primal: ‖[p]_-‖_Λ / (√L G), the violation of p ≥ 0.
         dual: √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
-        complementarity: Σ_e |e| |p σ·n| / S².
-        stationarity: √(rᵀ diag(M)⁻¹ r) / S with r the residual of (9a) and M the mass matrix of RT0.
-        mass_balance: ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell.
+        complementarity: Σ_e |e| |p σ·n| / (G S).
+        stationarity: √(rᵀ diag(M)⁻¹ r) / G with r the residual of (9a) and M the mass matrix of RT0.
+        mass_balance: ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell, and √L ‖σ·n − g_N‖ / S on Γ_N.
     """
 
     primal: float
@@ -64,36 +65,48 @@ def kkt_residuals(
     """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
     comm = spaces.mesh.comm
     length = spaces.length()
-    sigma_norm, u_norm = (np.sqrt(spaces.integrate(l2(field, ufl.dx))) for field in (sigma, u))
-    size = max(sigma_norm, CONSTANT_PART * u_norm / length)
+    gradient, size = _scales(spaces, sigma, u, data)
     if size == 0:
         return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
 
-    e, trace, flux = spaces.facet_measure, p.x.array[: len(spaces.facets)], spaces.normal_flux(sigma)
+    e = spaces.facet_measure
+    trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     if penalty is not None:
         trace, flux = penalty.shift(trace, flux, eps)
     primal, dual, complementarity = comm.allreduce(
         np.array([e @ np.minimum(trace, 0) ** 2, e @ np.minimum(flux, 0) ** 2, e @ np.abs(trace * flux)])
     )
-    imbalance = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
+    imbalance = l2(ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h), ufl.dx)
+    imbalance += length * l2(ufl.dot(sigma - data.sigma_lift, spaces.n), spaces.ds_neumann)
     return KKTResiduals(
-        primal=float(np.sqrt(primal / length) / size),
+        primal=float(np.sqrt(primal / length) / gradient),
         dual=float(np.sqrt(dual * length) / size),
-        complementarity=float(complementarity / size**2),
-        stationarity=_stationarity(spaces, sigma, u, p, data) / float(size),
-        mass_balance=float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))) / size),
+        complementarity=float(complementarity / (gradient * size)),
+        stationarity=_stationarity(spaces, sigma, u, p, data) / gradient,
+        mass_balance=float(np.sqrt(spaces.integrate(imbalance)) / size),
     )
+
+
+def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> tuple[float, float]:
+    """G and S (collective)."""
+    kappa = data.kappa_h
+    gradient, flux, level = (
+        float(np.sqrt(spaces.integrate(l2(field, ufl.dx)))) for field in (ufl.inv(kappa) * sigma, sigma, u)
+    )
+    level *= CONSTANT_PART / spaces.length()
+    return max(gradient, level), max(flux, mean_conductivity(spaces, kappa) * level)
 
 
 def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> float:
     V = spaces.V
     tau, v = ufl.TestFunction(V), ufl.TestFunction(spaces.Q)
-    flux_residual, _ = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds)
-    flux_residual -= trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet)
+    flux_residual, _ = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h)
+    flux_residual -= trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet)
     residual = fem.assemble_vector(spaces.form(flux_residual))
     residual.scatter_reverse(la.InsertMode.add)
     mass = assemble_matrix(fem.form(ufl.inner(ufl.TrialFunction(V), tau) * ufl.dx))
     mass.assemble()
+    residual.array[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     owned = residual.array[: V.dofmap.index_map.size_local]
     square = V.mesh.comm.allreduce(owned @ (owned / mass.getDiagonal().array_r))
     mass.destroy()

@@ -25,8 +25,9 @@ CONTINUATION = 10.0
 class PenaltyNewton:
     """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
 
-    SNES gets the laws free of 1/ε (see `forms.penalty`) with the derivative that UFL makes of them. All its options
-    are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type newtontr, …
+    SNES gets the laws free of 1/ε (see `forms.penalty`) with the derivative that UFL makes of them, for σ − σ_lift, u
+    and p − ψ. All its options are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type
+    newtontr, …
     """
 
     def __init__(self, spaces: Spaces, data: Data, penalty: Penalty, *, eps: float, max_iterations: int):
@@ -35,16 +36,19 @@ class PenaltyNewton:
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self._spaces, self._penalty, self._eps = spaces, penalty, eps
+        self._spaces, self._data, self._penalty, self._eps = spaces, data, penalty, eps
         V, Q, Lambda = spaces.V, spaces.Q, spaces.Lambda
         self._fields = fem.Function(V, name="sigma"), fem.Function(Q, name="u"), fem.Function(Lambda, name="p")
         sigma, u, p = self._fields
         tau, v, q = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TestFunction(Lambda)
         self._eps_now = fem.Constant(spaces.mesh, eps)
+        self._reset()
         law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
-        flux_residual, balance = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds)
+        flux_residual, balance = multiplier_residual(
+            sigma + data.sigma_lift, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h
+        )
         residual = [
-            flux_residual - trace_term(data.u_Dh, tau, spaces.n, spaces.ds_dirichlet),
+            flux_residual - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds),
             balance,
             law(sigma, p, q, self._eps_now, spaces.n, spaces.ds),
         ]
@@ -52,6 +56,7 @@ class PenaltyNewton:
             residual,
             list(self._fields),
             kind="mpi",
+            bcs=[fem.dirichletbc(fem.Function(V), spaces.neumann_dofs)],
             entity_maps=[spaces.entity_map],
             petsc_options_prefix="signorini_",  # DOLFINx wants one and, given defaults, deletes the user's namesakes
         )
@@ -84,8 +89,7 @@ class PenaltyNewton:
         remark = ""
         if failure is not None and self._eps < 1:
             remark = f", by continuation from ε = 1: the direct start ended with {failure}"
-            for field in self._fields:
-                field.x.array[:] = 0.0
+            self._reset()
             stages = int(np.ceil(-np.log(self._eps) / np.log(CONTINUATION)))
             for exponent in range(stages + 1):
                 failure = self._newton(self._eps ** (exponent / stages), record)
@@ -97,6 +101,13 @@ class PenaltyNewton:
         return Outcome(
             iterate, self._conditions(iterate), recorder.steps, reason, failure is None, "mixed", dofs, solver
         )
+
+    def _reset(self) -> None:
+        """The start: 0 or, without Γ_D, contact everywhere: the first linear problem must not be a Neumann problem."""
+        for field in self._fields:
+            field.x.array[:] = 0.0
+        if not self._spaces.has_dirichlet:
+            self._fields[2].x.array[:] = -1.0
 
     def _newton(self, eps: float, record: Callable[[PETSc.SNES, int, float], None]) -> str | None:
         """One run of SNES from the present fields; the reason of its failure, or None."""
@@ -119,6 +130,7 @@ class PenaltyNewton:
         size = len(self._spaces.facets)
         trace = p.x.array[:size].astype(np.float64)
         flux = self._spaces.normal_flux(sigma)
+        sigma.x.array[:] += self._data.sigma_lift.x.array
         raw = Iterate(sigma, u, trace, flux, self._snes.getKSP().getIterationNumber())
         p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux)
         return replace(raw, p=p_clean, flux=flux_clean)

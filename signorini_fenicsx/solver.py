@@ -19,7 +19,7 @@ from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.classical import CLASSICAL, Task
-from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.data import Data, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
@@ -114,7 +114,7 @@ class Solution:
         metadata = quadrature(u)
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
         squares = {
-            "sigma_L2": l2(ufl.grad(u) - self.sigma, dx),
+            "sigma_L2": l2(self.data.kappa * ufl.grad(u) - self.sigma, dx),
             "div_sigma_L2": l2(self.data.f + ufl.div(self.sigma), dx),
             "u_L2": l2(u - self.u, dx),
             "p_L2": l2(u - self.p, spaces.ds(metadata=metadata)),
@@ -129,7 +129,7 @@ class Solution:
         trace.interpolate(fem.Expression(parse_expression(u, ufl.SpatialCoordinate(gamma.mesh)), points))
         values = trace.x.array[: len(self.spaces.facets)]
         largest = gamma.mesh.comm.allreduce(np.abs(values).max(initial=0.0), MPI.MAX)
-        return FacetSet(self.spaces, values <= EXACT_CONTACT * largest)
+        return FacetSet(self.spaces, values - self.data.psi_h <= EXACT_CONTACT * largest)
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition."""
@@ -143,12 +143,11 @@ class Solution:
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
     def violation(self) -> dict[str, float]:
-        """What ε leaves of the Signorini condition, ‖[p]_-‖_Λ and ‖[σ·n]_-‖_Λ, or of the mass balance (collective)."""
-        spaces = self.spaces
-        negative = [
-            spaces.facet_measure @ np.minimum(values, 0) ** 2
-            for values in (self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma))
-        ]
+        """What ε leaves of the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or of (9b) (collective)."""
+        spaces, data = self.spaces, self.data
+        gap = self.p.x.array[: len(spaces.facets)] - data.psi_h
+        excess = spaces.normal_flux(self.sigma) - data.q_Sh
+        negative = [spaces.facet_measure @ np.minimum(values, 0) ** 2 for values in (gap, excess)]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
         if ALGORITHMS[self.case.solve.algorithm].stabilised:
@@ -211,13 +210,12 @@ class Stopwatch:
 
 
 def discrete_data(case: Case, spaces: Spaces) -> Data:
-    """F and u_D of a case and their means (collective).
+    """The data of a case and their means (collective).
 
     Raises:
         InputError: If one of them cannot be used, see `project_data`.
     """
-    x = ufl.SpatialCoordinate(spaces.mesh)
-    return project_data(spaces, parse_expression(case.problem.f, x), parse_expression(case.problem.u_D, x))
+    return project_data(spaces, case.problem.on(ufl.SpatialCoordinate(spaces.mesh)))
 
 
 def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
@@ -257,8 +255,9 @@ def solve(
     domain = domain or mesh_case(case, comm)
     comm = domain.mesh.comm
     watch.lap("mesh")
-    spaces = build_spaces(domain, case.boundary.signorini)
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     data = discrete_data(case, spaces)
+    _check_solvability(spaces, data)
     watch.lap("assembly")
     predicted = None
     if start is not None:
@@ -270,7 +269,7 @@ def solve(
     watch.lap("solve")
 
     iterate = outcome.iterate
-    p = spaces.multiplier(iterate.p)
+    p = spaces.multiplier(iterate.p + data.psi_h)
     penalty = ALGORITHMS[case.solve.algorithm].penalty
     kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
@@ -300,6 +299,23 @@ def solve(
     if failure is not None:
         raise NumericalFailure(failure, solution)
     return solution
+
+
+def _check_solvability(spaces: Spaces, data: Data) -> None:
+    """Without Γ_D the total load decides (collective).
+
+    The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
+    it is 0, u is a solution of the Neumann problem that any large constant may be added to.
+
+    Raises:
+        InputError: If there is no solution, or more than one.
+    """
+    if not spaces.has_dirichlet and data.total_load >= 0:
+        verdict = "there is no solution" if data.total_load > 0 else "u is not unique"
+        raise InputError(
+            "no part of the boundary is left to u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+            f"{data.total_load:.3g}: {verdict}; it must be negative, or part of the boundary in Γ_D"
+        )
 
 
 def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
@@ -363,6 +379,8 @@ def _run(
     options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
     max_iterations = options.max_iterations or algorithm.max_iterations
     if algorithm.by is By.CLASSICAL:
+        if not spaces.has_dirichlet:
+            raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
         return CLASSICAL[options.algorithm](Task(spaces, data, options.rho, options.eps, max_iterations, on_step))
     if algorithm.by is By.SNES and algorithm.penalty is not None:
         newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
@@ -375,6 +393,8 @@ def _run(
     backend = BACKENDS[options.backend](spaces, data)
     watch.lap("assembly")
     parameters = {"rho": options.rho or 1.0, "eps": options.eps}
+    in_contact = np.full(len(spaces.facets), Condition.ZERO_TRACE, dtype=np.int8)
+    first = None if spaces.has_dirichlet else FacetConditions(in_contact)  # any other start might be a Neumann problem
 
     def run(start: FacetConditions | None) -> Outcome:
         return iterate_sets(
@@ -382,14 +402,14 @@ def _run(
             algorithm,
             **parameters,
             max_iterations=max_iterations,
-            predicted=start,
+            predicted=start or first,
             on_step=on_step,
         )
 
     with contextlib.suppress(LinearSolveFailure):
         steps = 0
         if isinstance(backend, HybridBackend) and backend.iterative and _predicts(case, spaces):
-            predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted)
+            predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted or first)
             watch.lap("prediction")
         if predicted is not None:
             outcome = replace(run(predicted), rough_steps=steps)

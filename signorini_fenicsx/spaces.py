@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
+from mpi4py import MPI
 
 from signorini_fenicsx.geometry import Domain
 
@@ -17,6 +18,7 @@ type Array = npt.NDArray[np.float64]
 
 SIGNORINI = 1
 DIRICHLET = 2
+NEUMANN = 3
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,15 @@ class Spaces:
         basis_flux: ∫_e φ·n of that basis function φ, with its sign.
         facet_measure: |e|.
         dirichlet_facets: Mesh facets of Γ_D on this rank.
+        has_dirichlet: Whether any rank has some.
+        neumann_facets: Mesh facets of Γ_N on this rank.
+        neumann_dofs: RT0 degree of freedom of each.
+        neumann_basis_flux: ∫_e φ·n of that basis function.
+        neumann_measure: |e|.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
         ds_dirichlet: Measure of Γ_D on the mesh.
+        ds_neumann: Measure of Γ_N on the mesh.
     """
 
     domain: Domain
@@ -58,9 +66,15 @@ class Spaces:
     basis_flux: Array
     facet_measure: Array
     dirichlet_facets: npt.NDArray[np.int32]
+    has_dirichlet: bool
+    neumann_facets: npt.NDArray[np.int32]
+    neumann_dofs: npt.NDArray[np.int32]
+    neumann_basis_flux: Array
+    neumann_measure: Array
     n: ufl.FacetNormal
     ds: ufl.Measure
     ds_dirichlet: ufl.Measure
+    ds_neumann: ufl.Measure
 
     @property
     def mesh(self) -> dolfinx.mesh.Mesh:
@@ -91,8 +105,8 @@ class Spaces:
         return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(ufl_form))))
 
 
-def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
-    """Create the spaces for Γ_S made of the named parts (collective)."""
+def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str] = ()) -> Spaces:
+    """Create the spaces for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective)."""
     mesh = domain.mesh
     dim = mesh.topology.dim
     gamma, entity_map, *_ = dolfinx.mesh.create_submesh(
@@ -105,10 +119,15 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
     facets = np.empty_like(submesh_cells)
     facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
-    dirichlet_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(mesh.topology), facets)
+    neumann_facets = np.unique(
+        np.concatenate([np.empty(0, dtype=np.int32), *(domain.facets[name] for name in neumann)])
+    )
+    dirichlet_facets = np.setdiff1d(
+        dolfinx.mesh.exterior_facet_indices(mesh.topology), np.concatenate([facets, neumann_facets])
+    )
     boundary = [
         (marker, fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(part)))
-        for marker, part in ((SIGNORINI, facets), (DIRICHLET, dirichlet_facets))
+        for marker, part in ((SIGNORINI, facets), (DIRICHLET, dirichlet_facets), (NEUMANN, neumann_facets))
     ]
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=boundary)
     n = ufl.FacetNormal(mesh)
@@ -118,7 +137,9 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
     for index, name in enumerate(signorini):
         part_of_facet[np.isin(facets, domain.facets[name])] = index
     measure = assembled(ufl.TestFunction(Lambda) * ds(SIGNORINI), [entity_map])
-    flux_of_basis = assembled(ufl.dot(ufl.TestFunction(V), n) * ds(SIGNORINI))
+    flux_of_basis = assembled(ufl.dot(ufl.TestFunction(V), n) * ds((SIGNORINI, NEUMANN)))
+    neumann_dofs = cells_and_dofs(V, neumann_facets)[1]
+    area_of_basis = assembled(ufl.FacetArea(mesh) * ufl.dot(ufl.TestFunction(V), n) * ds(NEUMANN))
     return Spaces(
         domain=domain,
         V=V,
@@ -133,9 +154,15 @@ def build_spaces(domain: Domain, signorini: Sequence[str]) -> Spaces:
         basis_flux=flux_of_basis[flux_dofs],
         facet_measure=measure[: len(facets)],
         dirichlet_facets=dirichlet_facets,
+        has_dirichlet=mesh.comm.allreduce(len(dirichlet_facets) > 0, MPI.LOR),
+        neumann_facets=neumann_facets,
+        neumann_dofs=neumann_dofs,
+        neumann_basis_flux=flux_of_basis[neumann_dofs],
+        neumann_measure=area_of_basis[neumann_dofs] / flux_of_basis[neumann_dofs],
         n=n,
         ds=ds(SIGNORINI),
         ds_dirichlet=ds(DIRICHLET),
+        ds_neumann=ds(NEUMANN),
     )
 
 

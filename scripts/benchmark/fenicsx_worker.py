@@ -68,7 +68,7 @@ def read_mesh(path: str, shape: str) -> Domain:
 def solve_known(case: Case, found: Solution) -> dict[str, float]:
     """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
     watch = Stopwatch()
-    spaces = build_spaces(found.spaces.domain, case.boundary.signorini)
+    spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
     system = HybridBackend(spaces, discrete_data(case, spaces))
     watch.lap("assembly")
     system.solve(found.conditions)

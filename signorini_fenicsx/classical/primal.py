@@ -9,9 +9,10 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
+from ufl.core.expr import Expr
 
 from forms.crouzeix_raviart import stiffness
-from forms.mixed import load
+from forms.mixed import flux_product, load, trace_term
 from forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.active_set import History, Outcome
 from signorini_fenicsx.backend import Iterate, direct_solver, solve_linear, solver_name
@@ -27,14 +28,16 @@ type Indices = npt.NDArray[np.int32]
 
 
 class P1System:
-    """(∇u, ∇v) = (f_h, v) in P1 with u = u_D at the vertices of Γ_D. Arrays hold values at the vertices of this rank.
+    """(κ_h∇u, ∇v) = (f_h, v) + (g_N, v) + (q_S, v) in P1 with u = u_D at the vertices of Γ_D, in terms of u − ψ on Γ_S.
+
+    Arrays hold values at the vertices of this rank, on Γ_S those of u − ψ.
 
     Attributes:
         spaces: The mixed spaces, of which it takes mesh and Γ_S.
         space: P1.
         dirichlet: Owned vertices of Γ_D.
         signorini: Owned vertices of Γ_S that are not on Γ_D.
-        load: Right side: u_D on Γ_D, else (f_h, φ_i) less what the values on Γ_D contribute.
+        load: Right side: u_D on Γ_D, else the loads less what u_D and ψ contribute.
         weights: w_i = ∫_ΓS φ_i of the vertices `signorini`.
         matrix: Stiffness matrix with the rows and columns of Γ_D those of the identity.
         diagonal: Its diagonal.
@@ -54,16 +57,23 @@ class P1System:
         self.dirichlet = owned_on_facets(self.space, spaces.dirichlet_facets)
         self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
-        self._system = ConditionedMatrix(fem.form(stiffness(ufl.TrialFunction(self.space), v)), PETSc.Mat.Option.SPD)
+        self._system = ConditionedMatrix(
+            fem.form(stiffness(ufl.TrialFunction(self.space), v, data.kappa_h)), PETSc.Mat.Option.SPD
+        )
         self._stiffness = self._system.natural
         self.change_matrix()
         self.matrix = self._system.matrix.duplicate(copy=True)
         self.diagonal = self.matrix.getDiagonal().array_r.copy()
 
         self._x, self._b = create_vector(self.space), create_vector(self.space)
-        boundary = self._boundary_values(data)
-        self.load = self._owned(load(data.f_h, v)) - self._product(self._stiffness, boundary)
-        self.load[self.dirichlet] = boundary[self.dirichlet]
+        u_D, psi = self._values(data.u_D), self._values(data.psi)
+        self._data, self._psi = data, self.at_signorini(psi[self.signorini])
+        known = self._psi.copy()
+        known[self.dirichlet] = u_D[self.dirichlet]
+        given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
+        self.load = self._owned(load(data.f_h, v) + given_flux) - self._product(self._stiffness, known)
+        self.load[self.dirichlet] = u_D[self.dirichlet]
+        self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
         self._ksp = direct_solver(self._system.matrix, "cholesky")
 
     def solver(self) -> str:
@@ -105,7 +115,7 @@ class P1System:
         return float(self.spaces.mesh.comm.allreduce(float(u @ v)))
 
     def energy_norm(self, u: Array) -> float:
-        """‖∇u‖ (collective)."""
+        """(κ_h∇u, ∇u)^½ (collective)."""
         return math.sqrt(max(self.dot(u, self._product(self._stiffness, u)), 0.0))
 
     def residual(self, u: Array, eps: float = 0.0) -> float:
@@ -114,7 +124,7 @@ class P1System:
         With r_i the reaction and D_i the diagonal it is √(Σ D_i m_i²)/‖∇u‖, m_i = min(u_i + ε r_i/w_i, r_i/D_i) on Γ_S
         and r_i/D_i in Ω. It vanishes at the solution only; it is infinite where ∇u = 0 is not the solution.
         """
-        size = self.energy_norm(u)
+        size = self.energy_norm(u + self._psi)
         reaction = self.times(u) - self.load
         natural = reaction / self.diagonal
         on = self.signorini
@@ -133,7 +143,7 @@ class P1System:
             beta: β of a ROBIN condition.
         """
         marked = fem.Function(self.space)
-        marked.x.array[self.dirichlet] = self.load[self.dirichlet] <= 0
+        marked.x.array[self.dirichlet] = ~self._above_bound
         marked.x.array[self.signorini] = zero
         marked.x.scatter_forward()
         touching = marked.x.array[self._facet_vertices].min(axis=1, initial=1.0) > 0
@@ -147,27 +157,25 @@ class P1System:
         """
         spaces = self.spaces
         u_h = fem.Function(self.space)
-        u_h.x.array[: self._size] = u
+        u_h.x.array[: self._size] = u + self._psi
         u_h.x.scatter_forward()
         means = fem.Function(spaces.Q, name="u")
         means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q))) / cell_measures(spaces.Q)
-        sigma = _projected_gradient(u_h, spaces)
-        p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64)
-        return Iterate(sigma, means, p, spaces.normal_flux(sigma), 1)
+        sigma = _projected_flux(u_h, self._data, spaces)
+        p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
+        return Iterate(sigma, means, p, spaces.normal_flux(sigma) - self._data.q_Sh, 1)
 
     def _product(self, matrix: PETSc.Mat, u: Array) -> Array:
         self._x.array_w[:] = u
         matrix.mult(self._x, self._b)
         return self._b.array_r.copy()
 
-    def _boundary_values(self, data: Data) -> Array:
-        """u_D at the vertices of Γ_D, 0 elsewhere."""
-        u_D = fem.Function(self.space)
+    def _values(self, given: Expr) -> Array:
+        """Values at the vertices."""
+        function = fem.Function(self.space)
         zero = fem.Constant(self.space.mesh, 0.0)
-        u_D.interpolate(fem.Expression(data.u_D + zero, self.space.element.interpolation_points))
-        values = np.zeros(self._size)
-        values[self.dirichlet] = u_D.x.array[self.dirichlet]
-        return values
+        function.interpolate(fem.Expression(given + zero, self.space.element.interpolation_points))
+        return np.asarray(function.x.array[: self._size], dtype=np.float64)
 
     @cached_property
     def _facet_vertices(self) -> Indices:
@@ -235,10 +243,10 @@ def primal_outcome(
     )
 
 
-def _projected_gradient(u: fem.Function, spaces: Spaces) -> fem.Function:
-    """The L² projection of ∇u to RT0, by CG on its well-conditioned mass matrix (collective)."""
+def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function:
+    """The projection of κ_h∇u to RT0 in (κ_h⁻¹·, ·), by CG on its well-conditioned mass matrix (collective)."""
     tau = ufl.TestFunction(spaces.V)
-    matrix = assemble_matrix(fem.form(mass(ufl.TrialFunction(spaces.V), tau)))
+    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, data.kappa_h)))
     matrix.assemble()
     x, b = matrix.createVecs()
     b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]

@@ -1,6 +1,7 @@
 """(MVI)_h as theorem 2 reads it, the projection of 0 onto a convex set: ½‖τ‖² over τ ∈ Ṽ_h with ∇·τ = −f_h.
 
-With Dirichlet data the quadratic form is ½‖τ‖² − (u_D, τ·n)_ΓD.
+In general the form is ½(κ⁻¹τ, τ) − (u_D, τ·n)_ΓD − (ψ, τ·n)_ΓS with τ·n ≥ q_S on Γ_S, τ·n = g_N on Γ_N. What is solved
+for is τ − σ_lift.
 
 An interior-point solver gets the mass matrix of RT0, the divergence and the signs, and nothing else: no facet
 condition, no set, no multiplier. Its multipliers of ∇·τ = −f_h and of τ·n ≥ 0 are u_h and p_h. It runs on rank 0,
@@ -15,8 +16,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 
-from forms.mixed import load, mass_balance, trace_term
-from forms.primal import mass
+from forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.active_set import Outcome, Recorder
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.classical.on_root import RootRows, matrix_on_root
@@ -26,6 +26,8 @@ from signorini_fenicsx.spaces import assembled, cell_measures
 
 type Array = npt.NDArray[np.float64]
 
+FIXED = 2.0
+"""Instead of a sign: the unknown is 0."""
 ACCURACY = 1e-12
 """Residuals and duality gap at which the interior-point method stops, for data of size 1."""
 
@@ -39,16 +41,22 @@ def quadratic_programme(task: Task) -> Outcome:
     spaces = task.spaces
     V, Q, comm = spaces.V, spaces.Q, spaces.mesh.comm
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
+    data = task.data
     sigma, tau, v = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(Q)
-    matrices = [assemble_matrix(fem.form(form)) for form in (mass(sigma, tau), mass_balance(sigma, v))]
+    blocks = flux_product(sigma, tau, data.kappa_h), mass_balance(sigma, v)
+    matrices = [assemble_matrix(fem.form(form)) for form in blocks]
     for matrix in matrices:
         matrix.assemble()
     hessian, divergence = (matrix_on_root(matrix) for matrix in matrices)
     sign = np.zeros(flux_size)
     sign[spaces.flux_dofs] = np.sign(spaces.basis_flux)
+    sign[spaces.neumann_dofs] = FIXED
     weight = 1 / np.sqrt(cell_measures(Q)[:cells])  # rows of the divergence for an orthonormal basis of Q_h
-    linear = -assembled(trace_term(task.data.u_Dh, tau, spaces.n, spaces.ds_dirichlet))[:flux_size]
-    right = -assembled(load(task.data.f_h, v))[:cells]
+    linear = assembled(
+        flux_product(data.sigma_lift, tau, data.kappa_h)
+        - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
+    )[:flux_size]
+    right = -assembled(load(data.f_h, v) + mass_balance(data.sigma_lift, v))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
     of_flux = flux_rows.gather(np.column_stack([linear, sign]))
@@ -69,6 +77,7 @@ def quadratic_programme(task: Task) -> Outcome:
         function.x.scatter_forward()
     p = flux_rows.scatter(pressure)[spaces.flux_dofs] / np.abs(spaces.basis_flux)
     iterate = Iterate(sigma_h, u_h, p, spaces.normal_flux(sigma_h), iterations)
+    sigma_h.x.array[:] += data.sigma_lift.x.array
     kind = np.where(iterate.flux > p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
 
     recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
@@ -93,7 +102,7 @@ def _minimise(
     sign: Array,
     max_iterations: int,
 ) -> tuple[Array, Array, Array, str, int]:
-    """Minimise ½xᵀHx + cᵀx subject to Bx = g and sign·x ≥ 0 where the sign is not 0 (rank 0).
+    """Minimise ½xᵀHx + cᵀx subject to Bx = g, sign·x ≥ 0 where the sign is ±1 and x = 0 where it is FIXED (rank 0).
 
     Returns:
         x, the multipliers of both constraints, PIQP's status and its number of iterations.
@@ -111,7 +120,7 @@ def _minimise(
         scipy.sparse.csc_matrix(divergence),
         right / scale,
         x_l=np.where(sign > 0, 0.0, -np.inf),
-        x_u=np.where(sign < 0, 0.0, np.inf),
+        x_u=np.where((sign < 0) | (sign == FIXED), 0.0, np.inf),
     )
     status = solver.solve()
     result = solver.result

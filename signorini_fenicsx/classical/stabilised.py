@@ -43,7 +43,7 @@ def stabilised_form(task: Task) -> Outcome:
         on_step=task.on_step,
     )
     iterate = outcome.iterate
-    p, load = spaces.multiplier(iterate.p), fem.Function(spaces.Q)
+    p, load = spaces.multiplier(iterate.p + task.data.psi_h), fem.Function(spaces.Q)
     load.x.array[:] = task.data.f_h.x.array - task.eps * iterate.u.x.array
     residual = max(vars(kkt_residuals(spaces, iterate.sigma, iterate.u, p, replace(task.data, f_h=load))).values())
     return replace(outcome, own_residual=residual)
