@@ -59,4 +59,4 @@ def test_cycles_end_by_single_changes(backend: str):
             assert "cycle with period 3" in solution.reason
             assert min(step.changed for step in solution.history if step.changed) == 1
             assert len(solution.history) < 20
-            assert_same_fields(solution, expected, 1e-12 if algorithm in ("alg1", "alg2") else 1e-7)
+            assert_same_fields(solution, expected, 1e-9)
