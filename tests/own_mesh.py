@@ -10,10 +10,11 @@ from mpi4py import MPI
 from signorini_fenicsx.geometry import SHAPES, Domain, distribute
 
 type Array = npt.NDArray[np.float64]
+type Mask = npt.NDArray[np.bool_]
 
 
 def own_domain(
-    comm: MPI.Comm, points: npt.ArrayLike, cells: npt.ArrayLike, signorini: Callable[[Array], npt.NDArray[np.bool_]]
+    comm: MPI.Comm, points: npt.ArrayLike, cells: npt.ArrayLike, signorini: Callable[[Array], Mask]
 ) -> Domain:
     """A domain whose boundary facets are Γ_S, called "bottom", where their midpoints (3, n) say so, else Γ_D (collective)."""
     points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)

@@ -1,18 +1,27 @@
 """Set updates where they could go wrong: cycles, ties, scales, Γ_S of any extent, ranks with nothing to do."""
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from mpi4py import MPI
-from own_mesh import own_domain
+from own_mesh import Array, Mask, own_domain
 
+from signorini_fenicsx import active_set
 from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.geometry import Domain
+from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.geometry import SHAPES, Domain
 from signorini_fenicsx.solver import Solution, solve
 
 COMM = MPI.COMM_WORLD
+SET_ALGORITHMS = ("alg1", "alg2", "alg3", "alg4")
+ALGORITHMS = (*SET_ALGORITHMS, "snes1", "snes2", "vi")
+
+
+def BOTTOM(x: Array) -> Mask:
+    return x[1] < 1e-9
 
 
 def problem(**values: object) -> Case:
@@ -21,6 +30,15 @@ def problem(**values: object) -> Case:
     return load_case("example1").with_values(
         {"boundary.signorini": ["bottom"]} | {f"{sections.get(key, 'solve')}.{key}": v for key, v in values.items()}
     )
+
+
+def square(
+    comm: MPI.Comm, n: int, diagonal: str, *, scale: float = 1.0, part: Callable[[Array], Mask] = BOTTOM
+) -> Domain:
+    """A structured mesh of (0, scale)² with n facets per side; Γ_S is a part of the boundary in reference coordinates."""
+    assert SHAPES["square"].grid is not None
+    points, cells = SHAPES["square"].grid((1 if diagonal == "crossed" else np.sqrt(2)) / n, diagonal)
+    return own_domain(comm, scale * points, cells, lambda x: part(x / scale))
 
 
 def assert_same_fields(a: Solution, b: Solution, tolerance: float) -> None:
@@ -53,10 +71,138 @@ def test_cycles_end_by_single_changes(backend: str):
         domain = strip(points, dirichlet)
         case = problem(f=f, u_D=str(u_D), backend=backend, eps=1e-10)
         expected = solve(case.with_values({"solve.algorithm": "qp"}), domain=domain)
-        for algorithm in ("alg1", "alg2", "alg3", "alg4"):
+        for algorithm in SET_ALGORITHMS:
             solution = solve(case.with_values({"solve.algorithm": algorithm}), domain=domain)
             assert "by changing single facets from iteration" in solution.reason, algorithm
             assert "cycle with period 3" in solution.reason
             assert min(step.changed for step in solution.history if step.changed) == 1
             assert len(solution.history) < 20
             assert_same_fields(solution, expected, 1e-9)
+
+
+@pytest.mark.parallel([1, 2])
+def test_max_iterations_holds_for_single_changes():
+    points, dirichlet, f, u_D = CYCLING[0]
+    with pytest.raises(NumericalFailure, match="still change after 5 iterations, by changing single facets") as caught:
+        solve(problem(f=f, u_D=str(u_D), max_iterations=5), domain=strip(points, dirichlet))
+    assert len(caught.value.solution.history) == 5
+
+
+def middle_facet(n: int) -> Callable[[Array], Mask]:
+    return lambda x: BOTTOM(x) & (np.abs(x[0] - 0.5) < 0.5 / n)
+
+
+TIES = [(5, "crossed", "50*(x - 1/2)", "sin(3*(x - 1/2))"), (9, "right", "0", "x - 1/2")]  # u and ∂_n u odd in x − 1/2
+
+
+@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parametrize(("n", "diagonal", "f", "u_D"), TIES)
+def test_rounding_decides_nothing(n: int, diagonal: str, f: str, u_D: str):
+    """By symmetry p = σ·n = 0 on the only facet: each algorithm puts it where its rule puts 0, whoever solves."""
+    domain = square(COMM, n, diagonal, part=middle_facet(n))
+    for algorithm, backend in itertools.product(SET_ALGORITHMS, ("hybrid", "mixed")):
+        solution = solve(problem(f=f, u_D=u_D, algorithm=algorithm, backend=backend), domain=domain)
+        assert solution.contact()[0] == (algorithm in ("alg1", "alg3"))
+        assert solution.reason == "the facet sets repeat"
+        assert len(solution.history) == 1
+
+
+def test_rounding_would_decide(monkeypatch: pytest.MonkeyPatch):
+    """Without the tolerance noise decides: somewhere the facet goes to the other side, or back and forth for ever."""
+    monkeypatch.setattr(active_set, "TIE", 0.0)
+    with pytest.raises((AssertionError, NumericalFailure)):
+        for n, diagonal, f, u_D in TIES:
+            test_rounding_decides_nothing(n, diagonal, f, u_D)
+
+
+@pytest.mark.parallel([3])
+def test_biactive_sets_do_not_depend_on_ranks():
+    """U = σ·n = 0 on half of Γ_S: discretisation errors of all sizes decide there."""
+    for algorithm, h in itertools.product(SET_ALGORITHMS, (1 / 8, 1 / 32)):
+        case = load_case("biactive").with_values({"solve.algorithm": algorithm, "solve.h": h})
+        together, alone = solve(case, COMM), solve(case, MPI.COMM_SELF)
+        assert together.reason == alone.reason == "the facet sets repeat"
+        assert together.contact()[0] == alone.contact()[0]
+        assert [step.changed for step in together.history] == [step.changed for step in alone.history]
+
+
+SCALES = [(1e12, 1.0), (1e-12, 1.0), (1.0, 1e12), (1.0, 1e-12), (1.0, 1e50), (1.0, 1e-50)]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "backend"),
+    [*itertools.product(SET_ALGORITHMS, ("hybrid", "mixed")), *((a, "hybrid") for a in ALGORITHMS[4:])],
+)
+def test_units_do_not_matter(algorithm: str, backend: str):
+    """Lengths times L and u times D, with ε ~ L (I) or 1/L (II): the same iterations, sets and scaled fields."""
+
+    def scaled(length: float, size: float) -> Solution:
+        case = problem(
+            f=f"{20 * size / length**2!r}*sin({9 / length!r}*x + 1)",
+            u_D=f"{0.1 * size!r}",
+            algorithm=algorithm,
+            backend=backend,
+        )
+        eps = 1e-6 * (length if algorithm in ("alg3", "snes1") else 1 / length)
+        solver = case.solve.model_copy(update={"eps": eps})  # a case file has no ε of such size
+        return solve(case.model_copy(update={"solve": solver}), domain=square(COMM, 7, "right", scale=length))
+
+    expected = scaled(1.0, 1.0)
+    assert 0 < expected.contact()[0] < 7
+    for length, size in SCALES:
+        found = scaled(length, size)
+        np.testing.assert_array_equal(found.conditions.kind, expected.conditions.kind)
+        assert len(found.history) == len(expected.history)
+        for field in (found.sigma, found.u, found.p):
+            field.x.array[:] /= size
+        assert_same_fields(found, expected, 1e-12)
+
+
+EXTENTS = {
+    "two cells": (1, BOTTOM),
+    "one facet": (4, lambda x: BOTTOM(x) & (x[0] < 0.25)),
+    "all facets but one": (4, lambda x: ~(BOTTOM(x) & (x[0] < 0.25))),
+    "beside Γ_D": (4, lambda x: BOTTOM(x) | (x[0] < 1e-9)),
+}
+
+
+@pytest.mark.parallel([1, 4])
+@pytest.mark.parametrize("extent", EXTENTS)
+def test_extents(extent: str):
+    """Γ_S of any extent, ranks without cells or facets, and u_D = 0 or ≠ 0: equal to one rank alone."""
+    n, part = EXTENTS[extent]
+    domain, alone = (square(comm, n, "right", part=part) for comm in (COMM, MPI.COMM_SELF))
+    assert n > 1 or COMM.size == 1 or 0 in COMM.allgather(domain.mesh.topology.index_map(2).size_local)
+    for (f, u_D), algorithm in itertools.product(
+        [("50*(x - 0.3)*(y - 0.6)", "x*y"), ("0", "1/2 - x"), ("-30", "(1 - x)*x + y")], ALGORITHMS
+    ):
+        case = problem(f=f, u_D=u_D, algorithm=algorithm)
+        found, expected = solve(case, domain=domain), solve(case, domain=alone)
+        assert found.contact()[0] == expected.contact()[0]
+        assert len(found.history) == len(expected.history)
+        assert found.norms() == pytest.approx(expected.norms(), rel=1e-10, abs=1e-12)
+
+
+@pytest.mark.parallel([1, 2])
+def test_nothing_to_solve():
+    """F = 0 and u_D = 0: u = 0, and each algorithm puts the ties where its rule puts 0."""
+    domain = square(COMM, 4, "right")
+    for algorithm in ALGORITHMS:
+        solution = solve(problem(f="0", algorithm=algorithm), domain=domain)
+        assert max(solution.norms().values()) == 0
+        assert solution.contact()[0] == (0 if algorithm in ("alg2", "alg4", "snes2") else 4)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_thousands_of_contacts(algorithm: str):
+    """A load that changes sign from facet to facet: 1000 contacts, in a few steps, and the same for all algorithms."""
+    n = 2000
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(n + 1), [0, 1]))
+    i = np.arange(n)
+    cells = np.concatenate([[i, i + 1, i + n + 2], [i, i + n + 2, i + n + 1]], axis=1).T
+    domain = own_domain(COMM, np.stack([x, y], axis=1), cells, BOTTOM)
+    solution = solve(problem(f="sin(pi*x)", algorithm=algorithm, eps=1e-10), domain=domain)
+    contact = solution.conditions.kind == (Condition.ROBIN if algorithm in ("alg3", "snes1") else Condition.ZERO_TRACE)
+    order = np.argsort(solution.spaces.Lambda.tabulate_dof_coordinates()[: len(contact), 0])
+    assert np.count_nonzero(np.diff(contact[order].astype(int)) == 1) > 0.45 * n
+    assert len(solution.history) <= 6
