@@ -46,7 +46,7 @@ from forms.certificate import (
 from forms.crouzeix_raviart import stiffness
 from forms.mixed import flux_product
 from forms.norms import l2
-from signorini_fenicsx.algorithms import ALGORITHMS, Penalty
+from signorini_fenicsx.algorithms import Penalty
 from signorini_fenicsx.backend import LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data, Problem, is_constant, project_data, quadrature, scalar_conductivity
@@ -177,7 +177,8 @@ def _smallest_conductivity(spaces: Spaces, kappa: Expr) -> Expr:
     mesh = spaces.mesh
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     nodes = basix.ufl.element("Lagrange", mesh.basix_cell(), 2).basix_element.points
-    values = fem.Expression(kappa, nodes).eval(mesh, cells)
+    one = fem.Constant(mesh, 1.0)  # a constant matrix knows no mesh
+    values = fem.Expression(one * kappa, nodes).eval(mesh, cells)
     shape = kappa.ufl_shape or (1, 1)
     smallest = fem.Function(spaces.Q)
     smallest.x.array[:] = np.linalg.eigvalsh(values.reshape(len(cells), len(nodes), *shape)).min(axis=(1, 2))
@@ -188,7 +189,7 @@ def _admissible_flux(solution: Solution) -> fem.Function:
     """σ_h if σ_h·n ≥ q_S; for (MPε-II), where it is < q_S off the contact set, the flux after a step of Algorithm 1."""
     spaces, data = solution.spaces, solution.data
     y = solution.sigma
-    if ALGORITHMS[solution.case.solve.algorithm].penalty is Penalty.FLUX:
+    if solution.algorithm.penalty is Penalty.FLUX:
         open_facets = solution.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
         with contextlib.suppress(LinearSolveFailure):

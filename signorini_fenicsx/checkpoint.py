@@ -97,6 +97,7 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     data = discrete_data(case, spaces)
     return Solution(
         case=case,
+        algorithm=ALGORITHMS[case.solve.algorithm],
         spaces=spaces,
         data=data,
         sigma=sigma,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.errors import InputError
@@ -135,12 +136,13 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
 
 def quadrature(value: Expr) -> dict[str, int]:
     """Metadata of a measure for the integral of an expression: the degree UFL estimates, between 8 and 30."""
-    return {"quadrature_degree": min(max(8, ufl.algorithms.estimate_total_polynomial_degree(value)), 30)}
+    degree = ufl.algorithms.estimate_total_polynomial_degree(apply_algebra_lowering(value))
+    return {"quadrature_degree": min(max(8, degree), 30)}
 
 
 def scalar_conductivity(kappa: Expr) -> Expr:
     """κ, or the mean of its eigenvalues."""
-    return ufl.tr(kappa) / len(kappa) if kappa.ufl_shape else kappa
+    return ufl.tr(kappa) / kappa.ufl_shape[0] if kappa.ufl_shape else kappa
 
 
 def mean_conductivity(spaces: Spaces, kappa: Expr) -> float:

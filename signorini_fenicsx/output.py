@@ -21,7 +21,6 @@ from petsc4py import PETSc
 from signorini_fenicsx import __version__
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.adaptive import AdaptRow
-from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.checkpoint import FILE, write_checkpoint
@@ -118,7 +117,7 @@ def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
             writer.writerows(asdict(row) for row in rows)
         plots.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
         if table is not None and cells is not None:
-            contact = ALGORITHMS[solution.case.solve.algorithm].contact
+            contact = solution.algorithm.contact
             plots.draw_mesh(folder / "mesh.png", cells, table, contact)
 
     on_root(solution.spaces.mesh.comm, write)

@@ -13,7 +13,6 @@ from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.adaptive import AdaptRow
-from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.gather import FacetTable, Fields
@@ -34,7 +33,7 @@ def draw_all(folder: Path, solution: Solution, fields: Fields, facets: FacetTabl
         draw_traces(folder / "signorini.png", facets, labels)
     else:
         draw_sigma_3d(folder / "sigma.png", fields)
-        draw_traces_3d(folder / "signorini.png", fields, facets, ALGORITHMS[solution.case.solve.algorithm].contact)
+        draw_traces_3d(folder / "signorini.png", fields, facets, solution.algorithm.contact)
     draw_iterations(folder / "iterations.png", solution.history, solution.case.solve.algorithm)
     if fields.indicator is not None:
         draw_certificate(folder / "certificate.png", fields, fields.indicator)

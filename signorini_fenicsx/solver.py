@@ -14,14 +14,14 @@ from petsc4py import PETSc
 
 from forms.norms import l2
 from signorini_fenicsx.active_set import Outcome, Step, iterate_sets, settle_sets
-from signorini_fenicsx.algorithms import ALGORITHMS, By
+from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.classical import CLASSICAL, Task
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.contact_sets import FacetSet, hausdorff
-from signorini_fenicsx.data import Data, project_data, quadrature
+from signorini_fenicsx.data import Data, Problem, project_data, quadrature
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.facet_system import FacetSystem
@@ -49,6 +49,7 @@ class Solution:
 
     Attributes:
         case: What was solved.
+        algorithm: Its algorithm.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
         data: f and u_D, and their means.
         sigma: Flux σ_h in RT0.
@@ -70,6 +71,7 @@ class Solution:
     """
 
     case: Case
+    algorithm: Algorithm
     spaces: Spaces
     data: Data
     sigma: fem.Function
@@ -133,7 +135,7 @@ class Solution:
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition."""
-        return FacetSet(self.spaces, self.conditions.kind == ALGORITHMS[self.case.solve.algorithm].contact)
+        return FacetSet(self.spaces, self.conditions.kind == self.algorithm.contact)
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""
@@ -150,7 +152,7 @@ class Solution:
         negative = [spaces.facet_measure @ np.minimum(values, 0) ** 2 for values in (gap, excess)]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
-        if ALGORITHMS[self.case.solve.algorithm].stabilised:
+        if self.algorithm.stabilised:
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
         return left
 
@@ -160,7 +162,6 @@ class Solution:
         contact_facets, contact_measure = self.contact()
         own = {} if self.own_residual is None else {"own_residual": self.own_residual}
         errors = self.errors()
-        has_eps = ALGORITHMS[solve.algorithm].has_eps
         return {
             "case": self.case.name,
             "title": self.case.title,
@@ -181,7 +182,7 @@ class Solution:
             **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **own,
-            **({"eps": solve.eps, "violation": self.violation()} if has_eps else {}),
+            **({"eps": solve.eps, "violation": self.violation()} if self.algorithm.has_eps else {}),
             "details": self.details,
             "timings": self.timings,
             "peak_memory": self.peak_memory,
@@ -233,6 +234,9 @@ def solve(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
+    problem: Problem | None = None,
+    algorithm: Algorithm | None = None,
+    backend: Callable[[Spaces, Data], Backend] | None = None,
     start: Solution | None = None,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> Solution:
@@ -242,6 +246,9 @@ def solve(
         case: The problem, its discretisation and algorithm.
         comm: Communicator to run on, if there is no mesh yet.
         domain: Mesh to solve on, instead of the case's own.
+        problem: Data on that mesh, instead of the case's.
+        algorithm: Instead of the case's.
+        backend: Instead of the case's.
         start: Solution whose contact set is taken for the first one.
         on_step: Called on all ranks after each iteration.
 
@@ -256,27 +263,30 @@ def solve(
     comm = domain.mesh.comm
     watch.lap("mesh")
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    data = discrete_data(case, spaces)
+    data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
     _check_solvability(spaces, data)
+    run = _Run(
+        case, algorithm or ALGORITHMS[case.solve.algorithm], backend or BACKENDS[case.solve.backend], spaces, data
+    )
     watch.lap("assembly")
     predicted = None
     if start is not None:
-        predicted = _transferred(start, case, spaces)
-    elif own_mesh and domain.mesh.topology.dim == 2 and _predicts(case, spaces):
-        predicted = _predicted(case, spaces)  # in 3D a mesh so coarse sees too little and costs more than it saves
+        predicted = run.transferred(start)
+    elif own_mesh and domain.mesh.topology.dim == 2 and run.predicts():
+        predicted = run.predicted()  # in 3D a mesh so coarse sees too little and costs more than it saves
     watch.lap("prediction")
-    outcome = _run(case, spaces, data, predicted, watch, on_step)
+    outcome = run.outcome(predicted, watch, on_step)
     watch.lap("solve")
 
     iterate = outcome.iterate
     p = spaces.multiplier(iterate.p + data.psi_h)
-    penalty = ALGORITHMS[case.solve.algorithm].penalty
-    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, penalty, case.solve.eps)
+    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, run.algorithm.penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)
     solution = Solution(
         case=case,
+        algorithm=run.algorithm,
         spaces=spaces,
         data=data,
         sigma=iterate.sigma,
@@ -328,94 +338,111 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
     return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
 
 
-def _predicts(case: Case, spaces: Spaces) -> bool:
-    """Whether the sets are worth a prediction."""
-    options, facets = case.solve, spaces.V.dofmap.index_map.size_global
-    return options.predict and ALGORITHMS[options.algorithm].by is By.SETS and facets >= PREDICT_FROM
+@dataclass(frozen=True)
+class _Run:
+    """A discrete problem and what solves it."""
 
+    case: Case
+    algorithm: Algorithm
+    backend: Callable[[Spaces, Data], Backend]
+    spaces: Spaces
+    data: Data
 
-def _predicted(case: Case, spaces: Spaces) -> FacetConditions | None:
-    """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
+    def predicts(self) -> bool:
+        """Whether the sets are worth a prediction."""
+        facets = self.spaces.V.dofmap.index_map.size_global
+        return self.case.solve.predict and self.algorithm.by is By.SETS and facets >= PREDICT_FROM
 
-    The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
-    """
-    try:
-        coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), spaces.mesh.comm)
-    except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
-        return None
-    return _transferred(coarse, case, spaces)
+    def predicted(self) -> FacetConditions | None:
+        """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
 
+        The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
+        """
+        case = self.case
+        try:
+            coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), self.spaces.mesh.comm)
+        except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
+            return None
+        return self.transferred(coarse)
 
-def _transferred(start: Solution, case: Case, spaces: Spaces) -> FacetConditions:
-    """The contact set of another solution as conditions of this case's algorithm (collective).
+    def transferred(self, start: Solution) -> FacetConditions:
+        """The contact set of another solution as conditions of this algorithm (collective).
 
-    A facet is taken to be in contact where the other's facet at its midpoint is.
+        A facet is taken to be in contact where the other's facet at its midpoint is.
 
-    Raises:
-        InputError: If the domains differ, or the algorithm has no sets to start from.
-    """
-    shape, other = case.geometry.shape, start.case.geometry.shape
-    if shape != other:
-        raise InputError(f"the start was solved on shape '{other}', not on '{shape}'")
-    algorithm = ALGORITHMS[case.solve.algorithm]
-    if algorithm.by is not By.SETS:
-        raise InputError(f"{case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4")
-    (sample,) = sampled(
-        [start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0
-    )
-    contact = np.rint(sample.x.array[: len(spaces.facets)])
-    return algorithm.next_conditions(1 - contact, contact, 1.0, case.solve.eps)  # either p or σ·n is 0
-
-
-def _run(
-    case: Case,
-    spaces: Spaces,
-    data: Data,
-    predicted: FacetConditions | None,
-    watch: Stopwatch,
-    on_step: Callable[[Step], None],
-) -> Outcome:
-    """Set up the case's solver, run it and let it go (collective)."""
-    options, algorithm = case.solve, ALGORITHMS[case.solve.algorithm]
-    max_iterations = options.max_iterations or algorithm.max_iterations
-    if algorithm.by is By.CLASSICAL:
-        if not spaces.has_dirichlet:
-            raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
-        return CLASSICAL[options.algorithm](Task(spaces, data, options.rho, options.eps, max_iterations, on_step))
-    if algorithm.by is By.SNES and algorithm.penalty is not None:
-        newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
-        watch.lap("assembly")
-        return newton.solve(on_step)
-    if algorithm.by is By.SNESVI:
-        system = FacetSystem(spaces, data)
-        watch.lap("assembly")
-        return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
-    backend = BACKENDS[options.backend](spaces, data)
-    watch.lap("assembly")
-    parameters = {"rho": options.rho or 1.0, "eps": options.eps}
-    in_contact = np.full(len(spaces.facets), Condition.ZERO_TRACE, dtype=np.int8)
-    first = None if spaces.has_dirichlet else FacetConditions(in_contact)  # any other start might be a Neumann problem
-
-    def run(start: FacetConditions | None) -> Outcome:
-        return iterate_sets(
-            backend,
-            algorithm,
-            **parameters,
-            max_iterations=max_iterations,
-            predicted=start or first,
-            on_step=on_step,
+        Raises:
+            InputError: If the domains differ, or the algorithm has no sets to start from.
+        """
+        shape, other = self.case.geometry.shape, start.case.geometry.shape
+        if shape != other:
+            raise InputError(f"the start was solved on shape '{other}', not on '{shape}'")
+        if self.algorithm.by is not By.SETS:
+            raise InputError(
+                f"{self.case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4"
+            )
+        spaces = self.spaces
+        (sample,) = sampled(
+            [start.contact_set().indicator()], spaces.Lambda.mesh, curve_gap(start.spaces.domain.h), degree=0
         )
+        contact = np.rint(sample.x.array[: len(spaces.facets)])
+        # either p or σ·n is 0
+        return self.algorithm.next_conditions(1 - contact, contact, 1.0, self.case.solve.eps)
 
-    with contextlib.suppress(LinearSolveFailure):
-        steps = 0
-        if isinstance(backend, HybridBackend) and backend.iterative and _predicts(case, spaces):
-            predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted or first)
-            watch.lap("prediction")
-        if predicted is not None:
-            outcome = replace(run(predicted), rough_steps=steps)
-            if outcome.converged:
-                return outcome
-    cold = run(None)
-    if predicted is None:
-        return cold
-    return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+    def outcome(self, predicted: FacetConditions | None, watch: Stopwatch, on_step: Callable[[Step], None]) -> Outcome:
+        """Set up the solver, run it and let it go (collective)."""
+        options, algorithm, spaces, data = self.case.solve, self.algorithm, self.spaces, self.data
+        max_iterations = options.max_iterations or algorithm.max_iterations
+        if algorithm.by is By.CLASSICAL:
+            if not spaces.has_dirichlet:
+                raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
+            task = Task(spaces, data, options.rho, options.eps, max_iterations, on_step)
+            return CLASSICAL[options.algorithm](task)
+        if algorithm.by is By.SNES and algorithm.penalty is not None:
+            newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
+            watch.lap("assembly")
+            return newton.solve(on_step)
+        if algorithm.by is By.SNESVI:
+            system = FacetSystem(spaces, data)
+            watch.lap("assembly")
+            return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
+        backend = self.backend(spaces, data)
+        watch.lap("assembly")
+        return self._by_sets(backend, max_iterations, predicted, watch, on_step)
+
+    def _by_sets(
+        self,
+        backend: Backend,
+        max_iterations: int,
+        predicted: FacetConditions | None,
+        watch: Stopwatch,
+        on_step: Callable[[Step], None],
+    ) -> Outcome:
+        """The active-set loop from a prediction, or from a cold start where there is none or it fails (collective)."""
+        spaces, options, algorithm = self.spaces, self.case.solve, self.algorithm
+        parameters = {"rho": options.rho or 1.0, "eps": options.eps}
+        in_contact = np.full(len(spaces.facets), Condition.ZERO_TRACE, dtype=np.int8)
+        first = None if spaces.has_dirichlet else FacetConditions(in_contact)  # others might be Neumann problems
+
+        def run(start: FacetConditions | None) -> Outcome:
+            return iterate_sets(
+                backend,
+                algorithm,
+                **parameters,
+                max_iterations=max_iterations,
+                predicted=start or first,
+                on_step=on_step,
+            )
+
+        with contextlib.suppress(LinearSolveFailure):
+            steps = 0
+            if isinstance(backend, HybridBackend) and backend.iterative and self.predicts():
+                predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted or first)
+                watch.lap("prediction")
+            if predicted is not None:
+                outcome = replace(run(predicted), rough_steps=steps)
+                if outcome.converged:
+                    return outcome
+        cold = run(None)
+        if predicted is None:
+            return cold
+        return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")

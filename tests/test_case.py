@@ -44,7 +44,6 @@ def test_good_case(tmp_path: Path):
         ('["top"]', '["top", "top"]', "'top' is listed twice"),
         ('["top"]', '"top"', r"\[boundary\] signorini: input should be a valid list"),
         ('["top"]', "[]", r"\[boundary\] signorini"),
-        ('["top"]', '["left", "right", "bottom", "top"]', "one part at least must be left to the Dirichlet"),
         ('"alg2"', '"alg9"', "unknown algorithm 'alg9'; use one of alg1, alg2"),
         ('h = "1/8"', 'h = "0"', r"\[solve\] h: input should be greater than 0"),
         ('h = "1/8"', "h = -1", "greater than 0"),
