@@ -3,13 +3,13 @@
 *Ties.* Where p and σ·n are both rounding (biactive facets, symmetry, no load), a facet keeps its condition; the start,
 which is no decision, counts as p = σ·n = 0 there. What rounding is, `ties` defines.
 
-*Cycles.* Each set determines the next one, so a set that comes back comes back for ever. Every rule is the principal
-pivoting step of a linear complementarity problem, ½pᵀSp − gᵀp → min over p ≥ 0 with the Schur complement S of Γ_S (for
-the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ and S + ε|e| instead), and these matrices
-are symmetric and positive definite. For them changing one facet at a time, of those that want to change the last in a
-fixed order, ends after finitely many steps (Murty); and so does changing all of them whenever they have become fewer
-than ever, and one at a time else (Júdice and Pires, Computers & Operations Research 21, 1994). That is what the loop does
-from the first repetition on. Ties are no exception, because changing them changes nothing.
+*Cycles.* Each set determines the next one, so a set that comes back comes back for ever. Every rule is principal
+pivoting for a linear complementarity problem, p ≥ 0, Sp − g ≥ 0, one of them 0 on each facet, with the Schur complement
+S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ (I) or S + ε|e| (II). These
+matrices are symmetric and positive definite. Then changing one facet at a time, the last in a fixed order of those that
+want to change, ends after finitely many steps (Murty); and so does changing all of them whenever they have become fewer
+than ever, and one at a time else (Júdice and Pires, Computers & Operations Research 21, 1994). That is what the loop
+does from the first repetition on.
 """
 
 import time
@@ -208,9 +208,9 @@ class FluxClip:
 def ties(spaces: Spaces, iterate: Iterate) -> npt.NDArray[np.bool_]:
     """The Γ_S facets of this rank whose p and σ·n are both rounding (collective).
 
-    The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux through any facet of a cell behind
-    Γ_S, per |e|: those are the terms whose sums p and σ·n are. Both are free of units. On a ROBIN facet the smaller of p
-    and σ·n is no less meaningful for being small, so it is the larger one that decides.
+    The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux, per |e|, through any facet of a
+    cell behind Γ_S: the terms whose sums p and σ·n are. On a ROBIN facet, where one of the two may be small and still
+    meaningful, the other one decides.
     """
     through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
     flux_scale = (through * np.abs(spaces.basis_flux) / spaces.facet_measure).max(initial=0.0)
@@ -232,11 +232,11 @@ class SingleChange:
 
     def __call__(self, conditions: FacetConditions, wanted: FacetConditions) -> FacetConditions:
         """The conditions with one facet as wanted (collective)."""
-        changing = np.flatnonzero(conditions.kind != wanted.kind)
-        index = max(changing, key=lambda i: tuple(self._places[i]), default=-1)
-        place = tuple(self._places[index]) if index >= 0 else ()
+        places = [(*self._places[i], i) for i in np.flatnonzero(conditions.kind != wanted.kind)]
+        *place, index = max(places, default=(-1,))
+        last = max(self._comm.allgather(place))
         kind = conditions.kind.copy()
-        if place and place == max(self._comm.allgather(place)):
+        if place and place == last:
             kind[index] = wanted.kind[index]
         return replace(wanted, kind=kind)
 

@@ -16,7 +16,7 @@ type Mask = npt.NDArray[np.bool_]
 def own_domain(
     comm: MPI.Comm, points: npt.ArrayLike, cells: npt.ArrayLike, signorini: Callable[[Array], Mask]
 ) -> Domain:
-    """A domain whose boundary facets are Γ_S, called "bottom", where their midpoints (3, n) say so, else Γ_D (collective)."""
+    """A domain whose boundary is Γ_S, called "bottom", where the midpoints (3, n) of facets say so (collective)."""
     points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
     dim = points.shape[1]
     own = comm.rank == 0
