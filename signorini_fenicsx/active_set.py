@@ -5,7 +5,7 @@ which is no decision, counts as p = σ·n = 0 there. What rounding is, `ties` de
 
 *Cycles.* Each set determines the next one, so a set that comes back comes back for ever. Every rule is principal
 pivoting for a linear complementarity problem, p ≥ 0, Sp − g ≥ 0, one of them 0 on each facet, with the Schur complement
-S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ (I) or S + ε|e| (II). These
+S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ or S + ε|e|. These
 matrices are symmetric and positive definite. Then changing one facet at a time, the last in a fixed order of those that
 want to change, ends after finitely many steps (Murty); and so does changing all of them whenever they have become fewer
 than ever, and one at a time else (Júdice and Pires, Computers & Operations Research 21, 1994). That is what the loop
