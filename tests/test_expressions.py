@@ -121,9 +121,6 @@ def test_random_texts():
 
 
 def test_messages_can_be_printed():
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"expression 'x \+\\n\\ud800\\x1b\[2J'") as caught:
         parse_expression("x +\n\ud800\x1b[2J", X)
-    assert (
-        str(caught.value) == r"expression 'x +\n\ud800\x1b[2J' cannot be evaluated: " + str(caught.value).split(": ")[1]
-    )
     assert str(caught.value).isprintable()
