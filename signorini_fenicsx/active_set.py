@@ -1,12 +1,26 @@
-"""The loop that all active/inactive-set algorithms share: rule, solve, until the facet sets repeat."""
+"""The loop that all active/inactive-set algorithms share: rule, solve, until the facet sets repeat.
+
+*Ties.* Where p and σ·n are both rounding (biactive facets, symmetry, no load), a facet keeps its condition; the start,
+which is no decision, counts as p = σ·n = 0 there. What rounding is, `ties` defines.
+
+*Cycles.* Each set determines the next one, so a set that comes back comes back for ever. Every rule is principal
+pivoting for a linear complementarity problem, p ≥ 0, Sp − g ≥ 0, one of them 0 on each facet, with the Schur complement
+S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ or S + ε|e|. These
+matrices are symmetric and positive definite. Then changing one facet at a time, the last in a fixed order of those that
+want to change, ends after finitely many steps (Murty); and so does changing all of them whenever they have become fewer
+than ever, and one at a time else (Júdice and Pires, Computers & Operations Research 21, 1994). That is what the loop
+does from the first repetition on.
+"""
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
+from mpi4py import MPI
 
 from forms.mixed import flux_product
 from forms.norms import l2, v_norm
@@ -20,6 +34,9 @@ ROUGH_ITERATIONS = 5
 """Iterations of a rough solve: enough to see on which side of 0 most p and σ·n are."""
 FIRST_ITERATIONS = 10
 """Iterations of the first one from given conditions, which a worse solution would spoil."""
+TIE = 1e-11
+"""Values below this share of their scale are rounding: ten times what linear solvers leave (1e-12), and a wrong sign of
+that size stays far below what the KKT residuals allow (1e-8)."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +205,42 @@ class FluxClip:
         return replace(iterate, sigma=sigma, p=p, flux=np.where(negative, 0.0, iterate.flux)), clipped
 
 
+def ties(spaces: Spaces, iterate: Iterate) -> npt.NDArray[np.bool_]:
+    """The Γ_S facets of this rank whose p and σ·n are both rounding (collective).
+
+    The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux, per |e|, through any facet of a
+    cell behind Γ_S: the terms whose sums p and σ·n are. On a ROBIN facet, where one of the two may be small and still
+    meaningful, the other one decides.
+    """
+    through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
+    flux_scale = (through * np.abs(spaces.basis_flux) / spaces.facet_measure).max(initial=0.0)
+    trace_scale = max(np.abs(values).max(initial=0.0) for values in (iterate.u.x.array, iterate.p))
+    scales = np.array([trace_scale, flux_scale])
+    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, scales, MPI.MAX)
+    return (np.abs(iterate.p) <= TIE * scales[0]) & (np.abs(iterate.flux) <= TIE * scales[1])
+
+
+class SingleChange:
+    """Of the facets that want to change, lets the last one by midpoint do so: an order that no partition affects."""
+
+    def __init__(self, spaces: Spaces):
+        gamma, dofmap = spaces.Lambda.mesh, spaces.Lambda.dofmap.list[:, 0]
+        self._comm = gamma.comm
+        corners = np.empty((len(dofmap), gamma.geometry.dofmaps[0].shape[1], 3))
+        corners[dofmap] = gamma.geometry.x[gamma.geometry.dofmaps[0]]
+        self._places = np.sort(corners, axis=1).sum(axis=1)[: len(spaces.facets)]  # sorted: the same bits on any rank
+
+    def __call__(self, conditions: FacetConditions, wanted: FacetConditions) -> FacetConditions:
+        """The conditions with one facet as wanted (collective)."""
+        places = [(*self._places[i], i) for i in np.flatnonzero(conditions.kind != wanted.kind)]
+        *place, index = max(places, default=(-1,))
+        last = max(self._comm.allgather(place))
+        kind = conditions.kind.copy()
+        if place and place == last:
+            kind[index] = wanted.kind[index]
+        return replace(wanted, kind=kind)
+
+
 def settle_sets(
     backend: RoughBackend,
     algorithm: Algorithm,
@@ -239,8 +292,9 @@ def iterate_sets(
     """Run an algorithm until the facet sets repeat (collective).
 
     A set that equals its predecessor ends the loop without another solve: the same set has the same solution. A set
-    seen earlier means that the algorithm cycles, because the next set depends on the present one only. If it is the
-    clip of Algorithm 3 that cycles, the loop goes on without it, as full-step semismooth Newton for (25).
+    seen earlier means that the algorithm cycles. If it is the clip of Algorithm 3 that cycles, the loop goes on without
+    it, as full-step semismooth Newton for (25); otherwise, and if that cycles too, it goes on with safeguarded changes,
+    see above. Either is told in the reason.
 
     Args:
         backend: Solves under given facet conditions.
@@ -257,21 +311,27 @@ def iterate_sets(
     spaces = backend.spaces
     comm = spaces.mesh.comm
     clip = FluxClip(spaces, backend.data) if algorithm.clips else None
+    single: SingleChange | None = None
 
     def end(reason: str, *, converged: bool) -> Outcome:
         return Outcome(
             iterate, solved_with, recorder.steps, reason, converged, backend.name, backend.dofs, backend.solver()
         )
 
+    def wanted(*, start: bool = False) -> FacetConditions:
+        tied = ties(spaces, iterate)
+        p, flux = (np.where(tied, 0.0, values) for values in (iterate.p, iterate.flux))
+        if start and algorithm.forgets_start:
+            p, flux = np.zeros_like(p), np.zeros_like(flux)
+        following = algorithm.next_conditions(p, flux, rho, eps)
+        return following if start else replace(following, kind=np.where(tied, solved_with.kind, following.kind))
+
     solved_with = predicted or algorithm.cold_start(len(spaces.facets), eps)
     iterate = backend.solve(solved_with)
     recorder = Recorder(spaces, iterate, solved_with, on_step)
-    if algorithm.forgets_start and predicted is None:
-        conditions = algorithm.next_conditions(np.zeros_like(iterate.p), np.zeros_like(iterate.flux), rho, eps)
-    else:
-        conditions = algorithm.next_conditions(iterate.p, iterate.flux, rho, eps)
+    conditions = wanted(start=predicted is None)
     seen: list[FacetConditions] = []
-    remark = ""
+    remark, fewest = "", 0
 
     while True:
         clipped = 0
@@ -286,16 +346,22 @@ def iterate_sets(
         recorder.add(iterate, conditions, clipped=clipped)
 
         seen.append(conditions)
-        conditions = algorithm.next_conditions(iterate.p, iterate.flux, rho, eps)
+        conditions = wanted()
         *earlier, last = conditions.changes(seen, comm).tolist()
         if last == 0:
             return end("the facet sets repeat" + remark, converged=True)
         iterations = len(recorder.steps)
-        if 0 in earlier:
-            cycle = f"the facet sets cycle with period {len(seen) - earlier.index(0)}"
+        if 0 in earlier and single is None:
+            cycle = f"from iteration {iterations + 1} on: the sets cycle with period {len(seen) - earlier.index(0)}"
             if clip is None:
-                return end(cycle, converged=False)
-            remark = f", without the clip (36) from iteration {iterations + 1} on: with it {cycle}"
-            clip, seen = None, []
+                remark += f", by changing single facets {cycle}"
+                single, fewest = SingleChange(spaces), last
+            else:
+                remark = f", without the clip (36) {cycle}"
+                clip, seen = None, []
         if iterations == max_iterations:
-            return end(f"{last} facets still change after {max_iterations} iterations", converged=False)
+            return end(f"{last} facets still change after {max_iterations} iterations{remark}", converged=False)
+        if single is not None:
+            if last >= fewest:
+                conditions = single(solved_with, conditions)
+            fewest = min(fewest, last)

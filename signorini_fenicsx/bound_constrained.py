@@ -14,16 +14,20 @@ from signorini_fenicsx.backend import Iterate, petsc_reason, set_direct, solver_
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.facet_system import FacetSystem
 
+ZERO_TOLERANCE = "snes_vi_zero_tolerance"
+"""How near its bound p counts as on it: absolutely, 1e-8 by default, which is much for small data."""
+
 
 def solve_bound_constrained(
     system: FacetSystem, *, max_iterations: int, on_step: Callable[[Step], None] = lambda step: None
 ) -> Outcome:
     """Solve by the reduced-space active-set method of SNESVI, vinewtonrsls (collective).
 
-    All SNES, KSP and PC options are the user's, without a prefix.
+    All SNES, KSP and PC options are the user's, without a prefix. If its line search gives up, as it may where the
+    sets cycle, it goes on from there with full steps, which is told in the reason.
 
     Args:
-        system: The facet system.
+        system: The facet system; its vectors are destroyed.
         max_iterations: Iterations of SNES.
         on_step: Called on all ranks after each iteration.
 
@@ -44,18 +48,30 @@ def solve_bound_constrained(
             recorder.add(*_recovered(system, snes.getKSP().getIterationNumber()))
 
     snes.setMonitor(record)
-    try:
-        snes.solve(None, x)
-        reason = snes.getConvergedReason()
-        converged = reason > 0
-        ending = "SNESVI converged" if converged else f"SNESVI stopped with PETSc's reason {reason}"
-    except PETSc.Error as error:
-        ending, converged = f"PETSc: {petsc_reason(error)}", False
+    failure = _failure(snes, x)
+    ending = failure or "SNESVI converged"
+    if failure is not None and snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH:
+        snes.getLineSearch().setType("basic")
+        again = _failure(snes, x)
+        ending = f"{again or 'SNESVI converged'}, by full steps after {failure}"
+        failure = again
     x.copy(system.x)
     iterate, conditions = _recovered(system, snes.getKSP().getIterationNumber())
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
-    return Outcome(iterate, conditions, recorder.steps, ending, converged, "hybrid", system.dofs, name)
+    for vector in (system.x, system.b):
+        vector.destroy()  # SNESVI makes PETSc's queue of what Python lets go lose them on several ranks
+    return Outcome(iterate, conditions, recorder.steps, ending, failure is None, "hybrid", system.dofs, name)
+
+
+def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
+    """Solve from x; why that failed, or None (collective)."""
+    try:
+        snes.solve(None, x)
+    except PETSc.Error as error:
+        return f"PETSc: {petsc_reason(error)}"
+    reason = snes.getConvergedReason()
+    return None if reason > 0 else f"SNESVI stopped with PETSc's reason {reason}"
 
 
 def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
@@ -83,6 +99,9 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
         pc.setType("gamg")
     else:
         set_direct(ksp, "cholesky")
+    options = PETSc.Options()
+    if not options.hasName(ZERO_TOLERANCE):
+        options[ZERO_TOLERANCE] = 0.0
     take_options(snes)
     return snes
 

@@ -32,12 +32,13 @@ class FacetConditions:
     kind: npt.NDArray[np.int8]
     beta: float = 1.0
 
-    def clean(self, p: Array, flux: Array) -> tuple[Array, Array]:
+    def clean(self, p: Array, flux: Array, stiffness: float) -> tuple[Array, Array]:
         """Replace what the conditions prescribe by its exact value, so that no rule decides on the solver's error.
 
         Args:
             p: Trace per facet.
             flux: σ·n per facet.
+            stiffness: `Data.stiffness`, what β is large or small beside.
 
         Returns:
             Trace and flux; one of them is exactly 0 on each NO_FLUX or ZERO_TRACE facet, and on ROBIN facets the
@@ -46,7 +47,7 @@ class FacetConditions:
         robin = self.kind == Condition.ROBIN
         p = np.where(self.kind == Condition.ZERO_TRACE, 0.0, p)
         flux = np.where(self.kind == Condition.NO_FLUX, 0.0, flux)
-        if self.beta > 1:
+        if self.beta > stiffness:
             return np.where(robin, -flux / self.beta, p), flux
         return p, np.where(robin, -self.beta * p, flux)
 

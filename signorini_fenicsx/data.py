@@ -69,6 +69,7 @@ class Data:
             others.
         psi_h: Mean of ψ per Γ_S facet of this rank.
         q_Sh: Mean of q_S per Γ_S facet of this rank.
+        stiffness: Mean of κ over L, so the σ·n that goes with p = 1.
         total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
     """
 
@@ -84,6 +85,7 @@ class Data:
     sigma_lift: fem.Function
     psi_h: Array
     q_Sh: Array
+    stiffness: float
     total_load: float
 
 
@@ -115,6 +117,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     sigma_lift.x.array[spaces.flux_dofs] = q_Sh * spaces.facet_measure / spaces.basis_flux
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
+    kappa_h = _projected_conductivity(spaces, kappa)
     measures = cell_measures(spaces.Q)
     loads = [measures * f_h.x.array, spaces.neumann_measure * neumann_means, spaces.facet_measure * q_Sh]  # no ghosts
     return Data(
@@ -125,11 +128,12 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         psi=psi,
         q_S=q_S,
         f_h=f_h,
-        kappa_h=_projected_conductivity(spaces, kappa),
+        kappa_h=kappa_h,
         u_lift=u_lift,
         sigma_lift=sigma_lift,
         psi_h=psi_h,
         q_Sh=q_Sh,
+        stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
         total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
     )
 

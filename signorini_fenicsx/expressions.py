@@ -2,6 +2,7 @@
 
 import ast
 import math
+import warnings
 from collections.abc import Callable
 
 import ufl
@@ -162,7 +163,8 @@ class _Reader:
 
 def _tree(text: str) -> ast.expr:
     """Python's syntax tree; ^ becomes ** first, because Python's own ^ binds weaker than +."""
-    return ast.parse(text.strip().replace("^", "**"), mode="eval").body
+    with warnings.catch_warnings(action="ignore"):  # Python's advice on texts such as 1if x>0 else 2
+        return ast.parse(text.strip().replace("^", "**"), mode="eval").body
 
 
 def parse_expression(text: str, x: Expr) -> Expr:
@@ -194,7 +196,9 @@ def parse_expression(text: str, x: Expr) -> Expr:
 
 
 def _shortened(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "..."
+    """The text for a message: its beginning, what cannot be printed as in Python's strings."""
+    beginning = text if len(text) <= 60 else text[:57] + "..."
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in beginning)
 
 
 def parse_number(text: str) -> float:

@@ -78,7 +78,8 @@ class FacetSystem:
         """σ_h, u_h and p_h from the present `x`, a solution under these conditions (collective)."""
         spaces = self.spaces
         sigma, u = self._recovery.fields(self.x)
-        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], spaces.normal_flux(sigma) - self._data.q_Sh)
+        flux = spaces.normal_flux(sigma) - self._data.q_Sh
+        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.stiffness)
         sigma.x.array[spaces.flux_dofs] = (flux + self._data.q_Sh) * spaces.facet_measure / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
@@ -87,7 +88,7 @@ class FacetSystem:
     def recover_traces(self, conditions: FacetConditions) -> tuple[Array, Array]:
         """What `recover` gives per Γ_S facet, without the fields (collective)."""
         flux = self._recovery.normal_flux(self.x) - self._data.q_Sh
-        return conditions.clean(self.x.array_r[self.trace_dofs], flux)
+        return conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.stiffness)
 
 
 class _Recovery:

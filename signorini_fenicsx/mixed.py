@@ -69,7 +69,7 @@ class MixedBackend:
         residual.array_w[:] -= self._load
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         sigma, u = flux_and_scalar(spaces, x)
-        p, flux = conditions.clean(p, spaces.normal_flux(sigma))
+        p, flux = conditions.clean(p, spaces.normal_flux(sigma), self.data.stiffness)
         sigma.x.array[:] += self.data.sigma_lift.x.array
         return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
 

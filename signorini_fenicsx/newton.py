@@ -132,7 +132,7 @@ class PenaltyNewton:
         flux = self._spaces.normal_flux(sigma)
         sigma.x.array[:] += self._data.sigma_lift.x.array
         raw = Iterate(sigma, u, trace, flux, self._snes.getKSP().getIterationNumber())
-        p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux)
+        p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux, self._data.stiffness)
         return replace(raw, p=p_clean, flux=flux_clean)
 
     def _conditions(self, iterate: Iterate) -> FacetConditions:

@@ -56,7 +56,7 @@ def test_a_penalty_solution_is_a_shifted_signorini_solution(penalty: Penalty):
 @pytest.mark.parametrize("beta", [1e8, 1e-8])
 def test_clean_computes_the_smaller_robin_value(beta: float):
     conditions = FacetConditions(np.array([ROBIN], dtype=np.int8), beta)
-    p, flux = conditions.clean(np.array([-3.0]), np.array([-5.0]))
+    p, flux = conditions.clean(np.array([-3.0]), np.array([-5.0]), 1.0)
     if beta > 1:
         assert (p[0], flux[0]) == (5.0 / beta, -5.0)
     else:
@@ -72,6 +72,6 @@ def test_rho_does_not_matter_when_p_flux_vanishes(name: str):
 
 def test_clean_leaves_no_noise():
     conditions = FacetConditions(np.array([NO_FLUX, ZERO_TRACE], dtype=np.int8))
-    p, flux = conditions.clean(np.array([2.0, 1e-17]), np.array([-1e-17, 3.0]))
+    p, flux = conditions.clean(np.array([2.0, 1e-17]), np.array([-1e-17, 3.0]), 1.0)
     np.testing.assert_array_equal(p, [2.0, 0.0])
     np.testing.assert_array_equal(flux, [0.0, 3.0])

@@ -1,9 +1,11 @@
 """Text to UFL: values are right, and nothing but arithmetic gets through."""
 
+import itertools
 import math
 
 import pytest
 import ufl
+from fuzz_expressions import outcome, texts
 
 from signorini_fenicsx.case import reference_coordinate
 from signorini_fenicsx.errors import InputError
@@ -110,3 +112,15 @@ def test_numbers(text: str, value: float):
 def test_not_numbers(text: str):
     with pytest.raises(InputError, match="is not a number"):
         parse_number(text)
+
+
+def test_random_texts():
+    """What ten minutes of `scripts/fuzz_expressions.py` look for, for a moment."""
+    for text in itertools.islice(texts(seed=7), 400):
+        outcome(text, X)
+
+
+def test_messages_can_be_printed():
+    with pytest.raises(InputError, match=r"expression 'x \+\\n\\ud800\\x1b\[2J'") as caught:
+        parse_expression("x +\n\ud800\x1b[2J", X)
+    assert str(caught.value).isprintable()

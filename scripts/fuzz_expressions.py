@@ -1,0 +1,182 @@
+"""Random texts for the expression parser: nothing but UFL or a clean refusal may come out, and soon.
+
+uv run python scripts/fuzz_expressions.py --minutes 10 --seed 1
+"""
+
+import argparse
+import contextlib
+import random
+import resource
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import ufl
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.data import quadrature
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import parse_expression, parse_number
+from signorini_fenicsx.geometry import build_domain
+from signorini_fenicsx.spaces import build_spaces
+
+SECONDS = 2.0
+"""CPU time that a text may take."""
+NAMES = ["x", "y", "z", "pi"]
+FUNCTIONS = ["sin", "cos", "tan", "tanh", "atan2", "exp", "log", "sqrt", "abs", "min", "max"]
+NUMBERS = ["0", "1", "2", "-1", "1/2", "0.5", "1e308", "1e-308", "1e999", "9" * 400, "31", "-0.0", "1_0", "0xF", "7j"]
+TOKENS = [
+    *NAMES, *FUNCTIONS, *NUMBERS, *"+-*/^%@&|~()[]{}<>=!,.:;#'\"\\ \n\t\0", "**", "//", "<=", "==", "!=", "->", ":=",
+    "...", "if", "else", "and", "or", "not", "in", "is", "lambda", "for", "await", "yield", "None", "True", "f'{x}'",
+    "b'1'", "import os", "__import__", "__class__", "eval", "exec", "nan", "inf", "w", "ａ", "ｘ", "π", "²", "∞", "−",
+    "\ud800", "\u202e", "🦆",
+]  # fmt: skip
+NASTY = [
+    "9**9**9**9", "2**(10**6)", "1e308*10", "x if x else y", "lambda: x", "x.real", "f'{x}'", "(x := 1)", "x\0",
+    "\ud800", "x**1e308", "x**-1e308", "(x**30)**30", "((x**30)**30)**30", "0**-1", "0.0**x", "(-1)**x",
+    "exp(exp(exp(9)))", "1if x>0 else 2", "log(-1)", "sqrt(-1)", "tan(pi/2)", "atan2(0, 0)", "x < y < z", "not x",
+    "1 if not not x > 0 else 2",
+    "min()", "max(" + "x," * 500 + ")", "1 if 1 < 2 else x", "x / 0", "0 / x", "x ** (1/0)", "x == x",
+    "abs(-x)**0.5", "int(9)", "10**400", "x**(2**31)", "x**y**x**y",
+]  # fmt: skip
+
+
+def valid(rng: random.Random, depth: int) -> str:
+    """An expression of the grammar, nested up to this depth."""
+    if depth <= 0 or rng.random() < 0.1:
+        return rng.choice([*NAMES[:2], "pi", str(rng.randint(0, 9)), f"{rng.uniform(-1e3, 1e3):g}"])
+    a, b, c, d = (valid(rng, depth - rng.randint(1, 3)) for _ in range(4))
+    return rng.choice(
+        [
+            f"({a} {rng.choice(['+', '-', '*', '/', '**', '^'])} {b})",
+            f"-{a}",
+            f"{rng.choice(FUNCTIONS)}({a})",
+            f"{rng.choice(['min', 'max', 'atan2'])}({a}, {b})",
+            f"({a} if {b} {rng.choice(['<', '<=', '>', '>=', '==', '!='])} {c} else {d})",
+            f"({a} if {b} < {c} and not {c} > {d} or {a} < 1 else {d})",
+            f"({a})^{rng.randint(0, 40)}",
+        ]
+    )
+
+
+def soup(rng: random.Random) -> str:
+    """Tokens in any order."""
+    return rng.choice(["", " "]).join(rng.choices(TOKENS, k=rng.randint(1, 30)))
+
+
+def damaged(rng: random.Random) -> str:
+    """A valid expression with some characters lost, doubled, swapped or strange."""
+    text = list(valid(rng, 6))
+    for _ in range(rng.randint(1, 3)):
+        i = rng.randrange(len(text))
+        text[i] = rng.choice(["", text[i] * 2, text[i - 1], rng.choice(TOKENS), chr(rng.randrange(0x110000))])
+    return "".join(text)
+
+
+def deep(rng: random.Random) -> str:
+    """Nesting of one kind, from harmless to absurd."""
+    n = int(10 ** rng.uniform(0, 3.3))
+    before, inside, after = rng.choice(
+        [("(", "x", ")"), ("-", "x", ""), ("sin(", "x", ")"), ("1+(", "x", ")"), ("", "x", "+x"), ("", "x", "*x"),
+         ("", "2", "**2"), ("", "x", "^2"), ("x if x < 0 else ", "y", ""), ("(", "x", ")**2"),
+         ("1 if not ", "x>0", " else 2"), ("[", "x", "]"), ("", "1 if x", " < x"), ("max(x,", "y", ")"),
+         ("", "1", "/x"), ("not ", "x", ""), ("x.", "y", ""), ("exp(x)*(", "x", ")")]
+    )  # fmt: skip
+    return before * n + inside + after * n
+
+
+def numbers(rng: random.Random) -> str:
+    """Arithmetic of large and small numbers."""
+    parts = [f"{rng.choice(['', '-'])}{rng.choice(NUMBERS)}" for _ in range(rng.randint(2, 6))]
+    text = parts[0]
+    for part in parts[1:]:
+        text += rng.choice(["**", "*", "/", "+", "-", "^", "**x*"]) + part
+    return text
+
+
+def strange(rng: random.Random) -> str:
+    """Any code points."""
+    return "".join(chr(rng.choice([rng.randrange(128), rng.randrange(0x110000)])) for _ in range(rng.randint(0, 40)))
+
+
+def long(rng: random.Random) -> str:
+    """Around and far above the allowed length."""
+    return rng.choice(["x+", "(", "1", "x ", "sin(", " "]) * rng.choice([400, 1000, 10_000, 1_000_000]) + "x"
+
+
+KINDS: list[Callable[[random.Random], str]] = [
+    soup,
+    lambda rng: valid(rng, rng.randint(1, 12)),
+    damaged,
+    deep,
+    numbers,
+    strange,
+    long,
+    lambda rng: rng.choice(NASTY),
+]
+
+
+def texts(seed: int) -> Iterator[str]:
+    """An endless sequence of texts, `long` ones being rare."""
+    rng = random.Random(seed)
+    while True:
+        yield rng.choices(KINDS, weights=[6, 6, 6, 3, 3, 3, 0.2, 1])[0](rng)
+
+
+def outcome(text: str, x: ufl.SpatialCoordinate) -> str:
+    """What became of a text: "UFL" or "refused".
+
+    Raises:
+        AssertionError: If it was anything else, or took too long.
+    """
+    began = time.process_time()
+    message = ""
+    found: Expr | None = None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            found = parse_expression(text, x)
+        except InputError as error:
+            message = str(error)
+        with contextlib.suppress(InputError):
+            assert isinstance(parse_number(text), float), text
+    if found is not None:
+        assert isinstance(found, Expr), text
+        assert found.ufl_shape == () == found.ufl_free_indices, text
+        assert 8 <= quadrature(found)["quadrature_degree"] <= 30, text
+    assert message.isprintable(), f"the message of {text!r} cannot be printed"
+    took = time.process_time() - began
+    assert took < SECONDS, f"{text[:200]!r} took {took:.1f} s"
+    return "refused" if found is None else "UFL"
+
+
+def main() -> None:
+    """Fuzz for some minutes and print what came out; ends with a traceback at the first failure."""
+    arguments = argparse.ArgumentParser(description=main.__doc__)
+    arguments.add_argument("--minutes", type=float, default=10)
+    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--compile", type=int, default=2000, help="compile every so many of the accepted ones")
+    options = arguments.parse_args()
+    spaces = build_spaces(build_domain(MPI.COMM_SELF, "square", 1.0, mesh="structured"), ["bottom"])
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    counts: Counter[str] = Counter()
+    slowest, ends = 0.0, time.monotonic() + 60 * options.minutes
+    for text in texts(options.seed):
+        if time.monotonic() > ends:
+            break
+        began = time.process_time()
+        result = outcome(text, x)
+        slowest = max(slowest, time.process_time() - began)
+        counts[result] += 1
+        if result == "UFL" and counts[result] % options.compile == 0:
+            f = parse_expression(text, x)
+            spaces.integrate(f * ufl.Measure("dx", domain=spaces.mesh, metadata=quadrature(f)))
+            counts["compiled"] += 1
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{dict(counts)}; slowest {slowest:.2f} s; {megabytes:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""Domains made of given points and cells, whose facets are told apart by their midpoints."""
+
+from collections.abc import Callable
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.geometry import SHAPES, Domain, distribute
+
+type Array = npt.NDArray[np.float64]
+type Mask = npt.NDArray[np.bool_]
+
+
+def own_domain(
+    comm: MPI.Comm, points: npt.ArrayLike, cells: npt.ArrayLike, signorini: Callable[[Array], Mask]
+) -> Domain:
+    """A domain whose boundary is Γ_S, called "bottom", where the midpoints (3, n) of facets say so (collective)."""
+    points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    dim = points.shape[1]
+    own = comm.rank == 0
+    mesh = distribute(comm, points if own else points[:0], cells if own else cells[:0], dim)
+    topology = mesh.topology
+    topology.create_entities(dim - 1)
+    topology.create_connectivity(dim - 1, dim)
+    boundary = dolfinx.mesh.exterior_facet_indices(topology)
+    inside = signorini(dolfinx.mesh.compute_midpoints(mesh, dim - 1, boundary).T)
+    owned = np.arange(topology.index_map(dim).size_local, dtype=np.int32)
+    h = comm.allreduce(mesh.h(dim, owned).max(initial=0.0), MPI.MAX)
+    part = SHAPES["square" if dim == 2 else "cube"].parts["bottom"]
+    return Domain(mesh, float(h), {"bottom": part}, {"bottom": boundary[inside]})

@@ -1,0 +1,210 @@
+"""Set updates where they could go wrong: cycles, ties, scales, Γ_S of any extent, ranks with nothing to do."""
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from own_mesh import Array, Mask, own_domain
+
+from signorini_fenicsx import active_set
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.conditions import Condition
+from signorini_fenicsx.data import Problem
+from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.geometry import SHAPES, Domain
+from signorini_fenicsx.solver import Solution, solve
+
+COMM = MPI.COMM_WORLD
+SET_ALGORITHMS = ("alg1", "alg2", "alg3", "alg4")
+ALGORITHMS = (*SET_ALGORITHMS, "snes1", "snes2", "vi")
+
+
+def BOTTOM(x: Array) -> Mask:
+    return x[1] < 1e-9
+
+
+def problem(**values: object) -> Case:
+    """Γ_S is "bottom"; keys of [problem] and [solve] stand alone."""
+    sections = {"f": "problem", "u_D": "problem"}
+    return load_case("example1").with_values(
+        {"boundary.signorini": ["bottom"]} | {f"{sections.get(key, 'solve')}.{key}": v for key, v in values.items()}
+    )
+
+
+def square(
+    comm: MPI.Comm, n: int, diagonal: str, *, scale: float = 1.0, part: Callable[[Array], Mask] = BOTTOM
+) -> Domain:
+    """A structured mesh of (0, scale)² with n facets per side; Γ_S is a part of the boundary of (0, 1)²."""
+    assert SHAPES["square"].grid is not None
+    points, cells = SHAPES["square"].grid((1 if diagonal == "crossed" else np.sqrt(2)) / n, diagonal)
+    return own_domain(comm, scale * points, cells, lambda x: part(x / scale))
+
+
+def assert_same_fields(a: Solution, b: Solution, tolerance: float) -> None:
+    """Every degree of freedom agrees, relative to the largest of its field."""
+    for one, two in [(a.sigma, b.sigma), (a.u, b.u), (a.p, b.p)]:
+        largest = COMM.allreduce(np.abs(one.x.array).max(initial=0.0), MPI.MAX)
+        np.testing.assert_allclose(one.x.array, two.x.array, rtol=0, atol=tolerance * largest)
+
+
+CYCLING = [  # points of a strip of triangles, corners of the one facet of Γ_D, f, u_D
+    ([(0.731, 0), (1.461, 0.039), (2.091, 0), (2.783, 0.055), (2.955, 0)], (3, 4), "22.2 - 16.7*x + 8.7*y", 0.56),
+    ([(0.121, 0), (1.014, 0.039), (1.758, 0), (2.326, 0.112), (2.457, 0), (2.984, 0.171)], (3, 5),
+     "-33 + 16.3*x + 8.1*y", 0.22),
+    ([(0.231, 0), (0.998, 0.077), (1.508, 0), (1.727, 0.066), (1.76, 0), (1.822, 0.583), (2.186, 0)], (3, 5),
+     "-18.3 + 11.3*x - 7*y", 0.29),
+]  # fmt: skip
+
+
+def strip(points: list[tuple[float, float]], dirichlet: tuple[int, int]) -> Domain:
+    midpoint = np.mean([points[i] for i in dirichlet], axis=0)
+    cells = [(i, i + 1, i + 2) for i in range(len(points) - 2)]
+    return own_domain(COMM, points, cells, lambda x: ~np.isclose(x[:2].T, midpoint).all(axis=1))
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("backend", ["hybrid", "mixed"])
+def test_cycles_end_by_single_changes(backend: str):
+    """Obtuse cells on which all four algorithms cycle with period 3; the fallback ends in the right solution."""
+    for points, dirichlet, f, u_D in CYCLING:
+        domain = strip(points, dirichlet)
+        case = problem(f=f, u_D=str(u_D), backend=backend, eps=1e-10)
+        expected = solve(case.with_values({"solve.algorithm": "qp"}), domain=domain)
+        for algorithm in SET_ALGORITHMS:
+            solution = solve(case.with_values({"solve.algorithm": algorithm}), domain=domain)
+            assert "by changing single facets from iteration" in solution.reason, algorithm
+            assert "cycle with period 3" in solution.reason
+            assert min(step.changed for step in solution.history if step.changed) == 1
+            assert len(solution.history) < 20
+            assert_same_fields(solution, expected, 1e-9)
+
+
+@pytest.mark.parallel([1, 2])
+def test_max_iterations_holds_for_single_changes():
+    points, dirichlet, f, u_D = CYCLING[0]
+    with pytest.raises(NumericalFailure, match="still change after 5 iterations, by changing single facets") as caught:
+        solve(problem(f=f, u_D=str(u_D), max_iterations=5), domain=strip(points, dirichlet))
+    assert len(caught.value.solution.history) == 5
+
+
+def middle_facet(n: int) -> Callable[[Array], Mask]:
+    return lambda x: BOTTOM(x) & (np.abs(x[0] - 0.5) < 0.5 / n)
+
+
+TIES = [(5, "crossed", "50*(x - 1/2)", "sin(3*(x - 1/2))"), (9, "right", "0", "x - 1/2")]  # u and ∂_n u odd in x − 1/2
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize(("n", "diagonal", "f", "u_D"), TIES)
+def test_rounding_decides_nothing(n: int, diagonal: str, f: str, u_D: str):
+    """By symmetry p = σ·n = 0 on the only facet: each algorithm puts it where its rule puts 0, whoever solves."""
+    domain = square(COMM, n, diagonal, part=middle_facet(n))
+    for algorithm, backend in itertools.product(SET_ALGORITHMS, ("hybrid", "mixed")):
+        solution = solve(problem(f=f, u_D=u_D, algorithm=algorithm, backend=backend), domain=domain)
+        assert solution.contact()[0] == (algorithm in ("alg1", "alg3"))
+        assert solution.reason == "the facet sets repeat"
+        assert len(solution.history) == 1
+
+
+def test_rounding_would_decide(monkeypatch: pytest.MonkeyPatch):
+    """Without the tolerance noise decides: somewhere the facet goes to the other side, or back and forth for ever."""
+    monkeypatch.setattr(active_set, "TIE", 0.0)
+
+    def all_ties() -> None:
+        for n, diagonal, f, u_D in TIES:
+            test_rounding_decides_nothing(n, diagonal, f, u_D)
+
+    with pytest.raises((AssertionError, NumericalFailure)):
+        all_ties()
+
+
+@pytest.mark.parallel(2)
+def test_biactive_sets_do_not_depend_on_ranks():
+    """U = σ·n = 0 on half of Γ_S: discretisation errors of all sizes decide there."""
+    for algorithm, h in itertools.product(SET_ALGORITHMS, (1 / 8, 1 / 32)):
+        case = load_case("biactive").with_values({"solve.algorithm": algorithm, "solve.h": h})
+        together, alone = solve(case, COMM), solve(case, MPI.COMM_SELF)
+        assert together.reason == alone.reason == "the facet sets repeat"
+        assert together.contact()[0] == alone.contact()[0]
+        assert [step.changed for step in together.history] == [step.changed for step in alone.history]
+
+
+SCALES = [(1e12, 1.0, 1.0), (1e-12, 1.0, 1.0), (1.0, 1e50, 1.0), (1.0, 1e-50, 1.0), (1.0, 1.0, 1e12)]  # L, U, K
+WAYS = [(name, "mixed" if name in ("alg2", "alg4") else "hybrid") for name in ALGORITHMS]
+
+
+@pytest.mark.parametrize(("algorithm", "backend"), WAYS)
+def test_units_do_not_matter(algorithm: str, backend: str):
+    """Lengths times L, u times U, κ times K, with ε ~ L/K (I) or K/L (II): the same iterations, sets and fields."""
+
+    def scaled(L: float, U: float, K: float) -> Solution:
+        data = Problem(
+            f=lambda x: 20 * U * K / L**2 * np.sin(9 * x[0] / L + 1), kappa=lambda x: np.full_like(x[0], K), u_D=0.1 * U
+        )
+        case = problem(algorithm=algorithm, backend=backend)
+        solver = case.solve.model_copy(update={"eps": 1e-6 * (L / K if algorithm in ("alg3", "snes1") else K / L)})
+        case = case.model_copy(update={"solve": solver})  # a case file has no ε of such size
+        return solve(case, domain=square(COMM, 7, "right", scale=L), problem=data)
+
+    expected = scaled(1.0, 1.0, 1.0)
+    assert 0 < expected.contact()[0] < 7
+    for L, U, K in SCALES:
+        found = scaled(L, U, K)
+        np.testing.assert_array_equal(found.conditions.kind, expected.conditions.kind)
+        assert len(found.history) == len(expected.history)
+        found.sigma.x.array[:] /= K
+        for field in (found.sigma, found.u, found.p):
+            field.x.array[:] /= U
+        assert_same_fields(found, expected, 1e-12 if K == 1 else 1e-9)
+
+
+EXTENTS = {
+    "two cells": (1, BOTTOM),
+    "one facet": (4, lambda x: BOTTOM(x) & (x[0] < 0.25)),
+    "all facets but one": (4, lambda x: ~(BOTTOM(x) & (x[0] < 0.25))),
+    "beside Γ_D": (4, lambda x: BOTTOM(x) | (x[0] < 1e-9)),
+}
+
+
+@pytest.mark.parallel([1, 4])
+@pytest.mark.parametrize("extent", EXTENTS)
+def test_extents(extent: str):
+    """Γ_S of any extent, ranks without cells or facets, and u_D = 0 or ≠ 0: equal to one rank alone."""
+    n, part = EXTENTS[extent]
+    domain, alone = (square(comm, n, "right", part=part) for comm in (COMM, MPI.COMM_SELF))
+    assert n > 1 or COMM.size == 1 or 0 in COMM.allgather(domain.mesh.topology.index_map(2).size_local)
+    for (f, u_D), algorithm in itertools.product(
+        [("50*(x - 0.3)*(y - 0.6)", "x*y"), ("0", "1/2 - x"), ("-30", "(1 - x)*x + y")], ALGORITHMS
+    ):
+        case = problem(f=f, u_D=u_D, algorithm=algorithm)
+        found, expected = solve(case, domain=domain), solve(case, domain=alone)
+        assert found.contact()[0] == expected.contact()[0]
+        assert len(found.history) == len(expected.history)
+        assert found.norms() == pytest.approx(expected.norms(), rel=1e-10, abs=1e-12)
+
+
+@pytest.mark.parallel([1, 2])
+def test_nothing_to_solve():
+    """F = 0 and u_D = 0: u = 0, and each algorithm puts the ties where its rule puts 0."""
+    domain = square(COMM, 4, "right")
+    for algorithm in ALGORITHMS:
+        solution = solve(problem(f="0", algorithm=algorithm), domain=domain)
+        assert max(solution.norms().values()) == 0
+        assert solution.contact()[0] == (0 if algorithm in ("alg2", "alg4", "snes2") else 4)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_thousands_of_contacts(algorithm: str):
+    """A load that changes sign from facet to facet: 1000 contacts, in a few steps, and the same for all algorithms."""
+    n = 2000
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(n + 1), [0, 1]))
+    i = np.arange(n)
+    cells = np.concatenate([[i, i + 1, i + n + 2], [i, i + n + 2, i + n + 1]], axis=1).T
+    domain = own_domain(COMM, np.stack([x, y], axis=1), cells, BOTTOM)
+    solution = solve(problem(f="sin(pi*x)", algorithm=algorithm, eps=1e-10), domain=domain)
+    contact = solution.conditions.kind == (Condition.ROBIN if algorithm in ("alg3", "snes1") else Condition.ZERO_TRACE)
+    order = np.argsort(solution.spaces.Lambda.tabulate_dof_coordinates()[: len(contact), 0])
+    assert np.count_nonzero(np.diff(contact[order].astype(int)) == 1) > 0.45 * n
+    assert len(solution.history) <= 6
