@@ -40,7 +40,8 @@ EXACT_CONTACT = 1e-12
 """An exact u of less than this on Γ_S, relative to its maximum there, is contact."""
 PREDICT_FROM = 60_000
 """Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
-COARSENING = 4.0
+COARSENINGS = 16.0, 4.0
+"""Mesh sizes, in multiples of its own, of the meshes on which the sets of a large problem are predicted."""
 
 
 @dataclass(frozen=True)
@@ -380,16 +381,17 @@ class _Run:
         return self.case.solve.predict and self.algorithm.by is By.SETS and facets >= PREDICT_FROM
 
     def predicted(self) -> FacetConditions | None:
-        """Conditions of the same case on a mesh COARSENING times as coarse, None if there is none (collective).
+        """Conditions of the same case on coarser meshes, each starting from the one before (collective).
 
-        The prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
+        None if there is no such mesh, or no solution on it. The prediction changes the number of steps only: the loop
+        ends where the sets repeat, wherever it starts.
         """
-        case = self.case
-        try:
-            coarse = solve(case.with_values({"solve.h": COARSENING * case.solve.h}), self.spaces.mesh.comm)
-        except (InputError, NumericalFailure):  # no such mesh, or no solution on it: both leave the cold start
-            return None
-        return self.transferred(coarse)
+        coarse = None
+        for factor in COARSENINGS:
+            with contextlib.suppress(InputError, NumericalFailure):
+                values = {"solve.h": factor * self.case.solve.h}
+                coarse = solve(self.case.with_values(values), self.spaces.mesh.comm, start=coarse)
+        return None if coarse is None else self.transferred(coarse)
 
     def transferred(self, start: Solution) -> FacetConditions:
         """The contact set of another solution as conditions of this algorithm (collective).
