@@ -106,7 +106,7 @@ def test_gmsh_versions_and_overlapping_groups(tmp_path: Path):
     import gmsh
 
     geo = tmp_path / "square.geo"
-    geo.write_text(SQUARE_GEO + 'Physical Curve("all") = {1, 2, 3, 4}; Physical Surface("again") = {1};')
+    geo.write_text(SQUARE_GEO + 'Physical Curve("all") = {1, 2, 3, 4}; Physical Surface("again") = {1};\n')
     sizes = []
     for version, binary in ((2.2, 0), (2.2, 1), (4.1, 0), (4.1, 1)):
         file = str(tmp_path / f"{version}-{binary}.msh")
