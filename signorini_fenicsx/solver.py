@@ -295,9 +295,13 @@ def solve(
     outcome = run.outcome(predicted, watch, on_step)
     watch.lap("solve")
 
+    kkt = run.residuals(outcome)
+    if run.is_imprecise(outcome, kkt):
+        watch.lap("kkt")
+        outcome = run.by_saddle_point(outcome, kkt, on_step)
+        watch.lap("solve")
+        kkt = run.residuals(outcome)
     iterate = outcome.iterate
-    p = spaces.multiplier(iterate.p + data.psi_h)
-    kkt = kkt_residuals(spaces, iterate.sigma, iterate.u, p, data, run.algorithm.penalty, case.solve.eps)
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)
@@ -308,7 +312,7 @@ def solve(
         data=data,
         sigma=iterate.sigma,
         u=iterate.u,
-        p=p,
+        p=spaces.multiplier(iterate.p + data.psi_h),
         conditions=outcome.conditions,
         history=outcome.history,
         kkt=kkt,
@@ -433,6 +437,34 @@ class _Run:
         backend = self.backend(spaces, data)
         watch.lap("assembly")
         return self._by_sets(backend, max_iterations, predicted, watch, on_step)
+
+    def residuals(self, outcome: Outcome) -> KKTResiduals:
+        """KKT residuals of an outcome (collective)."""
+        found, spaces, data = outcome.iterate, self.spaces, self.data
+        p = spaces.multiplier(found.p + data.psi_h)
+        return kkt_residuals(spaces, found.sigma, found.u, p, data, self.algorithm.penalty, self.case.solve.eps)
+
+    def is_imprecise(self, outcome: Outcome, kkt: KKTResiduals) -> bool:
+        """Whether rounding spoils a result of the facet system, as it does in κ∇u for large κ and bad cells."""
+        direct = outcome.backend == HybridBackend.name and outcome.linear_solver.startswith("preonly+cholesky")
+        by_sets = self.algorithm.by is By.SETS and outcome.converged
+        return direct and by_sets and not kkt.stationarity <= TOLERANCE
+
+    def by_saddle_point(self, outcome: Outcome, kkt: KKTResiduals, on_step: Callable[[Step], None]) -> Outcome:
+        """Go on from an outcome's sets with the mixed backend, whose unknown is the flux itself (collective)."""
+        options = self.case.solve
+        again = iterate_sets(
+            MixedBackend(self.spaces, self.data),
+            self.algorithm,
+            rho=options.rho or 1.0,
+            eps=options.eps,
+            max_iterations=options.max_iterations or self.algorithm.max_iterations,
+            predicted=outcome.conditions,
+            on_step=on_step,
+        )
+        steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
+        remark = f"by the saddle point, because the facet system left stationarity {kkt.stationarity:.1e}"
+        return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
 
     def _by_sets(
         self,

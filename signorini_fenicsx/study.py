@@ -185,8 +185,9 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     path = folder / name
     case = load_case(path if name.endswith(".toml") else name).with_values(values)
     task = study.convergence
-    if task is not None and task.vary is not Vary.H and ALGORITHMS[case.solve.algorithm].penalty is None:
-        raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use alg3, alg4, snes1 or snes2")
+    if task is not None and task.vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
+        penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
+        raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
     return make_run(case, task, fields=study.fields, plot=study.plot)
 
 

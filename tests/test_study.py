@@ -63,6 +63,11 @@ def test_cases_beside_the_study(tmp_path: Path):
     assert runs[0].name != changed[0].name
 
 
+def test_eps_varies_wherever_there_is_one(tmp_path: Path):
+    text = 'case = "example1"\n[vary]\nalgorithm = ["alg3", "slimane"]\n[convergence]\nlevels = [2]\nvary = "eps"'
+    assert len(load_study(write(tmp_path, text))[1]) == 2
+
+
 def test_shipped_studies_are_valid():
     for name in study_names():
         assert load_study(name)[1]
