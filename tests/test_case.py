@@ -24,7 +24,7 @@ h = "1/8"
 def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
-    assert case_names() == sorted([*examples, *exact, "ball", "cube", "dam", "electropainting", "lprism"])
+    assert case_names() == sorted([*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "lprism"])
     for name in case_names():
         assert load_case(name).name == name
 
