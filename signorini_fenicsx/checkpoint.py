@@ -137,7 +137,7 @@ def _case(path: Path, about: dict[str, Any]) -> Case:
     try:
         return Case.model_validate(about["case"] | {"name": about["name"]})
     except (ValidationError, KeyError):
-        raise InputError(f"{path}: its case is not one that this version knows") from None
+        raise InputError(f"{path}: its case is from another version, or its data were given in Python") from None
 
 
 def _parts(case: Case, about: dict[str, Any]) -> Mapping[str, Part]:
