@@ -14,6 +14,23 @@ from signorini_fenicsx.parallel import collect_garbage
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let mpi-pytest's child processes run what their parent has chosen, slow or not."""
+    if "_PYTEST_MPI_CHILD_PROCESS" in os.environ:
+        config.option.markexpr = ""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test for several numbers of ranks the largest runs by default; the others are slow tests."""
+    for item in items:
+        marker = item.get_closest_marker("parallel")
+        if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
+            ranks = item.callspec.params.get("_nprocs")
+            if ranks is not None and ranks < max(marker.args[0]):
+                item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(autouse=True)
 def collect_between_tests() -> Iterator[None]:
     """Free meshes between tests only, as the command line does (see `parallel.collect_garbage`)."""

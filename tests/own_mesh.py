@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.geometry import SHAPES, Domain, distribute
+from signorini_fenicsx.domain import Domain, axis_part, distribute, largest_diameter
 
 type Array = npt.NDArray[np.float64]
 type Mask = npt.NDArray[np.bool_]
@@ -26,7 +26,5 @@ def own_domain(
     topology.create_connectivity(dim - 1, dim)
     boundary = dolfinx.mesh.exterior_facet_indices(topology)
     inside = signorini(dolfinx.mesh.compute_midpoints(mesh, dim - 1, boundary).T)
-    owned = np.arange(topology.index_map(dim).size_local, dtype=np.int32)
-    h = comm.allreduce(mesh.h(dim, owned).max(initial=0.0), MPI.MAX)
-    part = SHAPES["square" if dim == 2 else "cube"].parts["bottom"]
-    return Domain(mesh, float(h), {"bottom": part}, {"bottom": boundary[inside]})
+    bend = 1 / float(np.ptp(points, axis=0).max())
+    return Domain(mesh, largest_diameter(mesh), {"bottom": axis_part("x")}, {"bottom": boundary[inside]}, {}, bend)

@@ -111,6 +111,7 @@ def test_prediction_changes_the_number_of_steps_only(monkeypatch: pytest.MonkeyP
         assert len(warm.history) <= min(3, len(cold.history))
 
 
+@pytest.mark.slow
 @pytest.mark.parallel([1, 2])
 def test_rough_solves_predict_on_any_mesh(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """Without a coarser mesh rough solves alone find the sets, all but a few facets, and change no result."""

@@ -97,7 +97,7 @@ def test_a_failed_run_is_continued_and_exported(tmp_path: Path):
     assert exported["iterations"] == 3
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_nothing_to_start_from(tmp_path: Path, ranks: int):
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "checkpoint.npz").write_bytes(b"PK\x03\x04 no more")

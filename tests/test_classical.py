@@ -80,6 +80,7 @@ def test_primal_methods_solve_one_problem():
             assert mass_imbalance(solution) > 0.1
 
 
+@pytest.mark.slow
 def test_cube(folder: Path):
     case = make_case(folder, shape="cube", parts=["bottom", "left"], f="40*(x - 0.5)", h=0.5)
     exact = solve(case, COMM)
@@ -107,6 +108,7 @@ def test_primal_order_on_an_exact_solution(folder: Path):
             assert error1 < bound * h1
 
 
+@pytest.mark.slow
 def test_orders_in_eps():
     """Slimane's form tends to Algorithm 1 and the primal penalty to the active set in P1, both with order 1 in ε."""
     rows = convergence_study(case_of("example4", algorithm="slimane"), Vary.EPS, range(1, 6), 0)
@@ -120,6 +122,7 @@ def test_orders_in_eps():
     assert math.log(far / near) / math.log(100) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_order_in_h_of_the_stabilised_form():
     """Slimane's form with ε = 1e-8 has the order of the mixed method."""
     slopes = fitted_slopes(convergence_study(case_of("example4", algorithm="slimane"), Vary.H, range(2, 5), 6), Vary.H)
@@ -140,6 +143,7 @@ def test_slimane_is_off_by_eps_u():
     assert solution.violation()["mass_balance"] == pytest.approx(0.5 * solution.norms()["u_L2"])
 
 
+@pytest.mark.slow
 def test_iterations_over_h():
     """Uzawa and over-relaxation take O(1/h) iterations, H^{1/2}, minimisation Uzawa and the active sets O(1)."""
     counts: dict[str, list[int]] = {}

@@ -81,7 +81,7 @@ def test_position_of_the_exact_contact_set():
         assert errors["contact_hausdorff"] < 1.5 * h
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_command_line(tmp_path: Path, ranks: int):
     for h in ("1/4", "1/8"):
         done = signorini(tmp_path, "solve", "example3", "--h", h, "--output", h[-1])

@@ -61,7 +61,7 @@ def test_broken_input_at_the_command_line(seed: int):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_output_for_programs(tmp_path: Path, ranks: int):
     """--json: one object on standard output, the summary; --quiet: nothing. Neither has colours or goes with errors."""
     done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--json", ranks=ranks)
@@ -77,6 +77,7 @@ def test_output_for_programs(tmp_path: Path, ranks: int):
     assert done.stderr.startswith("error: unknown case")
 
 
+@pytest.mark.slow
 def test_adapt_as_json(tmp_path: Path):
     done = signorini(tmp_path, "adapt", "dam", "--max-cells", "1500", "--json")
     assert done.returncode == 0, done.stderr

@@ -15,6 +15,7 @@ COMM = MPI.COMM_WORLD
 COARSE = {"cube": 0.5, "lprism": 0.7, "ball": 0.8}
 
 
+@pytest.mark.slow
 @pytest.mark.parallel([2])
 def test_backends_agree():
     for name, h in COARSE.items():
