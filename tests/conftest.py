@@ -13,6 +13,8 @@ from signorini_fenicsx.parallel import collect_garbage
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+USUAL_RANKS = 3
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let mpi-pytest's child processes run what their parent has chosen, slow or not."""
@@ -22,12 +24,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test for several numbers of ranks the largest runs by default; the others are slow tests."""
+    """Of a test for several numbers of ranks the largest, up to USUAL_RANKS, runs by default; the others are slow."""
     for item in items:
         marker = item.get_closest_marker("parallel")
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
             ranks = item.callspec.params.get("_nprocs")
-            if ranks is not None and ranks < max(marker.args[0]):
+            if ranks is not None and ranks != max(number for number in marker.args[0] if number <= USUAL_RANKS):
                 item.add_marker(pytest.mark.slow)
 
 

@@ -21,7 +21,7 @@ PETSc.Log.view()
 """
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 12))])
 def test_random_problem(seed: int):
     result = examine(seed)
     assert result.good, result
