@@ -170,7 +170,9 @@ def test_all_algorithms_and_the_end():
         adapt(case, COMM, max_cells=20)
 
 
-@pytest.mark.parametrize(("case", "h", "ranks"), [("example3", "1/2", 1), ("lprism", "1", 2)])
+@pytest.mark.parametrize(
+    ("case", "h", "ranks"), [("example3", "1/2", 1), pytest.param("lprism", "1", 2, marks=pytest.mark.slow)]
+)
 def test_command_line(tmp_path: Path, case: str, h: str, ranks: int):
     done = signorini(tmp_path, "adapt", case, "--h", h, "--max-cells", "1500", "--uniform", ranks=ranks)
     assert done.returncode == 0, done.stderr

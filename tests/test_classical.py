@@ -173,6 +173,7 @@ def test_no_method_is_another():
         assert changes[one] != pytest.approx(changes[two], rel=1e-3), (one, two)
 
 
+@pytest.mark.slow
 @pytest.mark.parallel([3])
 def test_ranks_do_not_matter():
     """All classical methods take the same iterations on any number of ranks to the same solution."""

@@ -340,7 +340,8 @@ def test_methods_are_listed(tmp_path: Path):
     assert all("(19" in line or "(20" in line or "slides" in line for line in done.stdout.splitlines())
 
 
-@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_classical_method(tmp_path: Path, ranks: int):
     arguments = ["solve", "example1", "--h", "1/4", "--algorithm"]
     done = signorini(tmp_path, *arguments, "uzawa", "--plot", ranks=ranks)

@@ -37,6 +37,7 @@ def test_algorithms_agree():
                 np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parallel([1, 3])
 def test_ranks_do_not_matter():
     for name, h in COARSE.items():
