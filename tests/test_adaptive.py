@@ -137,6 +137,7 @@ def test_best_rate_where_uniform_meshes_lose_it():
     assert max(row.iterations for row in adaptive[2:]) <= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parallel([3])
 def test_adaptive_runs_do_not_depend_on_the_ranks():
     for name, values in [

@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import adios2
@@ -191,20 +192,27 @@ BAD_INPUT = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
-def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
-    """One sentence, exit status 2, no traceback, nothing written."""
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine").write_text("mine")
-    (tmp_path / "full.toml").mkdir()
-    (tmp_path / "loop").symlink_to("loop")
-    before = sorted(tmp_path.rglob("*"))
-    done = signorini(tmp_path, *arguments)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert sorted(tmp_path.rglob("*")) == before
+def complaint(folder: Path, arguments: list[str], message: str) -> str | None:
+    """What is wrong with how a command is refused."""
+    folder.mkdir()
+    (folder / "file").write_text("mine")
+    (folder / "full").mkdir()
+    (folder / "full" / "mine").write_text("mine")
+    (folder / "full.toml").mkdir()
+    (folder / "loop").symlink_to("loop")
+    before = sorted(folder.rglob("*"))
+    done = signorini(folder, *arguments)
+    said = message in done.stderr and "Traceback" not in done.stderr
+    fine = done.returncode == 2 and said and sorted(folder.rglob("*")) == before
+    return None if fine else f"{arguments}: exit status {done.returncode}, {done.stderr}"
+
+
+def test_bad_input(tmp_path: Path):
+    """One sentence, exit status 2, no traceback, nothing written; two commands at a time."""
+    folders = [tmp_path / str(index) for index in range(len(BAD_INPUT))]
+    with ThreadPoolExecutor(2) as pool:
+        complaints = list(pool.map(complaint, folders, *zip(*BAD_INPUT, strict=True)))
+    assert not [text for text in complaints if text is not None]
 
 
 IN_PARALLEL = ("unknown case 'example7'", "asks for about", "is a file", "PETSc", "outside 1e-100")
