@@ -23,10 +23,10 @@ and the constant part drops out: it is −(f_h/d²)((x − x_T)·κ_h⁻¹(x −
 ∇·τ_h) = ⟨p_h, τ_h·n⟩ + ⟨u_D, τ_h·n⟩: (9a).
 """
 
-from ufl import Form, SpatialCoordinate, as_ufl, dot, dx, grad, inner, inv
+from ufl import Form, SpatialCoordinate, dot, dx, grad, inner, inv
 from ufl.core.expr import Expr
 
-ONE = as_ufl(1.0)
+from forms.mixed import ONE
 
 
 def stiffness(u: Expr, v: Expr, kappa: Expr = ONE) -> Form:

@@ -36,12 +36,12 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.active_set import Step
-from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm
+from signorini_fenicsx.algorithms import Algorithm
 from signorini_fenicsx.backend import Backend, Iterate
 from signorini_fenicsx.case import Boundary, Case, Geometry, ProblemTexts, Solve
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data, Problem
-from signorini_fenicsx.domain import AXES, Domain, axis_part, largest_diameter
+from signorini_fenicsx.domain import AXES, Domain, axis_part, bounding_box, largest_diameter
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.geometry import OWN_BEND
 from signorini_fenicsx.solver import Solution, solve
@@ -118,7 +118,7 @@ def solve_on(
         case,
         domain=domain,
         problem=problem,
-        algorithm=algorithm or ALGORITHMS[case.solve.algorithm],
+        algorithm=algorithm,
         backend=backend,
         start=start,
         on_step=on_step,
@@ -140,22 +140,15 @@ def _domain(
     topology.create_connectivity(dim - 1, dim)
     facets = {part: np.unique(chosen).astype(np.int32) for part, chosen in parts.items()}
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
-    box = _box(mesh.geometry.x, mesh.comm)
+    box = bounding_box(mesh.geometry.x, mesh.comm)
     return Domain(mesh, largest_diameter(mesh), labels, facets, regions, OWN_BEND / float((box[1] - box[0]).max()))
 
 
 def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Facets) -> str:
     """The coordinate along which a part extends most (collective)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
-    low, high = _box(mesh.geometry.x[nodes].reshape(-1, 3), mesh.comm)
+    low, high = bounding_box(mesh.geometry.x[nodes].reshape(-1, 3), mesh.comm)
     return AXES[int(np.argmax(high - low))]
-
-
-def _box(points: npt.NDArray[np.float64], comm: MPI.Comm) -> npt.NDArray[np.float64]:
-    """Smallest and largest coordinates of points of all ranks, shape (2, 3) (collective)."""
-    bounds = np.stack([points.min(axis=0, initial=np.inf), (-points).min(axis=0, initial=np.inf)])
-    comm.Allreduce(MPI.IN_PLACE, bounds, op=MPI.MIN)
-    return np.stack([bounds[0], -bounds[1]])
 
 
 def _check_parts(domain: Domain, names: Sequence[str]) -> None:

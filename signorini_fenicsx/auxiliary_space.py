@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.conditioned import ConditionedMatrix
 from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.data import Data, mean_conductivity
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces, owned_on_facets
 
 
@@ -23,7 +23,7 @@ class AuxiliarySpace:
 
     def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
         """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective)."""
-        self._spaces, self._kappa = spaces, data.kappa_h
+        self._spaces, self._weak = spaces, data.stiffness
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
         self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
@@ -84,8 +84,9 @@ class AuxiliarySpace:
         spaces = self._spaces
         if spaces.has_dirichlet:
             return np.zeros(len(self._all))
-        weak = mean_conductivity(spaces, self._kappa) / spaces.length()
-        return self._lumped_robin(FacetConditions(np.full(len(spaces.facets), Condition.ROBIN, dtype=np.int8), weak))
+        return self._lumped_robin(
+            FacetConditions(np.full(len(spaces.facets), Condition.ROBIN, dtype=np.int8), self._weak)
+        )
 
     def _lumped_robin(self, conditions: FacetConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN

@@ -54,10 +54,7 @@ class Domain:
 
     def box(self) -> Array:
         """Smallest and largest coordinates, shape (2, 3) (collective)."""
-        x = self.mesh.geometry.x
-        bounds = np.concatenate([x.min(axis=0, initial=np.inf), (-x).min(axis=0, initial=np.inf)])
-        self.mesh.comm.Allreduce(MPI.IN_PLACE, bounds, op=MPI.MIN)
-        return np.stack([bounds[:3], -bounds[3:]])
+        return bounding_box(self.mesh.geometry.x, self.mesh.comm)
 
 
 @dataclass(frozen=True)
@@ -74,6 +71,13 @@ class Marks:
     facets: Mapping[str, Indices]
     cells: npt.NDArray[np.bool_] | None
     regions: tuple[str, ...]
+
+
+def bounding_box(points: Array, comm: MPI.Comm) -> Array:
+    """Smallest and largest coordinates of points of all ranks, shape (2, 3) (collective)."""
+    bounds = np.stack([points.min(axis=0, initial=np.inf), (-points).min(axis=0, initial=np.inf)])
+    comm.Allreduce(MPI.IN_PLACE, bounds, op=MPI.MIN)
+    return np.stack([bounds[0], -bounds[1]])
 
 
 def axis_part(label: str) -> Part:

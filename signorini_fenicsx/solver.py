@@ -420,7 +420,7 @@ class _Run:
     def outcome(self, predicted: FacetConditions | None, watch: Stopwatch, on_step: Callable[[Step], None]) -> Outcome:
         """Set up the solver, run it and let it go (collective)."""
         options, algorithm, spaces, data = self.case.solve, self.algorithm, self.spaces, self.data
-        max_iterations = options.max_iterations or algorithm.max_iterations
+        max_iterations = self._max_iterations()
         if algorithm.by is By.CLASSICAL:
             if not spaces.has_dirichlet:
                 raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
@@ -436,7 +436,7 @@ class _Run:
             return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
         backend = self.backend(spaces, data)
         watch.lap("assembly")
-        return self._by_sets(backend, max_iterations, predicted, watch, on_step)
+        return self._by_sets(backend, predicted, watch, on_step)
 
     def residuals(self, outcome: Outcome) -> KKTResiduals:
         """KKT residuals of an outcome (collective)."""
@@ -452,54 +452,50 @@ class _Run:
 
     def by_saddle_point(self, outcome: Outcome, kkt: KKTResiduals, on_step: Callable[[Step], None]) -> Outcome:
         """Go on from an outcome's sets with the mixed backend, whose unknown is the flux itself (collective)."""
-        options = self.case.solve
-        again = iterate_sets(
-            MixedBackend(self.spaces, self.data),
-            self.algorithm,
-            rho=options.rho or 1.0,
-            eps=options.eps,
-            max_iterations=options.max_iterations or self.algorithm.max_iterations,
-            predicted=outcome.conditions,
-            on_step=on_step,
-        )
+        again = self._iterate(MixedBackend(self.spaces, self.data), outcome.conditions, on_step)
         steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
         remark = f"by the saddle point, because the facet system left stationarity {kkt.stationarity:.1e}"
         return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
 
+    def _max_iterations(self) -> int:
+        return self.case.solve.max_iterations or self.algorithm.max_iterations
+
+    def _parameters(self) -> dict[str, float]:
+        return {"rho": self.case.solve.rho or 1.0, "eps": self.case.solve.eps}
+
+    def _iterate(self, backend: Backend, start: FacetConditions | None, on_step: Callable[[Step], None]) -> Outcome:
+        """The active-set loop from these conditions, or from the algorithm's own start (collective)."""
+        return iterate_sets(
+            backend,
+            self.algorithm,
+            **self._parameters(),
+            max_iterations=self._max_iterations(),
+            predicted=start,
+            on_step=on_step,
+        )
+
     def _by_sets(
         self,
         backend: Backend,
-        max_iterations: int,
         predicted: FacetConditions | None,
         watch: Stopwatch,
         on_step: Callable[[Step], None],
     ) -> Outcome:
         """The active-set loop from a prediction, or from a cold start where there is none or it fails (collective)."""
-        spaces, options, algorithm = self.spaces, self.case.solve, self.algorithm
-        parameters = {"rho": options.rho or 1.0, "eps": options.eps}
+        spaces = self.spaces
         in_contact = np.full(len(spaces.facets), Condition.ZERO_TRACE, dtype=np.int8)
         first = None if spaces.has_dirichlet else FacetConditions(in_contact)  # others might be Neumann problems
-
-        def run(start: FacetConditions | None) -> Outcome:
-            return iterate_sets(
-                backend,
-                algorithm,
-                **parameters,
-                max_iterations=max_iterations,
-                predicted=start or first,
-                on_step=on_step,
-            )
 
         with contextlib.suppress(LinearSolveFailure):
             steps = 0
             if isinstance(backend, HybridBackend) and backend.iterative and self.predicts():
-                predicted, steps = settle_sets(backend, algorithm, **parameters, start=predicted or first)
+                predicted, steps = settle_sets(backend, self.algorithm, **self._parameters(), start=predicted or first)
                 watch.lap("prediction")
             if predicted is not None:
-                outcome = replace(run(predicted), rough_steps=steps)
+                outcome = replace(self._iterate(backend, predicted, on_step), rough_steps=steps)
                 if outcome.converged:
                     return outcome
-        cold = run(None)
+        cold = self._iterate(backend, first, on_step)
         if predicted is None:
             return cold
         return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
