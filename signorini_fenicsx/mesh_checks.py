@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from signorini_fenicsx.errors import InputError
 
@@ -252,6 +250,9 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:
     """Refuse one of several components without a facet of Γ_D; these are given by rows of the facets of all cells."""
+    from scipy.sparse import coo_array  # slow to import, and needed for meshes from files only
+    from scipy.sparse.csgraph import connected_components
+
     size = len(mesh.cells)
     one, other = (facets % size for facets in neighbours(everything))
     links = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(size, size))

@@ -18,7 +18,6 @@ from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm, By
 from signorini_fenicsx.backend import Backend, LinearSolveFailure
 from signorini_fenicsx.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.case import Case
-from signorini_fenicsx.classical import CLASSICAL, Task
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.data import Data, Problem, project_data, quadrature
@@ -424,6 +423,8 @@ class _Run:
         if algorithm.by is By.CLASSICAL:
             if not spaces.has_dirichlet:
                 raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
+            from signorini_fenicsx.classical import CLASSICAL, Task  # SciPy is slow to import
+
             task = Task(spaces, data, options.rho, options.eps, max_iterations, on_step)
             return CLASSICAL[options.algorithm](task)
         if algorithm.by is By.SNES and algorithm.penalty is not None:

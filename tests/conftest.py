@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from mpi4py import MPI
+from under_mpirun import IS_CHILD, Launches, number_of_ranks, tell_parent
 
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.parallel import collect_garbage
@@ -14,11 +15,12 @@ from signorini_fenicsx.parallel import collect_garbage
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 USUAL_RANKS = 3
+LAUNCHES = pytest.StashKey[Launches]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let mpi-pytest's child processes run what their parent has chosen, slow or not."""
-    if "_PYTEST_MPI_CHILD_PROCESS" in os.environ:
+    """Let the processes of a launch run what their parent has chosen, slow or not."""
+    if IS_CHILD:
         config.option.markexpr = ""
 
 
@@ -31,6 +33,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             ranks = item.callspec.params.get("_nprocs")
             if ranks is not None and ranks != max(number for number in marker.args[0] if number <= USUAL_RANKS):
                 item.add_marker(pytest.mark.slow)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Plan one launch for each number of ranks."""
+    session.stash[LAUNCHES] = Launches(session.items)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_setup(item: pytest.Function) -> None:
+    """Where mpi-pytest would launch mpirun for a single test, take the result of the common launch."""
+    if not IS_CHILD and MPI.COMM_WORLD.size == 1 and number_of_ranks(item) > 1:
+        item.obj = lambda **fixtures: item.session.stash[LAUNCHES].check(item)
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """In a launch, tell the parent process what came out."""
+    if IS_CHILD:
+        tell_parent(report)
 
 
 @pytest.fixture(autouse=True)

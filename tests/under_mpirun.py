@@ -1,0 +1,69 @@
+"""All parallel tests of a pytest run in one mpirun for each number of ranks: a launch costs as much as a test."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx.parallel import FORWARDING
+
+CHILD = "_PYTEST_MPI_CHILD_PROCESS"
+"""What mpi-pytest calls it, too."""
+PASSED = "SIGNORINI_PASSED_TESTS"
+"""File to which rank 0 of a launch adds the tests that pass."""
+IS_CHILD = CHILD in os.environ
+
+
+def number_of_ranks(item: pytest.Item) -> int:
+    """The number of ranks of a test, by the marker `parallel[N]` that mpi-pytest gives to each."""
+    return next(int(marker.name[9:-1]) for marker in item.iter_markers() if marker.name.startswith("parallel["))
+
+
+class Launches:
+    """The launches of a run; each starts when the first of its tests is due."""
+
+    def __init__(self, items: list[pytest.Item]):
+        """Take note of the chosen tests."""
+        self._items = items
+        self._ended: dict[int, tuple[set[str], str]] = {}
+
+    def check(self, item: pytest.Item) -> None:
+        """Fail if the test did not pass on all ranks."""
+        ranks = number_of_ranks(item)
+        if ranks not in self._ended:
+            tests = [other.nodeid for other in self._items if number_of_ranks(other) == ranks]
+            self._ended[ranks] = launch(item.config.rootpath, ranks, tests)
+        passed, output = self._ended[ranks]
+        if item.nodeid not in passed:
+            pytest.fail(f"{item.nodeid} did not pass in this mpirun -n {ranks}:\n{output}", pytrace=False)
+
+
+def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
+    """Run tests under mpirun; returns those that passed and the last of what was printed."""
+    with tempfile.NamedTemporaryFile("r", encoding="utf-8") as file:
+        done = subprocess.run(
+            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-q", "-s", *tests],
+            cwd=folder,
+            env=os.environ | {CHILD: "1", PASSED: file.name},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        return set(file.read().splitlines()), done.stdout[-5000:]
+
+
+def tell_parent(report: pytest.TestReport) -> None:
+    """In a launch: a test that fails on one rank ends it, since the others may wait for that rank for ever."""
+    if report.failed:
+        print(f"\nFAILED on rank {MPI.COMM_WORLD.rank}: {report.nodeid}\n{report.longreprtext}", flush=True)
+        time.sleep(FORWARDING)
+        MPI.COMM_WORLD.Abort(1)
+    if report.when == "teardown" and MPI.COMM_WORLD.rank == 0:  # after mpi-pytest's barrier
+        with Path(os.environ[PASSED]).open("a", encoding="utf-8") as file:
+            print(report.nodeid, file=file)
