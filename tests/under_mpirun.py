@@ -16,6 +16,8 @@ CHILD = "_PYTEST_MPI_CHILD_PROCESS"
 """What mpi-pytest calls it, too."""
 PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
+YIELD = {"MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1"}
+"""Makes ranks of MPICH that wait leave the core to others: there may be more ranks than cores."""
 IS_CHILD = CHILD in os.environ
 
 
@@ -47,9 +49,9 @@ def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
     """Run tests under mpirun; returns those that passed and the last of what was printed."""
     with tempfile.NamedTemporaryFile("r", encoding="utf-8") as file:
         done = subprocess.run(
-            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-q", "-s", *tests],
+            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-n0", "-q", "-s", *tests],
             cwd=folder,
-            env=os.environ | {CHILD: "1", PASSED: file.name},
+            env=os.environ | {CHILD: "1", PASSED: file.name} | YIELD,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
