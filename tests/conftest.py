@@ -26,13 +26,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test for several numbers of ranks the largest, up to USUAL_RANKS, runs by default; the others are slow.
-
-    Of pytest's two workers one takes all that runs under mpirun; the other tests go file by file.
-    """
+    """Of a test for several numbers of ranks the largest, up to USUAL_RANKS, runs by default; the others are slow."""
     for item in items:
         marker = item.get_closest_marker("parallel")
-        item.add_marker(pytest.mark.xdist_group(item.path.name if marker is None else "mpirun"))
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
             ranks = item.callspec.params.get("_nprocs")
             if ranks is not None and ranks != max(number for number in marker.args[0] if number <= USUAL_RANKS):

@@ -195,22 +195,3 @@ def test_target_out_of_reach_is_a_failure_with_its_state(tmp_path: Path):
     assert "not 0.001" in done.stderr
     assert [path.name for path in (tmp_path / "results").iterdir()] == ["example2-adapt.failed"]
     assert (tmp_path / "results" / "example2-adapt.failed" / "adapt.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "give --target"),
-        (["--target", "0"], "must be greater than 0"),
-        (["--target", "small"], "is not a number"),
-        (["--max-cells", "0"], "at least 1"),
-        (["--max-cells", "1000", "--theta", "1.5"], "at most 1"),
-        (["--max-cells", "10"], "more than the 10 allowed"),
-    ],
-)
-def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
-    done = signorini(tmp_path, "adapt", "example2", *arguments)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == []

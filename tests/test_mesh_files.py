@@ -205,7 +205,7 @@ def check_cube(solution: Solution) -> None:
     assert sum(map(len, domain.regions.values())) == size
 
 
-@pytest.mark.parametrize("scale", [1e-12, 1e12])
+@pytest.mark.parametrize("scale", [1e-12, pytest.param(1e12, marks=pytest.mark.slow)])
 def test_any_unit_of_length(tmp_path: Path, scale: float):
     """Lengths scaled by 1e±12 change nothing but the lengths, in solving, comparing and refining."""
     found = []

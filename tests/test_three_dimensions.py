@@ -47,7 +47,8 @@ def test_ranks_do_not_matter():
         assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
 
 
-@pytest.mark.parametrize("name", [pytest.param("lprism", marks=pytest.mark.slow), "ball"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lprism", "ball"])
 def test_pictures(tmp_path: Path, name: str):
     done = signorini(tmp_path, "solve", name, "--h", str(COARSE[name]), "--plot")
     assert done.returncode == 0, done.stderr

@@ -49,7 +49,7 @@ def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
     """Run tests under mpirun; returns those that passed and the last of what was printed."""
     with tempfile.NamedTemporaryFile("r", encoding="utf-8") as file:
         done = subprocess.run(
-            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-n0", "-q", "-s", *tests],
+            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-q", "-s", *tests],
             cwd=folder,
             env=os.environ | {CHILD: "1", PASSED: file.name} | YIELD,
             stdout=subprocess.PIPE,
