@@ -190,7 +190,7 @@ def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
         if name not in regions:
             known = f"its regions are {', '.join(regions)}" if regions else "it has none"
             raise InputError(f"[problem] kappa: unknown region '{name}' of the mesh; {known}")
-    covered = np.zeros(spaces.Q.dofmap.index_map.size_local, dtype=bool)
+    values_given = np.zeros(spaces.Q.dofmap.index_map.size_local, dtype=np.int64)
     values = {
         name: _expression(spaces, f"kappa.{name}", value, continuous=False, matrix=True)
         for name, value in given.items()
@@ -200,13 +200,16 @@ def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
     for name, value in values.items():
         inside = fem.Function(spaces.Q, name=name)
         inside.x.array[regions[name]] = 1.0
-        covered[regions[name]] = True
+        values_given[regions[name]] += 1
         term = inside * (value * ufl.Identity(spaces.mesh.geometry.dim) if is_matrix and not value.ufl_shape else value)
         kappa = term if kappa is None else kappa + term
-    without = spaces.mesh.comm.allreduce(int(np.count_nonzero(~covered)))
+    counts = np.array([np.count_nonzero(values_given == 0), np.count_nonzero(values_given > 1)])
+    without, several = spaces.mesh.comm.allreduce(counts).tolist()
     if kappa is None or without > 0:
         missing = [name for name in regions if name not in given]
         raise InputError(f"[problem] kappa: {without} cells have no value; regions without one: {', '.join(missing)}")
+    if several > 0:
+        raise InputError(f"[problem] kappa: {several} cells are in more than one of {', '.join(given)}")
     return kappa
 
 

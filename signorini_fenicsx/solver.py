@@ -39,8 +39,8 @@ EXACT_CONTACT = 1e-12
 """An exact u of less than this on Γ_S, relative to its maximum there, is contact."""
 PREDICT_FROM = 60_000
 """Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
-COARSENINGS = 16.0, 4.0
-"""Mesh sizes, in multiples of its own, of the meshes on which the sets of a large problem are predicted."""
+COARSENING = 4.0
+"""Mesh size, in multiples of its own, of the mesh on which the sets of a large problem are predicted."""
 
 
 @dataclass(frozen=True)
@@ -384,17 +384,15 @@ class _Run:
         return self.case.solve.predict and self.algorithm.by is By.SETS and facets >= PREDICT_FROM
 
     def predicted(self) -> FacetConditions | None:
-        """Conditions of the same case on coarser meshes, each starting from the one before (collective).
+        """Conditions of the same case on a coarser mesh, which are predicted likewise if that is large (collective).
 
         None if there is no such mesh, or no solution on it. The prediction changes the number of steps only: the loop
         ends where the sets repeat, wherever it starts.
         """
-        coarse = None
-        for factor in COARSENINGS:
-            with contextlib.suppress(InputError, NumericalFailure):
-                values = {"solve.h": factor * self.case.solve.h}
-                coarse = solve(self.case.with_values(values), self.spaces.mesh.comm, start=coarse)
-        return None if coarse is None else self.transferred(coarse)
+        with contextlib.suppress(InputError, NumericalFailure):
+            coarse = solve(self.case.with_values({"solve.h": COARSENING * self.case.solve.h}), self.spaces.mesh.comm)
+            return self.transferred(coarse)
+        return None
 
     def transferred(self, start: Solution) -> FacetConditions:
         """The contact set of another solution as conditions of this algorithm (collective).

@@ -135,6 +135,15 @@ def test_refusals():
             signorini=["bottom"],
             regions={"west": np.empty(0, dtype=np.int32)},
         )
+    everywhere = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+    with pytest.raises(InputError, match="cells are in more than one of one, two"):
+        solve_on(
+            mesh,
+            Problem(f=1.0, kappa={"one": 1.0, "two": 2.0}),
+            parts=parts,
+            signorini=["bottom"],
+            regions={"one": everywhere, "two": everywhere[:1]},
+        )
     quads, parts = square(cell_type=CellType.quadrilateral)
     with pytest.raises(InputError, match="must consist of triangles or tetrahedra"):
         solve_on(quads, f, parts=parts, signorini=["bottom"])
