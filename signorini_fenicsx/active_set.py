@@ -30,10 +30,10 @@ from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
-ROUGH_ITERATIONS = 5
-"""Iterations of a rough solve: enough to see on which side of 0 most p and σ·n are."""
-FIRST_ITERATIONS = 10
-"""Iterations of the first one from given conditions, which a worse solution would spoil."""
+COLD_ITERATIONS = 5
+"""Iterations of a rough solve from a cold start: enough to see on which side of 0 most p and σ·n are."""
+FIRST_ITERATIONS, NEXT_ITERATIONS = 14, 2
+"""From given conditions: a nearly exact solve first, then what follows the few facets that still change."""
 TIE = 1e-11
 """Values below this share of their scale are rounding: ten times what linear solvers leave (1e-12), and a wrong sign of
 that size stays far below what the KKT residuals allow (1e-8)."""
@@ -270,7 +270,7 @@ def settle_sets(
     conditions = start or algorithm.cold_start(len(backend.spaces.facets), eps)
     changed: list[int] = []
     while len(changed) < 3 or changed[-1] < changed[-3]:
-        iterations = FIRST_ITERATIONS if start is not None and not changed else ROUGH_ITERATIONS
+        iterations = COLD_ITERATIONS if start is None else NEXT_ITERATIONS if changed else FIRST_ITERATIONS
         following = algorithm.next_conditions(*backend.solve_roughly(conditions, iterations), rho, eps)
         changed.append(int(following.changes([conditions], backend.spaces.mesh.comm)[0]))
         conditions = following
