@@ -99,12 +99,14 @@ def _open(wanted: Path) -> tuple[Path, Path, list[Path]]:
         staging.chmod(0o777 & ~umask)  # mkdtemp makes folders private
     except OSError as error:
         raise InputError(f"output {wanted}: cannot be written ({error.strerror})") from None
-    except (RuntimeError, ValueError) as error:  # a loop of links, a null byte
+    except (RuntimeError, ValueError) as error:  # a loop of links until Python 3.12, a null byte
         raise InputError(f"output {wanted!r}: {error}") from None
     return target, staging, missing
 
 
 def _check(target: Path) -> None:
+    if target.is_symlink():  # from Python 3.13 on, resolve leaves a loop as it is
+        raise InputError(f"output {target}: is a symlink loop")
     if os.path.ismount(target):
         raise InputError(f"output {target}: is a mount point, which cannot be replaced; choose a folder in it")
     if target == Path.cwd():

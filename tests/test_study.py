@@ -137,7 +137,7 @@ def stamps(results: Path) -> dict[str, tuple[int, int]]:
 
 def descendants(pid: int) -> list[int]:
     """A process that we started, and all that it started."""
-    children = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False).stdout.split()
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return [pid, *(process for child in children for process in descendants(int(child)))]
 
 
