@@ -282,6 +282,7 @@ def draw(rows: list[Row], path: Path) -> None:
     """Time over cells and time over error, one row of panels per case."""
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     cases = list(dict.fromkeys(row.case for row in rows))
     figure, axes = plt.subplots(len(cases), 2, figsize=(12, 5 * len(cases)), squeeze=False, layout="constrained")
@@ -295,7 +296,11 @@ def draw(rows: list[Row], path: Path) -> None:
         over_cells.set(title=case, xlabel="cells", ylabel="seconds")
         over_error.set(title=case, xlabel="‖σ − σ_h‖", ylabel="seconds")
         over_error.invert_xaxis()
-        over_cells.legend()
+        for axis in (over_cells.xaxis, over_error.xaxis):  # less than two decades
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_formatter(NullFormatter())
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
