@@ -89,7 +89,7 @@ def _open(wanted: Path) -> tuple[Path, Path, list[Path]]:
         InputError: If it cannot be a results folder.
     """
     try:
-        target = wanted.resolve()
+        target = Path(os.path.realpath(wanted))  # other than resolve, it treats loops alike in all versions of Python
         _check(target)
         missing = [folder for folder in target.parents if not folder.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -99,13 +99,13 @@ def _open(wanted: Path) -> tuple[Path, Path, list[Path]]:
         staging.chmod(0o777 & ~umask)  # mkdtemp makes folders private
     except OSError as error:
         raise InputError(f"output {wanted}: cannot be written ({error.strerror})") from None
-    except (RuntimeError, ValueError) as error:  # a loop of links until Python 3.12, a null byte
+    except ValueError as error:  # a null byte
         raise InputError(f"output {wanted!r}: {error}") from None
     return target, staging, missing
 
 
 def _check(target: Path) -> None:
-    if target.is_symlink():  # from Python 3.13 on, resolve leaves a loop as it is
+    if target.is_symlink():  # all others are resolved
         raise InputError(f"output {target}: is a symlink loop")
     if os.path.ismount(target):
         raise InputError(f"output {target}: is a mount point, which cannot be replaced; choose a folder in it")

@@ -217,7 +217,7 @@ def test_bad_input_as_typed(tmp_path: Path, arguments: list[str], message: str):
     """One sentence, exit status 2, no traceback, nothing written."""
     before = untouchable(tmp_path)
     done = signorini(tmp_path, *arguments)
-    assert done.returncode == 2
+    assert done.returncode == 2, done.stderr
     assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert sorted(tmp_path.rglob("*")) == before
@@ -242,7 +242,7 @@ def test_bad_input(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-IN_PARALLEL = ("unknown case 'example7'", "is a file", "PETSc", "outside 1e-100")
+IN_PARALLEL = ("unknown case 'example7'", "asks for about", "is a file", "PETSc", "outside 1e-100")
 
 
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in IN_PARALLEL])
@@ -324,7 +324,10 @@ def test_state_with_nan_is_kept(tmp_path: Path):
     assert failed["converged"] is False
 
 
-@pytest.mark.parametrize("algorithm", ["alg1", "snes2"])
+ON_DEMAND = [pytest.param(name, marks=pytest.mark.slow) for name in ("alg3", "snes1", "vi")]
+
+
+@pytest.mark.parametrize("algorithm", ["alg1", "snes2", *ON_DEMAND])
 def test_no_load(tmp_path: Path, algorithm: str):
     done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--algorithm", algorithm, "--set", "problem.f=0")
     assert done.returncode == 0, done.stderr

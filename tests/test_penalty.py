@@ -33,10 +33,15 @@ def distance(a: Solution, b: Solution) -> float:
     return COMM.allreduce(local, MPI.MAX)
 
 
+FEW = [("example2", 1.0), ("example4", 1e-4), ("example6", 1e-8), ("example4", 1e-12)]
+ALL = list(itertools.product(("example2", "example4", "example6"), (1.0, 1e-4, 1e-8, 1e-12)))
+
+
 @pytest.mark.parallel([1, 2])
-def test_set_algorithms_equal_newton():
+@pytest.mark.parametrize("pairs", [FEW, pytest.param(ALL, marks=pytest.mark.slow)], ids=["few", "all"])
+def test_set_algorithms_equal_newton(pairs: list[tuple[str, float]]):
     """Algorithm 3 = snes1 and Algorithm 4 = snes2 from ε = 1 to 1e-12, in few steps."""
-    for name, eps in (("example2", 1.0), ("example4", 1e-4), ("example6", 1e-8), ("example4", 1e-12)):
+    for name, eps in pairs:
         domain = mesh_case(penalised(name, "alg3", eps), COMM)
         for algorithm, newton in (("alg3", "snes1"), ("alg4", "snes2")):
             one = solve(penalised(name, algorithm, eps), COMM, domain=domain)

@@ -188,7 +188,7 @@ def test_extents():
         assert_as_alone(extent, ("0", "1/2 - x", "alg1"), ("-30", touching, "alg4"), ("-30", touching, "snes1"))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([3, 4])
 def test_ranks_without_cells():
     assert_as_alone("two cells", ("50*(x - 0.3)", "x*y", "alg3"), ("50*(x - 0.3)", "x*y", "vi"))
 

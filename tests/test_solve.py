@@ -104,7 +104,11 @@ INDEPENDENT = {
 }
 
 
-PENALTIES = [(name, algorithm) for name in ("example2", "example4") for algorithm in ("alg3", "alg4")]
+PENALTIES = [
+    pytest.param(name, algorithm, marks=() if name in ("example2", "example4") else pytest.mark.slow)
+    for name in CASES
+    for algorithm in ("alg3", "alg4")
+]
 
 
 @pytest.mark.parametrize(("name", "algorithm"), [*((name, "alg1") for name in CASES), *PENALTIES])

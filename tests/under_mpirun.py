@@ -9,16 +9,15 @@ from pathlib import Path
 
 import pytest
 from mpi4py import MPI
+from pytest_mpi.plugin import CHILD_PROCESS_FLAG
 
 from signorini_fenicsx.parallel import FORWARDING
 
-CHILD = "_PYTEST_MPI_CHILD_PROCESS"
-"""What mpi-pytest calls it, too."""
 PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
 YIELD = {"MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1"}
 """Makes ranks of MPICH that wait leave the core to others: there may be more ranks than cores."""
-IS_CHILD = CHILD in os.environ
+IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 
 
 def number_of_ranks(item: pytest.Item) -> int:
@@ -51,7 +50,7 @@ def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
         done = subprocess.run(
             ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-q", "-s", *tests],
             cwd=folder,
-            env=os.environ | {CHILD: "1", PASSED: file.name} | YIELD,
+            env=os.environ | {CHILD_PROCESS_FLAG: "1", PASSED: file.name} | YIELD,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
