@@ -19,7 +19,9 @@ from rich.table import Table
 
 from signorini_fenicsx.case import load_case
 from signorini_fenicsx.convergence import differences
-from signorini_fenicsx.solver import Solution, mesh_case, solve
+from signorini_fenicsx.discretisation import mesh_case
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 
 def bound(solution: Solution, violation: float, *, with_trace: bool) -> float:

@@ -22,10 +22,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.data import Problem
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.geometry import SHAPES, Domain
 from signorini_fenicsx.kkt import TOLERANCE
-from signorini_fenicsx.solver import mesh_case, solve
+from signorini_fenicsx.solver import solve
 
 type Array = npt.NDArray[np.float64]
 

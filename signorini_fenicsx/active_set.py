@@ -25,15 +25,11 @@ from mpi4py import MPI
 from forms.mixed import flux_product
 from forms.norms import l2, v_norm
 from signorini_fenicsx.algorithms import Algorithm
-from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure, RoughBackend
+from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.spaces import Spaces
 
-COLD_ITERATIONS = 5
-"""Iterations of a rough solve from a cold start: enough to see on which side of 0 most p and σ·n are."""
-FIRST_ITERATIONS, NEXT_ITERATIONS = 14, 2
-"""From given conditions: a nearly exact solve first, then what follows the few facets that still change."""
 TIE = 1e-11
 """Values below this share of their scale are rounding: ten times what linear solvers leave (1e-12), and a wrong sign of
 that size stays far below what the KKT residuals allow (1e-8)."""
@@ -85,7 +81,7 @@ class Outcome:
         own_residual: Largest residual of the discrete problem that the method solves, scale-free, where that is neither
             (9) nor a penalty of it: what is judged then instead of the KKT residuals.
         details: Numbers of its own that the method chose or found, such as ρ.
-        rough_steps: Set updates that went before, by rough solves.
+        rough_steps: Solves that went before to predict the sets and were stopped early.
     """
 
     iterate: Iterate
@@ -239,44 +235,6 @@ class SingleChange:
         if place and place == last:
             kind[index] = wanted.kind[index]
         return replace(wanted, kind=kind)
-
-
-def settle_sets(
-    backend: RoughBackend,
-    algorithm: Algorithm,
-    *,
-    rho: float,
-    eps: float,
-    start: FacetConditions | None = None,
-) -> tuple[FacetConditions, int]:
-    """Let the sets settle on rough solves, as long as fewer facets change than two steps before (collective).
-
-    What comes out is a prediction: a few iterations of the linear solver per step, each going on from the last
-    solution, move the sets nearly as far as exact solves would.
-
-    Args:
-        backend: Solves roughly under given facet conditions.
-        algorithm: Start and rule.
-        rho: ρ > 0 of the rule.
-        eps: ε > 0 of the penalty.
-        start: Conditions to start from, instead of the algorithm's own start.
-
-    Returns:
-        The last conditions and the number of steps.
-
-    Raises:
-        LinearSolveFailure: If the linear solver breaks down.
-    """
-    conditions = start or algorithm.cold_start(len(backend.spaces.facets), eps)
-    changed: list[int] = []
-    while len(changed) < 3 or changed[-1] < changed[-3]:
-        iterations = COLD_ITERATIONS if start is None else NEXT_ITERATIONS if changed else FIRST_ITERATIONS
-        following = algorithm.next_conditions(*backend.solve_roughly(conditions, iterations), rho, eps)
-        changed.append(int(following.changes([conditions], backend.spaces.mesh.comm)[0]))
-        conditions = following
-        if changed[-1] == 0:
-            break
-    return conditions, len(changed)
 
 
 def iterate_sets(

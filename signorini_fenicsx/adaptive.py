@@ -10,11 +10,13 @@ from mpi4py import MPI
 from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate, certify
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.domain import Domain
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.parallel import collect_garbage
 from signorini_fenicsx.refinement import dorfler, refine
-from signorini_fenicsx.solver import Solution, mesh_case, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 FIRST_MESH = 8.0
 """The first mesh has h at most the diameter of the domain over this, unless the user says else."""

@@ -44,7 +44,8 @@ from signorini_fenicsx.data import Data, Problem
 from signorini_fenicsx.domain import AXES, Domain, axis_part, bounding_box, largest_diameter
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.geometry import OWN_BEND
-from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 from signorini_fenicsx.spaces import Spaces
 
 __all__ = [

@@ -80,14 +80,13 @@ def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
         raise InputError(f"PETSc options: {petsc_reason(error)}") from None
 
 
-def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, *, to_tolerance: bool = True) -> None:
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
     """Solve and make sure of it (collective).
 
     Args:
         ksp: The linear solver.
         b: Right side.
         x: Solution, and the start if the solver takes one.
-        to_tolerance: Whether running out of iterations is a failure.
 
     Raises:
         LinearSolveFailure: If the solver does not converge or PETSc gives up.
@@ -97,7 +96,7 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, *, to_tolerance: bo
     except PETSc.Error as error:
         raise LinearSolveFailure(f"the linear solver {solver_name(ksp)} failed: {petsc_reason(error)}") from None
     reason = ksp.getConvergedReason()
-    if reason < 0 and (to_tolerance or reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT):
+    if reason < 0:
         raise LinearSolveFailure(
             f"the linear solver {solver_name(ksp)} stopped with PETSc's reason {reason} "
             f"after {ksp.getIterationNumber()} iterations"
@@ -135,18 +134,4 @@ class Backend(Protocol):
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        ...
-
-
-class RoughBackend(Protocol):
-    """A backend whose linear solver iterates and may stop early."""
-
-    spaces: Spaces
-
-    def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
-        """`Iterate.p` and `Iterate.flux` after some more iterations from the last solution (collective).
-
-        Raises:
-            LinearSolveFailure: If the linear solver breaks down.
-        """
         ...

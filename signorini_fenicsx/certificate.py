@@ -51,7 +51,8 @@ from signorini_fenicsx.backend import LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data, Problem, is_constant, project_data, quadrature, scalar_conductivity
 from signorini_fenicsx.hybrid import HybridBackend
-from signorini_fenicsx.solver import Solution, Stopwatch
+from signorini_fenicsx.parallel import Stopwatch
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, centroids
 
 RELAXATIONS = 5

@@ -22,13 +22,14 @@ from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.discretisation import discrete_data
 from signorini_fenicsx.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.gather import FacetTable, Fields
 from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.kkt import kkt_residuals
 from signorini_fenicsx.parallel import on_root, scatter_rows
-from signorini_fenicsx.solver import Solution, discrete_data
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, build_spaces, centroids
 
 FILE = "checkpoint.npz"

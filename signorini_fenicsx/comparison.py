@@ -7,8 +7,9 @@ from typing import Any
 
 from signorini_fenicsx.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.convergence import Differences, differences
+from signorini_fenicsx.discretisation import same_domain
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.solver import Solution, same_domain
+from signorini_fenicsx.solution import Solution
 
 
 @dataclass(frozen=True)

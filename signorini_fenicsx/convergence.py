@@ -17,11 +17,13 @@ from mpi4py import MPI
 from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.shipped import data_folder
-from signorini_fenicsx.solver import Solution, mesh_case, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 type Array = npt.NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.solver import Solution
+    from signorini_fenicsx.solution import Solution
 
 
 class InputError(Exception):

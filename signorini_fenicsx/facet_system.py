@@ -85,10 +85,10 @@ class FacetSystem:
         sigma.x.scatter_forward()
         return Iterate(sigma, u, p, flux, linear_iterations)
 
-    def recover_traces(self, conditions: FacetConditions) -> tuple[Array, Array]:
-        """What `recover` gives per Γ_S facet, without the fields (collective)."""
-        flux = self._recovery.normal_flux(self.x) - self._data.q_Sh
-        return conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.stiffness)
+    def traces(self, x: PETSc.Vec, conditions: FacetConditions) -> tuple[Array, Array]:
+        """What `recover` would give per Γ_S facet for this x, which need not be a solution (collective)."""
+        flux = self._recovery.normal_flux(x) - self._data.q_Sh
+        return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.stiffness)
 
 
 class _Recovery:

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.domain import Domain, Marks, facet_vertices, membership
 from signorini_fenicsx.parallel import gather_rows
-from signorini_fenicsx.solver import Solution
+from signorini_fenicsx.solution import Solution
 
 type Array = npt.NDArray[np.float64]
 

@@ -1,5 +1,9 @@
 """The hybrid backend: the facet system, solved by Cholesky or by CG with auxiliary-space multigrid."""
 
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
 from signorini_fenicsx.auxiliary_space import AuxiliarySpace
@@ -7,6 +11,7 @@ from signorini_fenicsx.backend import Array, Iterate, set_direct, solve_linear, 
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.data import Data
 from signorini_fenicsx.facet_system import FacetSystem
+from signorini_fenicsx.patch import Patch
 from signorini_fenicsx.spaces import Spaces
 
 TOLERANCE = 1e-12
@@ -20,25 +25,31 @@ class HybridBackend:
     either.
 
     Attributes:
-        iterative: Whether the linear solver iterates, so that rough solves are cheaper than exact ones.
+        iterative: Whether the linear solver iterates, so that it may stop early.
     """
 
     name = "hybrid"
 
-    def __init__(self, spaces: Spaces, data: Data):
+    def __init__(self, spaces: Spaces, data: Data, *, multigrid: bool = False):
         """Assemble and choose the solver (collective).
 
         Args:
             spaces: The discrete spaces.
             data: Its means over cells and facets.
+            multigrid: Whether multigrid is the default at any size.
         """
         self.spaces, self.data = spaces, data
         self._system = FacetSystem(spaces, data)
         self.dofs = self._system.dofs
         self._ksp = PETSc.KSP().create(spaces.mesh.comm)
         self._ksp.setOperators(self._system.matrix)
-        self._auxiliary = self._set_up_solver()
+        self._auxiliary = self._set_up_solver(multigrid=multigrid or self._system.large)
         self.iterative = self._ksp.getType() != "preonly"
+        self._enough: Callable[[], bool] = lambda: False
+        if self.iterative:
+            self._ksp.addConvergenceTest(self._stop_early, prepend=True)
+        self._applied: FacetConditions | None = None
+        self._iterations = 0
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -50,42 +61,70 @@ class HybridBackend:
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        self._apply(conditions)
-        solve_linear(self._ksp, self._system.b, self._system.x)
-        return self._system.recover(conditions, self._ksp.getIterationNumber())
+        self._solve(conditions)
+        return self._system.recover(conditions, self._iterations)
 
-    def solve_roughly(self, conditions: FacetConditions, iterations: int) -> tuple[Array, Array]:
-        """`Iterate.p` and `Iterate.flux` after some more iterations from the last solution (collective).
+    def solve_until(self, conditions: FacetConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve from the last solution, to the tolerance or until enough is said (collective).
+
+        Args:
+            conditions: Facet conditions.
+            enough: Called on all ranks after each iteration with what would be `Iterate.p` and `Iterate.flux`.
+
+        Returns:
+            `Iterate.p` and `Iterate.flux` in the end.
 
         Raises:
-            LinearSolveFailure: If the linear solver breaks down.
+            LinearSolveFailure: If the linear solver does not converge.
         """
-        self._apply(conditions)
-        limit = self._ksp.getTolerances()[3]
-        self._ksp.setTolerances(max_it=min(iterations, limit))
+        self._enough = lambda: enough(*self._system.traces(self._ksp.buildSolution(), conditions))
         try:
-            solve_linear(self._ksp, self._system.b, self._system.x, to_tolerance=False)
+            self._solve(conditions)
         finally:
-            self._ksp.setTolerances(max_it=limit)
-        return self._system.recover_traces(conditions)
+            self._enough = lambda: False
+        return self._system.traces(self._system.x, conditions)
 
-    def _apply(self, conditions: FacetConditions) -> None:
-        essential = self._system.apply(conditions)
-        if self._auxiliary is not None:
-            self._auxiliary.update(self._ksp.getPC(), conditions, essential)
+    def patch(self, facets: npt.NDArray[np.bool_], layers: int) -> Patch:
+        """The unknowns near some of the Γ_S facets of this rank (collective)."""
+        return Patch(self._system.matrix, self._system.trace_dofs[facets], layers)
 
-    def _set_up_solver(self) -> AuxiliarySpace | None:
+    def solve_on(self, patch: Patch, conditions: FacetConditions) -> tuple[Array, Array]:
+        """Change the last solution on the patch alone; `Iterate.p` and `Iterate.flux` of what it then is (collective).
+
+        Raises:
+            LinearSolveFailure: If a factorisation fails.
+        """
+        self._applied = None
+        self._system.apply(conditions)
+        patch.solve(self._system.matrix, self._system.b, self._system.x)
+        return self._system.traces(self._system.x, conditions)
+
+    def _solve(self, conditions: FacetConditions) -> None:
+        """Go on under the same conditions, or apply others first."""
+        if conditions is not self._applied:
+            essential = self._system.apply(conditions)
+            if self._auxiliary is not None:
+                self._auxiliary.update(self._ksp.getPC(), conditions, essential)
+            self._applied, self._iterations = conditions, 0
+        solve_linear(self._ksp, self._system.b, self._system.x)
+        self._iterations += self._ksp.getIterationNumber()
+
+    def _stop_early(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
+        """What PETSc asks before its own test."""
+        stop = iteration > 0 and self._enough()
+        return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING
+
+    def _set_up_solver(self, *, multigrid: bool) -> AuxiliarySpace | None:
         """Defaults by size, then the user's options; the coarse space, if multigrid is what came out."""
         ksp, pc = self._ksp, self._ksp.getPC()
-        large = self._system.large
-        if large:
+        if multigrid:
             ksp.setType("cg")
             ksp.setTolerances(rtol=TOLERANCE)
             ksp.setInitialGuessNonzero(True)
             pc.setType("mg")
         else:
             set_direct(ksp, "cholesky")
-        auxiliary = AuxiliarySpace(self.spaces, self.data, pc) if large else None
+        auxiliary = AuxiliarySpace(self.spaces, self.data, pc) if multigrid else None
         take_options(ksp)
         if ksp.getType() == "preonly":
             ksp.setInitialGuessNonzero(False)

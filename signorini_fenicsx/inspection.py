@@ -9,11 +9,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.case import Boundary, Case
+from signorini_fenicsx.discretisation import check_solvability, discrete_data, mesh_case, rough_cells
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.mesh_checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.mesh_files import read_mesh_file
-from signorini_fenicsx.solver import check_solvability, discrete_data, mesh_case, rough_cells
 from signorini_fenicsx.spaces import build_spaces
 
 FACETS_PER_CELL = {2: 1.5, 3: 2.0}

@@ -11,9 +11,11 @@ from mpi4py import MPI
 from forms.norms import l2
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.sampling import QUADRATURE_DEGREE, sampled
-from signorini_fenicsx.solver import Solution, mesh_case, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 
 @dataclass(frozen=True)

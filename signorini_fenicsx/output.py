@@ -28,8 +28,8 @@ from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields, gather_marks
-from signorini_fenicsx.parallel import on_root
-from signorini_fenicsx.solver import Solution, Stopwatch
+from signorini_fenicsx.parallel import Stopwatch, on_root
+from signorini_fenicsx.solution import Solution
 
 
 def write_solution(

@@ -66,6 +66,26 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
     sys.excepthook = hook
 
 
+class Stopwatch:
+    """Wall time per phase."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        """Add the time since the last lap to a phase."""
+        now = time.perf_counter()
+        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._last
+        self._last = now
+
+    def longest(self, comm: MPI.Comm) -> dict[str, float]:
+        """Each phase's longest time over the ranks (collective)."""
+        values = np.array(list(self.seconds.values()))
+        comm.Allreduce(MPI.IN_PLACE, values, op=MPI.MAX)
+        return dict(zip(self.seconds, values.tolist(), strict=True))
+
+
 def peak_memory(comm: MPI.Comm) -> int:
     """Bytes of memory that the processes have held at most since they began, summed over ranks (collective)."""
     return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))

@@ -16,7 +16,7 @@ from signorini_fenicsx.adaptive import AdaptRow
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.gather import FacetTable, Fields
-from signorini_fenicsx.solver import Solution
+from signorini_fenicsx.solution import Solution
 
 if "DISPLAY" not in os.environ:
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")  # else VTK looks for an X server and warns

@@ -18,7 +18,7 @@ from signorini_fenicsx.comparison import Comparison
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.inspection import Expected, is_typical
 from signorini_fenicsx.output import json_text
-from signorini_fenicsx.solver import Solution
+from signorini_fenicsx.solution import Solution
 
 console = Console(highlight=False, soft_wrap=True)
 

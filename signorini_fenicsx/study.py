@@ -14,9 +14,9 @@ from signorini_fenicsx import __version__
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, Solve, complaint, load_case, read_toml
 from signorini_fenicsx.convergence import Vary
+from signorini_fenicsx.discretisation import rough_cells
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.shipped import data_folder, study_names
-from signorini_fenicsx.solver import rough_cells
 
 SHORT = tuple(Solve.model_fields)
 """Keys of [solve] that a study may write without `solve.`"""

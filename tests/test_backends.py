@@ -9,13 +9,14 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import facet_system, hybrid, solver
+from signorini_fenicsx import facet_system, hybrid, prediction
 from signorini_fenicsx.active_set import iterate_sets
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.solver import mesh_case, solve
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -98,44 +99,10 @@ def test_snesvi_finds_the_same(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parallel([1, 2])
-def test_prediction_changes_the_number_of_steps_only(monkeypatch: pytest.MonkeyPatch):
-    """Starting from a coarser mesh's sets ends in the sets and fields of a cold start, in fewer steps."""
-    monkeypatch.setattr(solver, "PREDICT_FROM", 300)
-    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
-    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases]:
-        cold = solve(case.with_values({"solve.predict": False}), COMM)
-        warm = solve(case, COMM)
-        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
-        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
-            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
-        assert len(warm.history) <= min(3, len(cold.history))
-
-
-@pytest.mark.slow
-@pytest.mark.parallel([1, 2])
-def test_rough_solves_predict_on_any_mesh(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    """Without a coarser mesh rough solves alone find the sets, all but a few facets, and change no result."""
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
-    monkeypatch.setattr(solver, "PREDICT_FROM", 0)
-    cube = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="20*(x - 0.5)", h=0.2)
-    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
-    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
-        domain = mesh_case(case, COMM)
-        cold = solve(case.with_values({"solve.predict": False}), COMM, domain=domain)
-        warm = solve(case, COMM, domain=domain)
-        assert (cold.rough_steps, cold.linear_solver) == (0, "cg+mg")
-        assert 2 <= warm.rough_steps <= len(cold.history) + 2
-        assert len(warm.history) <= min(3, len(cold.history))
-        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
-        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
-            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
-
-
-@pytest.mark.parallel([1, 2])
 def test_bad_cells(monkeypatch: pytest.MonkeyPatch):
     """Aspect ratio 20 and obtuse angles slow CG down; sets and fields stay those of the saddle point."""
     monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
-    monkeypatch.setattr(solver, "PREDICT_FROM", 0)
+    monkeypatch.setattr(prediction, "PREDICT_FROM", 0)
     case = load_case("example1").with_values({"geometry.mesh": "structured", "solve.h": 1 / 32})
     domain = mesh_case(case, COMM)
     x = domain.mesh.geometry.x

@@ -16,7 +16,8 @@ from signorini_fenicsx.certificate import certify, friedrichs_constant
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.sampling import sampled
-from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 ALGORITHMS = ("alg1", "alg2", "vi", "alg3", "alg4", "snes1", "snes2")

@@ -13,7 +13,8 @@ from signorini_fenicsx.checkpoint import load_solution, shared_domain
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.gather import gather_facets, gather_fields
 from signorini_fenicsx.output import write_solution
-from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 

@@ -20,10 +20,12 @@ from signorini_fenicsx.classical.half_norm import HalfNorm
 from signorini_fenicsx.classical.projection import scattered_values
 from signorini_fenicsx.classical.saddle_point import SaddlePoint
 from signorini_fenicsx.convergence import Vary, convergence_study, fitted_slopes
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.geometry import Domain
 from signorini_fenicsx.method_comparison import compare_methods, distance, mass_imbalance
-from signorini_fenicsx.solver import Solution, mesh_case, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 

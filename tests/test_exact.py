@@ -13,7 +13,8 @@ from forms.norms import l2
 from signorini_fenicsx.case import load_case
 from signorini_fenicsx.certificate import certify
 from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 from signorini_fenicsx.spaces import assembled, cell_measures
 
 COMM = MPI.COMM_WORLD

@@ -15,12 +15,14 @@ from signorini_fenicsx.adaptive import AdaptRow, adapt
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.checkpoint import load_solution
 from signorini_fenicsx.comparison import compare
+from signorini_fenicsx.discretisation import mesh_case
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.geometry import SHAPES, build_domain
 from signorini_fenicsx.mesh_checks import FileMesh
 from signorini_fenicsx.mesh_files import read_mesh_file
 from signorini_fenicsx.output import write_solution
-from signorini_fenicsx.solver import Solution, mesh_case, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 

@@ -13,7 +13,8 @@ from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.data import Problem
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.geometry import SHAPES, Domain
-from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 SET_ALGORITHMS = ("alg1", "alg2", "alg3", "alg4")

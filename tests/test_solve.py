@@ -17,7 +17,8 @@ from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.solver import Solution, solve
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 

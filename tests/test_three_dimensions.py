@@ -9,7 +9,8 @@ from test_backends import assert_same_iterates
 from test_cli import signorini
 
 from signorini_fenicsx.case import load_case
-from signorini_fenicsx.solver import mesh_case, solve
+from signorini_fenicsx.discretisation import mesh_case
+from signorini_fenicsx.solver import solve
 
 COMM = MPI.COMM_WORLD
 COARSE = {"cube": 0.5, "lprism": 0.7, "ball": 0.8}

@@ -12,16 +12,17 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import backend, facet_system, hybrid, mixed, solver
+from signorini_fenicsx import backend, discretisation, facet_system, hybrid, mixed, prediction, solver
 from signorini_fenicsx.backend import Iterate
 from signorini_fenicsx.case import Case, load_case
 from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.data import Data
+from signorini_fenicsx.discretisation import discrete_data
 from signorini_fenicsx.geometry import SHAPES, Domain, distribute, label_parts
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.mixed import MixedBackend
-from signorini_fenicsx.parallel import abort_all_on_exception, peak_memory
-from signorini_fenicsx.solver import Solution, Stopwatch, discrete_data
+from signorini_fenicsx.parallel import Stopwatch, abort_all_on_exception, peak_memory
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, build_spaces
 
 COMM = MPI.COMM_WORLD
@@ -82,13 +83,13 @@ class Phases:
     def __init__(self) -> None:
         self.setup = self.solve = 0.0
 
-    def solve_linear(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, *, to_tolerance: bool = True) -> None:
+    def solve_linear(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """What the backends call, with a clock (collective)."""
         watch = Stopwatch()
         ksp.setUp()
         ksp.getPC().setUp()  # which KSP leaves to its solve where only values have changed
         watch.lap("setup")
-        backend.solve_linear(ksp, b, x, to_tolerance=to_tolerance)
+        backend.solve_linear(ksp, b, x)
         watch.lap("solve")
         seconds = watch.longest(COMM)
         self.setup += seconds["setup"]
@@ -134,11 +135,11 @@ def main() -> None:
     case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
     if method == "saddle point, fresh":
         solver.BACKENDS["mixed"] = FreshMixed
-    small = case.with_values({"solve.h": 0.3})
-    limits = facet_system.DIRECT_UP_TO, solver.PREDICT_FROM
-    facet_system.DIRECT_UP_TO, solver.PREDICT_FROM = 0, 0
-    run(method, small, solver.mesh_case(small, COMM))
-    facet_system.DIRECT_UP_TO, solver.PREDICT_FROM = limits
+    small = case.with_values({"solve.h": 0.2})
+    limits = facet_system.DIRECT_UP_TO, prediction.PREDICT_FROM
+    facet_system.DIRECT_UP_TO, prediction.PREDICT_FROM = 0, 0
+    run(method, small, discretisation.mesh_case(small, COMM))
+    facet_system.DIRECT_UP_TO, prediction.PREDICT_FROM = limits
     result = run(method, case, read_mesh(mesh, case.geometry.shape))
     if COMM.rank == 0:
         print(json.dumps(result))

@@ -1,0 +1,96 @@
+"""Sets predicted on coarser meshes and by solves that stop early: fewer steps, the same result."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import make_case
+from mpi4py import MPI
+
+from signorini_fenicsx import facet_system, prediction
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.facet_system import FacetSystem
+from signorini_fenicsx.patch import Patch
+from signorini_fenicsx.solver import solve
+from signorini_fenicsx.spaces import build_spaces
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.mark.parallel([1, 2])
+def test_prediction_changes_the_number_of_steps_only(monkeypatch: pytest.MonkeyPatch):
+    """Starting from a coarser mesh's sets ends in the sets and fields of a cold start, in fewer steps."""
+    monkeypatch.setattr(prediction, "PREDICT_FROM", 300)
+    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
+    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases]:
+        cold = solve(case.with_values({"solve.predict": False}), COMM)
+        warm = solve(case, COMM)
+        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
+        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
+            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
+        assert len(warm.history) <= min(3, len(cold.history))
+
+
+@pytest.mark.slow
+@pytest.mark.parallel([1, 2])
+def test_rough_solves_predict_on_any_mesh(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """Without a coarser mesh rough solves alone find the sets, all but a few facets, and change no result."""
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
+    monkeypatch.setattr(prediction, "PREDICT_FROM", 0)
+    cube = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="20*(x - 0.5)", h=0.2)
+    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
+    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
+        domain = mesh_case(case, COMM)
+        cold = solve(case.with_values({"solve.predict": False}), COMM, domain=domain)
+        warm = solve(case, COMM, domain=domain)
+        assert (cold.rough_steps, cold.linear_solver) == (0, "cg+mg")
+        assert 2 <= warm.rough_steps <= len(cold.history) + 2
+        assert len(warm.history) <= min(3, len(cold.history))
+        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
+        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
+            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
+
+
+@pytest.mark.parallel([1, 2])
+def test_few_solves_at_any_size(monkeypatch: pytest.MonkeyPatch):
+    """At most three solves with a coarser mesh, four without, where p and σ·n vanish together at the contact's edge."""
+    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
+    monkeypatch.setattr(prediction, "PREDICT_FROM", 0)
+    monkeypatch.setattr(prediction, "PATCH_SHARE", 1.0)  # as on large meshes
+    sizes = {"transition": (1 / 16, 1 / 32, 1 / 64), "transition3d": (0.2, 0.15, 0.11)}
+    for (name, hs), most in zip(sizes.items(), (3, 4), strict=True):
+        for h in hs[: 4 - COMM.size]:
+            case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
+            solution = solve(case, COMM)
+            assert solution.rough_steps >= 1
+            assert solution.rough_steps + len(solution.history) <= most
+            assert 0 < max(step.linear_iterations for step in solution.history) <= 18
+
+
+@pytest.mark.parallel([1, 3])
+def test_patch_is_solved_and_nothing_else_changes():
+    """On the patch of two facets of one rank the equations hold, of what that rank owns; elsewhere x stays."""
+    case = load_case("example2").with_values({"solve.h": 1 / 16})
+    domain = mesh_case(case, COMM)
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+    system = FacetSystem(spaces, discrete_data(case, spaces))
+    last = COMM.allreduce(COMM.rank if len(spaces.facets) > 0 else -1, MPI.MAX)
+    in_contact = np.zeros(len(spaces.facets), dtype=np.int8)
+    if COMM.rank == last:
+        in_contact[:2] = Condition.ZERO_TRACE
+    system.x.set(1.0)
+    system.apply(FacetConditions(in_contact))
+    before = system.x.array_r.copy()
+    patch = Patch(system.matrix, system.trace_dofs[in_contact == Condition.ZERO_TRACE], layers=6)
+    patch.solve(system.matrix, system.b, system.x)
+    changed = system.x.array_r != before
+    assert patch.size < system.dofs / 4
+    assert (np.count_nonzero(changed) > 20) == (COMM.rank == last)
+    residual = system.matrix.createVecLeft()
+    system.matrix.mult(system.x, residual)
+    residual.aypx(-1.0, system.b)
+    if COMM.size == 1:
+        assert np.count_nonzero(changed) <= patch.size - 2
+        assert np.abs(residual.array_r[changed]).max() < 1e-12
