@@ -4,7 +4,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem.petsc import interpolation_matrix
 from petsc4py import PETSc
 
 from forms.crouzeix_raviart import stiffness
@@ -27,8 +26,7 @@ class AuxiliarySpace:
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
         self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
-        self._full_interpolation = interpolation_matrix(self._space, data.u_lift.function_space)
-        self._full_interpolation.assemble()
+        self._full_interpolation = facet_means(self._space, data.u_lift.function_space)
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
@@ -95,3 +93,26 @@ class AuxiliarySpace:
         lumped = fem.assemble_vector(self._robin)
         lumped.scatter_reverse(la.InsertMode.add)
         return lumped.array[: len(self._all)]
+
+
+def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:
+    """The inclusion of P1 in the Crouzeix-Raviart functions: a facet's mean is that of its vertices (collective).
+
+    `dolfinx.fem.petsc.interpolation_matrix` takes about as long as the assembly of both stiffness matrices, and stores
+    the vertex opposite to each facet with a 0.
+
+    Args:
+        vertices: P1.
+        facets: Crouzeix-Raviart functions on the same mesh.
+    """
+    of_cell, columns, rows = facets.dofmap.list, vertices.dofmap.index_map, facets.dofmap.index_map
+    of_facet = np.empty((rows.size_local + rows.num_ghosts, of_cell.shape[1] - 1), dtype=np.int32)
+    for facet in range(of_cell.shape[1]):  # facet i of a cell lies opposite to its vertex i
+        of_facet[of_cell[:, facet]] = np.delete(vertices.dofmap.list, facet, axis=1)
+    owned, d = of_facet[: rows.size_local], of_facet.shape[1]
+    indices = np.sort(columns.local_to_global(owned.ravel()).reshape(owned.shape), axis=1).astype(PETSc.IntType)
+    return PETSc.Mat().createAIJ(
+        [(space.size_local, space.size_global) for space in (rows, columns)],
+        csr=(np.arange(len(owned) + 1, dtype=PETSc.IntType) * d, indices.ravel(), np.full(owned.size, 1 / d)),
+        comm=facets.mesh.comm,
+    )

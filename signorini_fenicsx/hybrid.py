@@ -45,9 +45,9 @@ class HybridBackend:
         self._ksp.setOperators(self._system.matrix)
         self._auxiliary = self._set_up_solver(multigrid=multigrid or self._system.large)
         self.iterative = self._ksp.getType() != "preonly"
-        self._enough: Callable[[], bool] = lambda: False
+        self._early_stop = _EarlyStop()
         if self.iterative:
-            self._ksp.addConvergenceTest(self._stop_early, prepend=True)
+            self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: FacetConditions | None = None
         self._iterations = 0
 
@@ -77,11 +77,11 @@ class HybridBackend:
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        self._enough = lambda: enough(*self._system.traces(self._ksp.buildSolution(), conditions))
+        self._early_stop.asks = lambda x: enough(*self._system.traces(x, conditions))
         try:
             self._solve(conditions)
         finally:
-            self._enough = lambda: False
+            self._early_stop.asks = None
         return self._system.traces(self._system.x, conditions)
 
     def patch(self, facets: npt.NDArray[np.bool_], layers: int) -> Patch:
@@ -109,11 +109,6 @@ class HybridBackend:
         solve_linear(self._ksp, self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
 
-    def _stop_early(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
-        """What PETSc asks before its own test."""
-        stop = iteration > 0 and self._enough()
-        return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING
-
     def _set_up_solver(self, *, multigrid: bool) -> AuxiliarySpace | None:
         """Defaults by size, then the user's options; the coarse space, if multigrid is what came out."""
         ksp, pc = self._ksp, self._ksp.getPC()
@@ -129,3 +124,22 @@ class HybridBackend:
         if ksp.getType() == "preonly":
             ksp.setInitialGuessNonzero(False)
         return auxiliary if pc.getType() == "mg" else None
+
+
+class _EarlyStop:
+    """What PETSc asks before its own test of convergence; no part of the backend, which PETSc would keep alive.
+
+    Attributes:
+        asks: Whether an iterate is good enough, if anybody wants to know.
+    """
+
+    asks: Callable[[PETSc.Vec], bool] | None = None
+
+    def __call__(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
+        """Stop, or leave it to PETSc (collective)."""
+        stop = False
+        if self.asks is not None and iteration > 0:
+            x = ksp.buildSolution()
+            stop = self.asks(x)
+            x.destroy()  # this reference; by PETSc's queue for several ranks it would keep the solver alive
+        return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING

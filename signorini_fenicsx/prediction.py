@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.algorithms import Algorithm, By
 from signorini_fenicsx.backend import Array
@@ -15,6 +16,7 @@ from signorini_fenicsx.case import Case
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.contact_sets import FacetSet
 from signorini_fenicsx.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.domain import Domain
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.sampling import sampled
@@ -32,7 +34,7 @@ PATIENCE = 2
 """Iterations of the linear solver over which the sets it asks for must stand still."""
 LEEWAY = 0.05
 """Share of the facets that want to change which may still waver then: where many change, the next solve sees to it."""
-LAYERS = {2: 24, 3: 4}
+LAYERS = {2: 32, 3: 4}
 """Cells, by dimension, between a facet that changes and the edge of the patch on which the sets then settle."""
 PATCH_SHARE = 0.02
 """Share of all unknowns up to which a patch costs little beside a step of the solver."""
@@ -60,14 +62,21 @@ def predicted_sets(case: Case, algorithm: Algorithm, comm: MPI.Comm) -> FacetSet
     coarse = case.with_values({"solve.h": COARSENING * case.solve.h})
     with contextlib.suppress(InputError, NumericalFailure):
         domain = mesh_case(coarse, comm)
-        spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-        start = None
-        if spaces.V.dofmap.index_map.size_global >= COARSEN_FROM:
-            start = predicted_sets(coarse, algorithm, comm)
-        backend = HybridBackend(spaces, discrete_data(coarse, spaces), multigrid=True)
-        conditions, _ = settle_sets(backend, algorithm, case, start)
-        return FacetSet(spaces, conditions.kind == algorithm.contact)
+        contact = _solved_sets(coarse, algorithm, domain)
+        PETSc.garbage_cleanup(domain.mesh.comm)  # in parallel PETSc only queues what Python lets go
+        return contact
     return None
+
+
+def _solved_sets(case: Case, algorithm: Algorithm, domain: Domain) -> FacetSet:
+    """The contact set of a case on its mesh (collective)."""
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+    start = None
+    if spaces.V.dofmap.index_map.size_global >= COARSEN_FROM:
+        start = predicted_sets(case, algorithm, domain.mesh.comm)
+    backend = HybridBackend(spaces, discrete_data(case, spaces), multigrid=True)
+    conditions, _ = settle_sets(backend, algorithm, case, start)
+    return FacetSet(spaces, conditions.kind == algorithm.contact)
 
 
 def settle_sets(
@@ -84,8 +93,7 @@ def settle_sets(
         start: Contact set to start from, on any mesh of the same domain, instead of the algorithm's own start.
 
     Returns:
-        The conditions, to whose solution the backend has come as near as it goes if they repeated, and the number of
-        solves stopped before.
+        The last conditions, whose solution the backend holds if they repeated, and the number of solves stopped early.
 
     Raises:
         LinearSolveFailure: If the linear solver breaks down.
