@@ -161,10 +161,12 @@ class Recorder(History):
 
     def add(self, iterate: Iterate, conditions: FacetConditions, *, clipped: int = 0) -> None:
         """Record an iteration (collective)."""
-        self._sigma.x.array[:] = iterate.sigma.x.array - self._last.sigma.x.array
-        self._u.x.array[:] = iterate.u.x.array - self._last.u.x.array
-        local = np.array([fem.assemble_scalar(form) for form in self._norms])
-        sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
+        sigma_change = u_change = 0.0
+        if iterate is not self._last:
+            self._sigma.x.array[:] = iterate.sigma.x.array - self._last.sigma.x.array
+            self._u.x.array[:] = iterate.u.x.array - self._last.u.x.array
+            local = np.array([fem.assemble_scalar(form) for form in self._norms])
+            sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
         self._last = iterate
         self.append(conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
