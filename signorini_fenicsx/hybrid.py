@@ -49,7 +49,6 @@ class HybridBackend:
         if self.iterative:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: FacetConditions | None = None
-        self._solved: FacetConditions | None = None
         self._iterations = 0
 
     def solver(self) -> str:
@@ -95,25 +94,24 @@ class HybridBackend:
         Raises:
             LinearSolveFailure: If a factorisation fails.
         """
-        self._applied = self._solved = None
+        self._applied = None
         self._system.apply(conditions)
         patch.solve(self._system.matrix, self._system.b, self._system.x)
         return self._system.traces(self._system.x, conditions)
 
     def _solve(self, conditions: FacetConditions) -> None:
         """Apply the conditions and solve, unless that is done; go on if the last solve under them stopped early."""
-        if conditions is self._solved:
-            return
-        if conditions is not self._applied:
+        if conditions is self._applied:
+            reason = self._ksp.getConvergedReason()
+            if reason > 0 and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
+                return
+        else:
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
                 self._auxiliary.update(self._ksp.getPC(), conditions, essential)
             self._applied, self._iterations = conditions, 0
-        self._solved = None
         solve_linear(self._ksp, self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
-        if self._ksp.getConvergedReason() != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
-            self._solved = conditions
 
     def _set_up_solver(self, *, multigrid: bool) -> AuxiliarySpace | None:
         """Defaults by size, then the user's options; the coarse space, if multigrid is what came out."""

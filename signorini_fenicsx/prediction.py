@@ -25,7 +25,7 @@ from signorini_fenicsx.spaces import Spaces, build_spaces
 type Rule = Callable[[Array, Array], FacetConditions]
 
 PREDICT_FROM = 60_000
-"""Facets of the mesh from which the sets are predicted; below, a cold start costs nothing."""
+"""Facets of the mesh from which the sets are predicted; below, a cold start takes tenths of a second."""
 COARSENING = 4.0
 """Mesh size of the coarser mesh, in multiples of the finer one's."""
 COARSEN_FROM = 30000
@@ -100,7 +100,11 @@ def settle_sets(
     """
     spaces, rule = backend.spaces, rule_of(case, algorithm)
     comm = spaces.mesh.comm
-    conditions = transferred(start, spaces, rule) if start else first_conditions(spaces, algorithm, case.solve.eps)
+    conditions = (
+        transferred(start, spaces, rule)
+        if start
+        else contact_without_dirichlet(spaces) or algorithm.cold_start(len(spaces.facets), case.solve.eps)
+    )
     changed: list[int] = []
     while len(changed) < 3 or changed[-1] < changed[-3]:
         watch = _Watch(conditions, rule, comm)
@@ -112,10 +116,10 @@ def settle_sets(
     return conditions, len(changed)
 
 
-def first_conditions(spaces: Spaces, algorithm: Algorithm, eps: float) -> FacetConditions:
-    """The algorithm's own start; contact where that would be a Neumann problem."""
+def contact_without_dirichlet(spaces: Spaces) -> FacetConditions | None:
+    """Contact everywhere instead of an algorithm's own start, if that might be a Neumann problem."""
     if spaces.has_dirichlet:
-        return algorithm.cold_start(len(spaces.facets), eps)
+        return None
     return FacetConditions(np.full(len(spaces.facets), Condition.ZERO_TRACE, dtype=np.int8))
 
 

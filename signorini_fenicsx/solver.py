@@ -25,7 +25,7 @@ from signorini_fenicsx.mixed import MixedBackend
 from signorini_fenicsx.newton import PenaltyNewton
 from signorini_fenicsx.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.prediction import (
-    first_conditions,
+    contact_without_dirichlet,
     predicted_sets,
     rule_of,
     settle_sets,
@@ -152,8 +152,8 @@ class _Run:
             InputError: If the domains differ, or the algorithm has no sets to start from.
         """
         if not same_domain(self.case, self.spaces.domain, start.case, start.spaces.domain):
-            names = start.case.geometry.name, self.case.geometry.name
-            raise InputError("the start was solved on '{}', not on '{}'".format(*names))
+            other, own = start.case.geometry, self.case.geometry
+            raise InputError(f"the start was solved on '{other.name}', not on '{own.name}'")
         if self.algorithm.by is not By.SETS:
             raise InputError(
                 f"{self.case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4"
@@ -232,8 +232,7 @@ class _Run:
                 outcome = replace(self._iterate(backend, predicted, on_step), rough_steps=steps)
                 if outcome.converged:
                     return outcome
-        start = None if spaces.has_dirichlet else first_conditions(spaces, algorithm, case.solve.eps)
-        cold = self._iterate(backend, start, on_step)
+        cold = self._iterate(backend, contact_without_dirichlet(spaces), on_step)
         if predicted is None:
             return cold
         return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
