@@ -9,4 +9,4 @@ import importlib.util
 if importlib.util.find_spec("dolfinx_solver") is not None:
     import dolfinx_solver  # noqa: F401 - the wheel must order MPI before DOLFINx; Debian's DOLFINx has no such module
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
