@@ -11,6 +11,7 @@ from dolfinx import fem
 from signorini_fenicsx.domain import Domain, Marks, facet_vertices, membership
 from signorini_fenicsx.parallel import gather_rows
 from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
 
 type Array = npt.NDArray[np.float64]
 
@@ -29,6 +30,8 @@ class FacetTable:
         u: u_h in the cell behind the facet.
         p: Trace p_h.
         flux: σ_h·n.
+        psi: Mean of ψ.
+        q_S: Mean of q_S.
         condition: Final condition.
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
@@ -40,7 +43,24 @@ class FacetTable:
     u: Array
     p: Array
     flux: Array
+    psi: Array
+    q_S: Array
     condition: npt.NDArray[np.int64]
+    vertices: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One row per boundary facet of all ranks.
+
+    Attributes:
+        kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
+        u: What is known of u there: p_h on Γ_S, the mean of u_D on Γ_D, not a number on Γ_N.
+        vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
+    """
+
+    kind: npt.NDArray[np.int64]
+    u: Array
     vertices: npt.NDArray[np.int64]
 
 
@@ -82,6 +102,8 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         solution.u.x.array[spaces.cells],
         solution.p.x.array[:size],
         spaces.normal_flux(solution.sigma),
+        solution.data.psi_h,
+        solution.data.q_Sh,
         solution.conditions.kind,
         *facet_vertices(spaces.mesh, spaces.facets).T,
     ]
@@ -99,9 +121,32 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         u=rows[:, 6],
         p=rows[:, 7],
         flux=rows[:, 8],
-        condition=rows[:, 9].astype(np.int64),
-        vertices=rows[:, 10:].astype(np.int64),
+        psi=rows[:, 9],
+        q_S=rows[:, 10],
+        condition=rows[:, 11].astype(np.int64),
+        vertices=rows[:, 12:].astype(np.int64),
     )
+
+
+def gather_boundary(solution: Solution) -> Boundary | None:
+    """Collect the whole boundary on rank 0; None on other ranks (collective)."""
+    spaces = solution.spaces
+    lift = solution.data.u_lift
+    u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
+    p = solution.p.x.array[: len(spaces.facets)]
+    blocks = [
+        (SIGNORINI, spaces.facets, p),
+        (DIRICHLET, spaces.dirichlet_facets, u_D),
+        (NEUMANN, spaces.neumann_facets, np.full(len(spaces.neumann_facets), np.nan)),
+    ]
+    columns = [
+        np.column_stack([np.full(len(facets), kind), values, facet_vertices(spaces.mesh, facets)])
+        for kind, facets, values in blocks
+    ]
+    rows = gather_rows(spaces.mesh.comm, np.concatenate(columns))
+    if rows is None:
+        return None
+    return Boundary(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2:].astype(np.int64))
 
 
 def gather_marks(domain: Domain) -> Marks:

@@ -27,7 +27,14 @@ from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
-from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields, gather_marks
+from signorini_fenicsx.gather import (
+    FacetTable,
+    centroid_flux,
+    gather_boundary,
+    gather_facets,
+    gather_fields,
+    gather_marks,
+)
 from signorini_fenicsx.parallel import Stopwatch, on_root
 from signorini_fenicsx.solution import Solution
 
@@ -38,6 +45,7 @@ def write_solution(
     *,
     certificate: Certificate | None = None,
     plot: bool = False,
+    html: bool = False,
     fields: bool = True,
 ) -> None:
     """Write all files of a solution into an existing folder (collective).
@@ -47,6 +55,7 @@ def write_solution(
         folder: Where; files of the same names are overwritten.
         certificate: Its error bound, if it has one.
         plot: Also draw PNGs.
+        html: Also write `solution.html`, pictures that one can turn.
         fields: Also write the fields for ParaView.
     """
     folder = Path(folder)
@@ -55,6 +64,7 @@ def write_solution(
         write_fields(solution, folder, certificate)
     indicator = None if certificate is None else certificate.indicator
     table, cells = gather_facets(solution), gather_fields(solution, indicator)
+    boundary = gather_boundary(solution) if plot or html else None
     marks = gather_marks(solution.spaces.domain)
     summary = solution.summary()
     if certificate is not None:
@@ -65,10 +75,14 @@ def write_solution(
         if table is not None and cells is not None:
             write_facets(folder / "facets.csv", solution.spaces.part_names, table)
             write_checkpoint(folder / FILE, solution, cells, table, marks)
-            if plot:
-                from signorini_fenicsx import plots  # costs two seconds, which a run without pictures need not wait
+            if boundary is not None:
+                from signorini_fenicsx import pictures  # costs a second, which a run without pictures need not wait
 
-                plots.draw_all(folder, solution, cells, table)
+                scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+                if plot:
+                    pictures.draw_all(folder, scene)
+                if html:
+                    pictures.write_page(folder / "solution.html", scene)
         write_history(folder / "history.csv", solution.history)
         watch.lap("output")
         summary["timings"] |= watch.seconds
@@ -83,7 +97,7 @@ def write_convergence(
     """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
 
     def write() -> None:
-        from signorini_fenicsx import plots
+        from signorini_fenicsx import pictures
 
         write_table(folder / "convergence.csv", rows)
         against = {
@@ -91,7 +105,7 @@ def write_convergence(
             Vary.EPS: "alg1 on the same mesh",
         }.get(vary, f"alg1, h = 2^-{reference}")
         title = f"{case.name}, {case.solve.algorithm}, against {against}"
-        plots.draw_errors(folder / "convergence.png", rows, vary, title)
+        pictures.draw_errors(folder / "convergence.png", rows, vary, title)
         summary = {
             "case": case.name,
             "algorithm": case.solve.algorithm,
@@ -108,19 +122,18 @@ def write_convergence(
 
 def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
     """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
-    table, cells = gather_facets(solution), gather_fields(solution)
+    table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
 
     def write() -> None:
-        from signorini_fenicsx import plots
+        from signorini_fenicsx import pictures
 
         with (folder / "adapt.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
             writer.writeheader()
             writer.writerows(asdict(row) for row in rows)
-        plots.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
-        if table is not None and cells is not None:
-            contact = solution.algorithm.contact
-            plots.draw_mesh(folder / "mesh.png", cells, table, contact)
+        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
+        if table is not None and cells is not None and boundary is not None:
+            pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
 
     on_root(solution.spaces.mesh.comm, write)
 

@@ -1,0 +1,329 @@
+"""Views of a solution in space: VTK renders surfaces without any text, Matplotlib adds titles, axes and colour bars."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pyvista
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.plane import log_norm
+from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.spaces import SIGNORINI
+
+type Array = npt.NDArray[np.float64]
+
+PIXELS = 700
+STREAMLINES = 90
+EDGES_UP_TO = 6_000
+"""Triangles of Γ_S whose edges can be told apart."""
+USUAL_VIEW = np.array([1.0, -1.6, 0.9])
+VIEWS = [
+    np.array([np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)])
+    for up in np.radians([25, -25, 55, -55])
+    for turn in np.radians(np.arange(-60, 300, 30))
+]
+"""Directions from which one may look, the usual ones first."""
+SAME = 0.92
+"""A view that shows this part of all that can be seen is enough."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """The views of a solution in space."""
+
+    scene: Scene
+
+    @cached_property
+    def grid(self) -> pyvista.UnstructuredGrid:
+        """The mesh with u_h and σ_h at its vertices."""
+        scene = self.scene
+        grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: scene.fields.cells}, scene.fields.points)
+        grid.point_data["u"] = scene.u
+        grid.point_data["sigma"] = scene.sigma
+        grid.point_data["sigma_norm"] = np.linalg.norm(scene.sigma, axis=1)
+        return grid
+
+    @cached_property
+    def extent(self) -> float:
+        """The longest side of the domain."""
+        return float(np.ptp(self.scene.fields.points, axis=0).max())
+
+    @cached_property
+    def hull(self) -> pyvista.PolyData:
+        """The boundary without Γ_S."""
+        return self._triangles(self.scene.boundary.vertices[self.scene.boundary.kind != SIGNORINI])
+
+    @cached_property
+    def gamma(self) -> pyvista.PolyData:
+        """The triangles of Γ_S."""
+        return self._triangles(self.scene.facets.vertices)
+
+    @cached_property
+    def frame(self) -> pyvista.PolyData:
+        """The edges of the domain, and the rim of Γ_S."""
+        whole = self._triangles(self.scene.boundary.vertices).extract_feature_edges(30)
+        return whole.merge(self.gamma.extract_feature_edges(30, manifold_edges=False, non_manifold_edges=False))
+
+    @cached_property
+    def views(self) -> list[Array]:
+        """One direction from which Γ_S is seen, or two if one hides a part of it."""
+        seen = np.array([self._seen(view) for view in VIEWS])
+        possible = seen.max(axis=0).sum()
+        preferred = 1 + 0.02 * np.array([view @ USUAL_VIEW / np.linalg.norm(USUAL_VIEW) for view in VIEWS])
+        first = int(np.argmax(seen.sum(axis=1) * preferred))
+        more = np.maximum(seen - seen[first], 0).sum(axis=1)
+        if more.max() < (1 - SAME) * possible:
+            return [VIEWS[first]]
+        return [VIEWS[first], VIEWS[int(np.argmax(more * preferred))]]
+
+    def slices(self) -> pyvista.PolyData:
+        """Three cuts through the middle, at right angles."""
+        return self.grid.slice_orthogonal(*self.grid.center).combine().extract_surface(algorithm=None)
+
+    def half(self) -> pyvista.DataSet:
+        """The half of the domain behind its middle, seen from where Γ_S is seen best."""
+        axis = int(np.argmax(np.abs(self.views[0][:2])))
+        normal = np.zeros(3)
+        normal[axis] = np.sign(self.views[0][axis])
+        return self.grid.clip(normal, origin=self.grid.center)
+
+    def streamlines(self) -> pyvista.PolyData:
+        """Streamlines of σ_h through points spread over the domain."""
+        measure = np.cumsum(self.scene.measure)
+        share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
+        cells = np.searchsorted(measure, share * measure[-1])
+        seeds = pyvista.PolyData(self.scene.fields.points[self.scene.fields.cells[cells]].mean(axis=1))
+        return self.grid.streamlines_from_source(
+            seeds, vectors="sigma", max_length=2 * self.extent, initial_step_length=0.5, max_steps=400
+        )
+
+    def draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h on three cuts, with contour lines, and the contact set."""
+        cuts = self.slices()
+        u = self.scene.u
+        lines = cuts.contour(10, scalars="u")
+
+        def build(plotter: pyvista.Plotter) -> None:
+            plotter.add_mesh(cuts, scalars="u", cmap=style.U_MAP, clim=(u.min(), u.max()), lighting=False)
+            if lines.n_points:
+                plotter.add_mesh(lines, color="white", line_width=1.5, lighting=False)
+            self._add_contact(plotter)
+
+        self._show(figure, axes, title, build, self.views[0])
+        _bar(figure, axes, Normalize(u.min(), u.max()), style.U_MAP, "$u_h$")
+
+    def draw_half(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h on half the domain."""
+        u = self.scene.u
+
+        def build(plotter: pyvista.Plotter) -> None:
+            plotter.add_mesh(self.half(), scalars="u", cmap=style.U_MAP, clim=(u.min(), u.max()), lighting=False)
+
+        self._show(figure, axes, title, build, self.views[0])
+        _bar(figure, axes, Normalize(u.min(), u.max()), style.U_MAP, "$u_h$")
+
+    def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """|σ_h| on three cuts."""
+        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
+        cuts = self.slices()
+
+        def build(plotter: pyvista.Plotter) -> None:
+            plotter.add_mesh(cuts, scalars="sigma_norm", cmap=style.FLUX_MAP, clim=(low, high), lighting=False)
+
+        self._show(figure, axes, title, build, self.views[0])
+        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
+
+    def draw_streamlines(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """Streamlines of σ_h, coloured by |σ_h|, and the contact set."""
+        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
+        lines = self.streamlines()
+
+        def build(plotter: pyvista.Plotter) -> None:
+            if lines.n_points:
+                tubes = lines.tube(radius=0.004 * self.extent, n_sides=8)
+                plotter.add_mesh(tubes, scalars="sigma_norm", cmap=style.FLUX_MAP, clim=(low, high), ambient=0.4)
+            self._add_contact(plotter)
+
+        self._show(figure, axes, title, build, self.views[0])
+        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
+
+    def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """η_T on half the domain, on a logarithmic scale."""
+        indicator = self.scene.fields.indicator
+        assert indicator is not None
+        norm = log_norm(indicator)
+        grid = self.grid.copy(deep=False)
+        grid.cell_data["log"] = np.log10(np.maximum(indicator, norm.vmin))
+        axis = int(np.argmax(np.abs(self.views[0][:2])))
+        normal = np.zeros(3)
+        normal[axis] = np.sign(self.views[0][axis])
+        half = grid.clip(normal, origin=grid.center, crinkle=True)
+
+        def build(plotter: pyvista.Plotter) -> None:
+            ends = np.log10([norm.vmin, norm.vmax])
+            plotter.add_mesh(half, scalars="log", cmap=style.ERROR_MAP, clim=ends, lighting=False)
+
+        self._show(figure, axes, title, build, self.views[0])
+        _bar(figure, axes, norm, style.ERROR_MAP, r"$\eta_T$")
+
+    def draw_trace(self, figure: Figure | SubFigure, axes: Axes, column: str, label: str, view: Array) -> None:
+        """A column of the table of facets, as colours on Γ_S."""
+        facets = self.scene.facets
+        values = getattr(facets, column)
+        low, high, extend = style.limits(values - values.min(), facets.measure)
+        low, high = low + values.min(), high + values.min()
+
+        def build(plotter: pyvista.Plotter) -> None:
+            plotter.add_mesh(
+                self.gamma, scalars=values, cmap=style.U_MAP, clim=(low, high), lighting=False, **self._edges()
+            )
+            self._add_hull(plotter)
+
+        self._show(figure, axes, label, build, view)
+        _bar(figure, axes, Normalize(low, high), style.U_MAP, "", extend)
+
+    def draw_contact(self, figure: Figure | SubFigure, axes: Axes, title: str, view: Array) -> None:
+        """The contact set on Γ_S."""
+
+        def build(plotter: pyvista.Plotter) -> None:
+            self._add_contact(plotter, opacity=1.0)
+            self._add_hull(plotter)
+
+        self._show(figure, axes, title, build, view)
+
+    def draw_mesh(self, figure: Figure | SubFigure, axes: Axes, view: Array) -> None:
+        """The mesh on the boundary, with the contact set."""
+
+        def build(plotter: pyvista.Plotter) -> None:
+            plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
+            self._add_contact(plotter, opacity=1.0)
+
+        self._show(figure, axes, f"{len(self.scene.fields.cells)} cells", build, view)
+
+    def handles(self) -> list:
+        """What the legend of Γ_S lists."""
+        touching = self.scene.touching
+        listed = [(touching.any(), "contact", style.CONTACT), (not touching.all(), "no contact", style.FREE)]
+        return [Patch(color=color, label=rf"$\Gamma_S$, {label}") for there, label, color in listed if there]
+
+    def _triangles(self, vertices: npt.NDArray[np.int64]) -> pyvista.PolyData:
+        return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
+
+    def _edges(self) -> dict[str, object]:
+        return {"show_edges": self.gamma.n_cells <= EDGES_UP_TO, "line_width": 0.4, "edge_color": "0.25"}
+
+    def _add_contact(self, plotter: pyvista.Plotter, opacity: float = 0.35) -> None:
+        for chosen, color in ((self.scene.touching, style.CONTACT), (~self.scene.touching, style.FREE)):
+            if chosen.any():
+                triangles = self._triangles(self.scene.facets.vertices[chosen])
+                edges = self._edges() if opacity == 1.0 else {}
+                plotter.add_mesh(triangles, color=color, opacity=opacity, lighting=False, **edges)
+
+    def _add_hull(self, plotter: pyvista.Plotter) -> None:
+        if self.hull.n_cells:
+            plotter.add_mesh(self.hull, color="0.6", opacity=0.12, lighting=False)
+
+    def _seen(self, view: Array) -> Array:
+        """How much of each triangle of Γ_S one sees from a direction: its area, less if aslant, 0 if hidden."""
+        scene = self.scene
+        corners = scene.fields.points[scene.facets.vertices]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)
+        across, up = _screen(view)
+        depth = scene.facets.x @ view
+        size = 1.5 * np.sqrt(scene.facets.measure.max())
+        pixel = np.floor(scene.facets.x @ np.column_stack([across, up]) / size).astype(np.int64)
+        _, where = np.unique(pixel, axis=0, return_inverse=True)
+        nearest = np.full(where.max() + 1, -np.inf)
+        np.maximum.at(nearest, where.ravel(), depth)
+        visible = depth > nearest[where.ravel()] - 3 * size
+        return scene.facets.measure * visible * np.minimum(slant, 0.5)
+
+    def _show(
+        self,
+        figure: Figure | SubFigure,
+        axes: Axes,
+        title: str,
+        build: Callable[[pyvista.Plotter], None],
+        view: Array,
+    ) -> None:
+        """Render into axes, with the edges of the domain and the directions of the coordinates."""
+        with offscreen():
+            plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
+            plotter.set_background("white")
+            build(plotter)
+            if self.frame.n_cells:
+                plotter.add_mesh(self.frame, color="black", line_width=1.5, lighting=False)
+            plotter.enable_parallel_projection()
+            plotter.view_vector(view, (0, 0, 1))
+            plotter.enable_anti_aliasing("msaa")
+            image = plotter.screenshot(return_img=True)
+            plotter.close()
+        axes.imshow(_cropped(image), interpolation="antialiased")
+        axes.set_axis_off()
+        axes.set_title(title)
+        triad(axes, view)
+
+
+def triad(axes: Axes, view: Array) -> None:
+    """Small arrows along x, y and z in the lower left corner."""
+    across, up = _screen(view)
+    corner = axes.inset_axes((-0.04, -0.06, 0.2, 0.2))
+    corner.set(xlim=(-1.5, 1.5), ylim=(-1.5, 1.5), aspect="equal")
+    corner.set_axis_off()
+    for name, direction in zip("xyz", np.eye(3), strict=True):
+        tip = np.array([direction @ across, direction @ up])
+        corner.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "lw": 0.9, "shrinkA": 0, "shrinkB": 0})
+        corner.text(*(1.35 * tip), f"${name}$", ha="center", va="center", fontsize=9)
+
+
+@contextmanager
+def offscreen() -> Iterator[None]:
+    """Let VTK render without a display; else it looks for an X server and warns."""
+    key = "VTK_DEFAULT_OPENGL_WINDOW"
+    if "DISPLAY" in os.environ or key in os.environ:
+        yield
+        return
+    os.environ[key] = "vtkEGLRenderWindow"
+    try:
+        yield
+    finally:
+        del os.environ[key]
+
+
+def _screen(view: Array) -> tuple[Array, Array]:
+    """The directions to the right and up on the screen."""
+    across = np.cross([0, 0, 1.0], view)
+    across /= np.linalg.norm(across)
+    up = np.cross(view, across)
+    return across, up / np.linalg.norm(up)
+
+
+def _cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """The image without its white margins."""
+    drawn = (image < 250).any(axis=2)
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    if not len(rows):
+        return image
+    return image[max(rows[0] - 4, 0) : rows[-1] + 5, max(columns[0] - 4, 0) : columns[-1] + 5]
+
+
+def _bar(
+    figure: Figure | SubFigure,
+    axes: Axes,
+    norm: Normalize | LogNorm,
+    cmap: str,
+    label: str,
+    extend: str = "neither",
+) -> None:
+    style.colour_bar(figure, axes, ScalarMappable(norm, cmap), label, extend)

@@ -1,0 +1,88 @@
+"""How all pictures look: type, colours, colour limits, numbers as mathematics."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+
+type Array = npt.NDArray[np.float64]
+
+STYLE = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 10,
+    "axes.titlesize": 10.5,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.axisbelow": True,
+    "savefig.dpi": 150,
+}
+"""Settings of Matplotlib; `mpl.rc_context(STYLE)` puts a function under them and leaves the process as it is."""
+
+CONTACT, FREE, WATER = "#d62728", "#5ab4e6", "#4a90c2"
+U_MAP, FLUX_MAP, ERROR_MAP = "viridis", "cividis", "magma"
+
+QUANTILE = 0.99
+"""Colours end where this part of the domain is below; a corner singularity is beyond."""
+
+
+def power(value: float) -> str:
+    """A number for mathematical type: 2^{-5}, 10^{-8}, 0.03, 3 × 10^{-7}."""
+    for base in (2, 10):
+        exponent = round(math.log(value, base)) if value > 0 else 0
+        if value > 0 and abs(exponent) > 1 and math.isclose(value, float(base) ** exponent, rel_tol=1e-12):
+            return f"{base}^{{{exponent}}}"
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.3g}"
+    mantissa, exponent_text = f"{value:.2e}".split("e")
+    return rf"{mantissa} \times 10^{{{int(exponent_text)}}}"
+
+
+def limits(values: Array, weights: Array) -> tuple[float, float, str]:
+    """Colour limits of what may have peaks, and how to extend the colour bar.
+
+    Args:
+        values: What is coloured, not negative.
+        weights: The measure of the cell of each.
+    """
+    order = np.argsort(values)
+    measure = np.cumsum(weights[order])
+    low, high = float(values[order[0]]), float(values[order[-1]])
+    usual = float(values[order[np.searchsorted(measure, QUANTILE * measure[-1])]])
+    if high > 1.2 * usual > 0:
+        return min(low, usual), usual, "max"
+    return low, max(high, low + 1e-300), "neither"
+
+
+def letter(number: int) -> str:
+    """(a), (b), … of a panel."""
+    return f"({chr(ord('a') + number)})"
+
+
+def shape_axes(axes: Axes, title: str) -> None:
+    """Axes of a picture of the plane."""
+    axes.grid(False)
+    axes.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=title)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def colour_bar(figure: Figure | SubFigure, axes: Axes, image: object, label: str, extend: str = "neither") -> object:
+    """A colour bar beside a panel, as high as it."""
+    return figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.85, aspect=25, pad=0.02)
+
+
+def legend_below(figure: Figure | SubFigure, handles: list, columns: int = 4) -> None:
+    """A legend under all panels, where it covers nothing."""
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure."""
+    figure.savefig(path, pil_kwargs={"compress_level": 3})  # half the time, a few per cent larger
