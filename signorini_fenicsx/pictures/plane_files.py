@@ -47,7 +47,8 @@ def _draw_u(path: Path, plane: Plane) -> None:
         figure = Figure(figsize=(10.5, 1.0 + 4.1 / max(plane.aspect, 0.6)), layout="constrained")
         axes = figure.add_subplot(1, 2, 1)
         plane.draw_surface(figure.add_subplot(1, 2, 2, projection="3d"), "(b) $u_h$ as a surface")
-    plane.draw_u(figure, axes, "$u_h$" if plane.wide else "(a) $u_h$")
+    title = "head of water $H = -u_h$" if plane.water else "$u_h$"
+    plane.draw_u(figure, axes, title if plane.wide else f"(a) {title}")
     style.legend_below(figure, plane.handles())
     style.save(figure, path)
 
@@ -94,11 +95,12 @@ def _draw_overview(path: Path, plane: Plane) -> None:
     if scene.fields.indicator is not None:
         plane.draw_certificate(figure, figure.add_subplot(slots[2]), r"(c) contributions $\eta_T$ to the certified error")
         number = 3
+    first, last = (number + 1, number) if plane.wide else (number, number + 2 * len(parts))
     for part in parts:
         row = [figure.add_subplot(grid[maps + part, column]) for column in range(2)]
-        _draw_part(scene, row, part, number + 2 * part)
+        _draw_part(scene, row, part, first + 2 * part)
     axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2])
-    draw_steps(axes, scene.history, f"{style.letter(number + 2 * len(parts))} iteration errors")
+    draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     axes.legend(loc="best")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     style.legend_below(figure, [*plane.handles(), *traces.handles()], 6)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +24,14 @@ from signorini_fenicsx.spaces import SIGNORINI
 type Array = npt.NDArray[np.float64]
 
 PIXELS = 700
-STREAMLINES = 90
+STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Triangles of Γ_S whose edges can be told apart."""
 USUAL_VIEW = np.array([1.0, -1.6, 0.9])
 VIEWS = [
     np.array([np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)])
-    for up in np.radians([25, -25, 55, -55])
-    for turn in np.radians(np.arange(-60, 300, 30))
+    for up in np.radians([25, -25, 50, -50])
+    for turn in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
 ]
 """Directions from which one may look, the usual ones first."""
 SAME = 0.92
@@ -48,6 +49,7 @@ class Space:
         """The mesh with u_h and σ_h at its vertices."""
         scene = self.scene
         grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: scene.fields.cells}, scene.fields.points)
+        grid.cell_data["cell"] = np.arange(len(scene.fields.cells))
         grid.point_data["u"] = scene.u
         grid.point_data["sigma"] = scene.sigma
         grid.point_data["sigma_norm"] = np.linalg.norm(scene.sigma, axis=1)
@@ -70,9 +72,14 @@ class Space:
 
     @cached_property
     def frame(self) -> pyvista.PolyData:
-        """The edges of the domain, and the rim of Γ_S."""
-        whole = self._triangles(self.scene.boundary.vertices).extract_feature_edges(30)
-        return whole.merge(self.gamma.extract_feature_edges(30, manifold_edges=False, non_manifold_edges=False))
+        """The edges of the domain."""
+        return _lines(self.scene.fields.points, creases(self.scene.fields.points, self.scene.boundary.vertices))
+
+    @cached_property
+    def rim(self) -> pyvista.PolyData:
+        """The rim of the contact set."""
+        touching = self.scene.facets.vertices[self.scene.touching]
+        return _lines(self.scene.fields.points, creases(self.scene.fields.points, touching, angle=180))
 
     @cached_property
     def views(self) -> list[Array]:
@@ -88,15 +95,17 @@ class Space:
 
     def slices(self) -> pyvista.PolyData:
         """Three cuts through the middle, at right angles."""
-        return self.grid.slice_orthogonal(*self.grid.center).combine().extract_surface(algorithm=None)
+        return self.grid.slice_orthogonal().combine().extract_surface(algorithm=None)
 
-    def half(self) -> pyvista.DataSet:
+    def half(self, *, whole_cells: bool = False) -> pyvista.DataSet:
         """The half of the domain behind its middle, seen from where Γ_S is seen best."""
         axis = int(np.argmax(np.abs(self.views[0][:2])))
         normal = np.zeros(3)
         normal[axis] = np.sign(self.views[0][axis])
-        return self.grid.clip(normal, origin=self.grid.center)
+        half = self.grid.clip(normal, origin=self.grid.center, crinkle=whole_cells)
+        return half.extract_surface(algorithm=None)
 
+    @cached_property
     def streamlines(self) -> pyvista.PolyData:
         """Streamlines of σ_h through points spread over the domain."""
         measure = np.cumsum(self.scene.measure)
@@ -107,38 +116,33 @@ class Space:
             seeds, vectors="sigma", max_length=2 * self.extent, initial_step_length=0.5, max_steps=400
         )
 
-    def draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
-        """u_h on three cuts, with contour lines, and the contact set."""
-        cuts = self.slices()
-        u = self.scene.u
-        lines = cuts.contour(10, scalars="u")
+    def draw_half(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h on half of the domain, with contour lines."""
+        self._draw_u(figure, axes, title, self.half())
+
+    def draw_cuts(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h on three cuts, with contour lines."""
+        self._draw_u(figure, axes, title, self.slices())
+
+    def _draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str, surface: pyvista.PolyData) -> None:
+        low, high = float(self.scene.u.min()), float(self.scene.u.max())
+        lines = surface.contour(np.linspace(low, high, 12)[1:-1], scalars="u")
 
         def build(plotter: pyvista.Plotter) -> None:
-            plotter.add_mesh(cuts, scalars="u", cmap=style.U_MAP, clim=(u.min(), u.max()), lighting=False)
+            _add_colours(plotter, surface, "u", style.U_MAP, (low, high))
             if lines.n_points:
                 plotter.add_mesh(lines, color="white", line_width=1.5, lighting=False)
-            self._add_contact(plotter)
 
         self._show(figure, axes, title, build, self.views[0])
-        _bar(figure, axes, Normalize(u.min(), u.max()), style.U_MAP, "$u_h$")
-
-    def draw_half(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
-        """u_h on half the domain."""
-        u = self.scene.u
-
-        def build(plotter: pyvista.Plotter) -> None:
-            plotter.add_mesh(self.half(), scalars="u", cmap=style.U_MAP, clim=(u.min(), u.max()), lighting=False)
-
-        self._show(figure, axes, title, build, self.views[0])
-        _bar(figure, axes, Normalize(u.min(), u.max()), style.U_MAP, "$u_h$")
+        _bar(figure, axes, Normalize(low, high), style.U_MAP, "$u_h$")
 
     def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
-        """|σ_h| on three cuts."""
+        """|σ_h| on half of the domain."""
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
-        cuts = self.slices()
+        half = self.half()
 
         def build(plotter: pyvista.Plotter) -> None:
-            plotter.add_mesh(cuts, scalars="sigma_norm", cmap=style.FLUX_MAP, clim=(low, high), lighting=False)
+            _add_colours(plotter, half, "sigma_norm", style.FLUX_MAP, (low, high))
 
         self._show(figure, axes, title, build, self.views[0])
         _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
@@ -146,32 +150,27 @@ class Space:
     def draw_streamlines(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
         """Streamlines of σ_h, coloured by |σ_h|, and the contact set."""
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
-        lines = self.streamlines()
+        lines = self.streamlines
 
         def build(plotter: pyvista.Plotter) -> None:
+            self._add_contact(plotter, opacity=0.3)
             if lines.n_points:
-                tubes = lines.tube(radius=0.004 * self.extent, n_sides=8)
-                plotter.add_mesh(tubes, scalars="sigma_norm", cmap=style.FLUX_MAP, clim=(low, high), ambient=0.4)
-            self._add_contact(plotter)
+                tubes = lines.tube(radius=0.005 * self.extent, n_sides=8)
+                _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
 
         self._show(figure, axes, title, build, self.views[0])
-        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
+        _bar(figure, axes, Normalize(low, high), style.STREAM_MAP, r"$|\sigma_h|$", extend)
 
     def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
-        """η_T on half the domain, on a logarithmic scale."""
+        """η_T on half of the domain, on a logarithmic scale."""
         indicator = self.scene.fields.indicator
         assert indicator is not None
         norm = log_norm(indicator)
-        grid = self.grid.copy(deep=False)
-        grid.cell_data["log"] = np.log10(np.maximum(indicator, norm.vmin))
-        axis = int(np.argmax(np.abs(self.views[0][:2])))
-        normal = np.zeros(3)
-        normal[axis] = np.sign(self.views[0][axis])
-        half = grid.clip(normal, origin=grid.center, crinkle=True)
+        half = self.half(whole_cells=True)
+        half.cell_data["log"] = np.log10(np.maximum(indicator, norm.vmin))[half.cell_data["cell"]]
 
         def build(plotter: pyvista.Plotter) -> None:
-            ends = np.log10([norm.vmin, norm.vmax])
-            plotter.add_mesh(half, scalars="log", cmap=style.ERROR_MAP, clim=ends, lighting=False)
+            _add_colours(plotter, half, "log", style.ERROR_MAP, np.log10([norm.vmin, norm.vmax]).tolist())
 
         self._show(figure, axes, title, build, self.views[0])
         _bar(figure, axes, norm, style.ERROR_MAP, r"$\eta_T$")
@@ -184,9 +183,7 @@ class Space:
         low, high = low + values.min(), high + values.min()
 
         def build(plotter: pyvista.Plotter) -> None:
-            plotter.add_mesh(
-                self.gamma, scalars=values, cmap=style.U_MAP, clim=(low, high), lighting=False, **self._edges()
-            )
+            _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), **self._edges())
             self._add_hull(plotter)
 
         self._show(figure, axes, label, build, view)
@@ -196,7 +193,7 @@ class Space:
         """The contact set on Γ_S."""
 
         def build(plotter: pyvista.Plotter) -> None:
-            self._add_contact(plotter, opacity=1.0)
+            self._add_contact(plotter)
             self._add_hull(plotter)
 
         self._show(figure, axes, title, build, view)
@@ -206,7 +203,7 @@ class Space:
 
         def build(plotter: pyvista.Plotter) -> None:
             plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
-            self._add_contact(plotter, opacity=1.0)
+            self._add_contact(plotter)
 
         self._show(figure, axes, f"{len(self.scene.fields.cells)} cells", build, view)
 
@@ -219,10 +216,10 @@ class Space:
     def _triangles(self, vertices: npt.NDArray[np.int64]) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
 
-    def _edges(self) -> dict[str, object]:
-        return {"show_edges": self.gamma.n_cells <= EDGES_UP_TO, "line_width": 0.4, "edge_color": "0.25"}
+    def _edges(self) -> dict[str, Any]:
+        return {"show_edges": self.gamma.n_cells <= EDGES_UP_TO, "line_width": 0.4, "edge_color": "dimgrey"}
 
-    def _add_contact(self, plotter: pyvista.Plotter, opacity: float = 0.35) -> None:
+    def _add_contact(self, plotter: pyvista.Plotter, opacity: float = 1.0) -> None:
         for chosen, color in ((self.scene.touching, style.CONTACT), (~self.scene.touching, style.FREE)):
             if chosen.any():
                 triangles = self._triangles(self.scene.facets.vertices[chosen])
@@ -231,7 +228,7 @@ class Space:
 
     def _add_hull(self, plotter: pyvista.Plotter) -> None:
         if self.hull.n_cells:
-            plotter.add_mesh(self.hull, color="0.6", opacity=0.12, lighting=False)
+            plotter.add_mesh(self.hull, color="grey", opacity=0.12, lighting=False)
 
     def _seen(self, view: Array) -> Array:
         """How much of each triangle of Γ_S one sees from a direction: its area, less if aslant, 0 if hidden."""
@@ -247,7 +244,7 @@ class Space:
         nearest = np.full(where.max() + 1, -np.inf)
         np.maximum.at(nearest, where.ravel(), depth)
         visible = depth > nearest[where.ravel()] - 3 * size
-        return scene.facets.measure * visible * np.minimum(slant, 0.5)
+        return scene.facets.measure * visible * np.minimum(slant, 0.35)
 
     def _show(
         self,
@@ -262,14 +259,18 @@ class Space:
             plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
             plotter.set_background("white")
             build(plotter)
-            if self.frame.n_cells:
-                plotter.add_mesh(self.frame, color="black", line_width=1.5, lighting=False)
+            for lines, color, width in ((self.frame, "black", 1.5), (self.rim, style.CONTACT, 4)):
+                if lines.n_cells:
+                    plotter.add_mesh(lines, color=color, line_width=width, lighting=False)
             plotter.enable_parallel_projection()
             plotter.view_vector(view, (0, 0, 1))
             plotter.enable_anti_aliasing("msaa")
             image = plotter.screenshot(return_img=True)
             plotter.close()
-        axes.imshow(_cropped(image), interpolation="antialiased")
+        image = _cropped(image)
+        height, width = image.shape[:2]
+        axes.imshow(image, interpolation="antialiased")
+        axes.set(xlim=(-0.1 * width, width), ylim=(1.1 * height, 0))  # room for the directions
         axes.set_axis_off()
         axes.set_title(title)
         triad(axes, view)
@@ -278,7 +279,7 @@ class Space:
 def triad(axes: Axes, view: Array) -> None:
     """Small arrows along x, y and z in the lower left corner."""
     across, up = _screen(view)
-    corner = axes.inset_axes((-0.04, -0.06, 0.2, 0.2))
+    corner = axes.inset_axes((0, 0, 0.2, 0.2))
     corner.set(xlim=(-1.5, 1.5), ylim=(-1.5, 1.5), aspect="equal")
     corner.set_axis_off()
     for name, direction in zip("xyz", np.eye(3), strict=True):
@@ -316,6 +317,45 @@ def _cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     if not len(rows):
         return image
     return image[max(rows[0] - 4, 0) : rows[-1] + 5, max(columns[0] - 4, 0) : columns[-1] + 5]
+
+
+def creases(points: Array, triangles: npt.NDArray[np.int64], angle: float = 30) -> npt.NDArray[np.int64]:
+    """Edges at which triangles end or meet at more than this angle, shape (edges, 2); how they turn does not matter."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]]), axis=1)
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    order = np.lexsort(edges.T)
+    first, second = order[:-1], order[1:]
+    pair = np.all(edges[first] == edges[second], axis=1)
+    flat = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1)) >= np.cos(
+        np.radians(min(angle, 90))
+    )
+    inner = np.zeros(len(edges), dtype=bool)
+    inner[first] |= pair & flat
+    inner[second] |= pair & flat
+    return np.unique(edges[~inner], axis=0)
+
+
+def _lines(points: Array, edges: npt.NDArray[np.int64]) -> pyvista.PolyData:
+    if not len(edges):
+        return pyvista.PolyData()
+    return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
+
+
+def _add_colours(
+    plotter: pyvista.Plotter,
+    surface: pyvista.PolyData,
+    scalars: str | Array,
+    cmap: str,
+    ends: tuple[float, float] | list[float],
+    *,
+    lighting: bool = False,
+    **options: Any,
+) -> None:
+    plotter.add_mesh(
+        surface, scalars=scalars, cmap=cmap, clim=ends, lighting=lighting, show_scalar_bar=False, **options
+    )
 
 
 def _bar(

@@ -14,12 +14,12 @@ def draw_files(folder: Path, scene: Scene) -> None:
     """Draw all but `iterations.png` into a folder."""
     space = Space(scene)
     figure, (left, right) = _row(2)
-    space.draw_u(figure, left, "(a) $u_h$ on cuts through the middle")
-    space.draw_half(figure, right, "(b) $u_h$ on half of the domain")
+    space.draw_half(figure, left, "(a) $u_h$ on half of the domain")
+    space.draw_cuts(figure, right, "(b) $u_h$ on cuts through the middle")
     _finish(figure, space, folder / "u.png")
 
     figure, (left, right) = _row(2)
-    space.draw_sigma(figure, left, r"(a) $|\sigma_h|$ on cuts through the middle")
+    space.draw_sigma(figure, left, r"(a) $|\sigma_h|$ on half of the domain")
     space.draw_streamlines(figure, right, r"(b) streamlines of $\sigma_h$")
     _finish(figure, space, folder / "sigma.png")
 
@@ -67,10 +67,10 @@ def _draw_overview(path: Path, space: Space) -> None:
     scene = space.scene
     figure = Figure(figsize=(12.5, 9), layout="constrained")
     panels = figure.subplots(2, 3).ravel()
-    space.draw_u(figure, panels[0], "(a) $u_h$ on cuts through the middle")
+    space.draw_half(figure, panels[0], "(a) $u_h$ on half of the domain")
     space.draw_streamlines(figure, panels[1], r"(b) streamlines of $\sigma_h$")
     if scene.fields.indicator is None:
-        space.draw_sigma(figure, panels[2], r"(c) $|\sigma_h|$ on cuts")
+        space.draw_sigma(figure, panels[2], r"(c) $|\sigma_h|$ on half of the domain")
     else:
         space.draw_certificate(figure, panels[2], r"(c) contributions $\eta_T$ to the certified error")
     space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])

@@ -25,7 +25,7 @@ STYLE = {
 """Settings of Matplotlib; `mpl.rc_context(STYLE)` puts a function under them and leaves the process as it is."""
 
 CONTACT, FREE, WATER = "#d62728", "#5ab4e6", "#4a90c2"
-U_MAP, FLUX_MAP, ERROR_MAP = "viridis", "cividis", "magma"
+U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
 QUANTILE = 0.99
 """Colours end where this part of the domain is below; a corner singularity is beyond."""
