@@ -14,7 +14,7 @@ from signorini_fenicsx.pictures.curves import draw_bounds, draw_errors, draw_ite
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.solution import Solution
 
-__all__ = ["draw_all", "draw_bounds", "draw_errors", "draw_mesh", "scene_of"]
+__all__ = ["draw_all", "draw_bounds", "draw_errors", "draw_mesh", "scene_of", "write_page"]
 
 
 def scene_of(
@@ -71,6 +71,13 @@ def draw_all(folder: Path, scene: Scene) -> None:
 
         space_files.draw_files(folder, scene)
     draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
+
+
+def write_page(path: Path, scene: Scene) -> None:
+    """Write pictures that can be turned with the mouse, in one file for a browser (rank 0)."""
+    from signorini_fenicsx.pictures import page  # takes Plotly
+
+    page.write_page(path, scene)
 
 
 @mpl.rc_context(style.STYLE)

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -34,15 +34,23 @@ VIEWS = [
     for turn in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
 ]
 """Directions from which one may look, the usual ones first."""
+HALVES = ("half", "sigma", "certificate")
+"""Views of half of the domain."""
 SAME = 0.92
 """A view that shows this part of all that can be seen is enough."""
 
 
 @dataclass(frozen=True)
 class Space:
-    """The views of a solution in space."""
+    """The views of a solution in space.
+
+    Attributes:
+        scene: The solution.
+        rendered: Images by what they show and from where.
+    """
 
     scene: Scene
+    rendered: dict[tuple[str, tuple[float, ...]], npt.NDArray[np.uint8]] = field(default_factory=dict)
 
     @cached_property
     def grid(self) -> pyvista.UnstructuredGrid:
@@ -97,13 +105,15 @@ class Space:
         """Three cuts through the middle, at right angles."""
         return self.grid.slice_orthogonal().combine().extract_surface(algorithm=None)
 
-    def half(self, *, whole_cells: bool = False) -> pyvista.DataSet:
-        """The half of the domain behind its middle, seen from where Γ_S is seen best."""
+    def half(self, *, whole_cells: bool = False) -> pyvista.PolyData:
+        """The surface of the half of the domain behind its middle, seen from where Γ_S is seen best."""
+        return self._behind(self.grid, crinkle=whole_cells).extract_surface(algorithm=None)
+
+    def _behind(self, data: pyvista.DataSet, **options: Any) -> pyvista.DataSet:
         axis = int(np.argmax(np.abs(self.views[0][:2])))
         normal = np.zeros(3)
         normal[axis] = np.sign(self.views[0][axis])
-        half = self.grid.clip(normal, origin=self.grid.center, crinkle=whole_cells)
-        return half.extract_surface(algorithm=None)
+        return data.clip(normal, origin=self.grid.center, **options) if data.n_cells else data
 
     @cached_property
     def streamlines(self) -> pyvista.PolyData:
@@ -118,22 +128,22 @@ class Space:
 
     def draw_half(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
         """u_h on half of the domain, with contour lines."""
-        self._draw_u(figure, axes, title, self.half())
+        self._draw_u(figure, axes, title, "half", self.half())
 
     def draw_cuts(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
         """u_h on three cuts, with contour lines."""
-        self._draw_u(figure, axes, title, self.slices())
+        self._draw_u(figure, axes, title, "cuts", self.slices())
 
-    def _draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str, surface: pyvista.PolyData) -> None:
+    def _draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
         low, high = float(self.scene.u.min()), float(self.scene.u.max())
         lines = surface.contour(np.linspace(low, high, 12)[1:-1], scalars="u")
 
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, surface, "u", style.U_MAP, (low, high))
             if lines.n_points:
-                plotter.add_mesh(lines, color="white", line_width=1.5, lighting=False)
+                self._add_lines(plotter, lines, self.views[0], "white", 1.5)
 
-        self._show(figure, axes, title, build, self.views[0])
+        self._show(axes, title, key, build, self.views[0])
         _bar(figure, axes, Normalize(low, high), style.U_MAP, "$u_h$")
 
     def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
@@ -144,7 +154,7 @@ class Space:
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, half, "sigma_norm", style.FLUX_MAP, (low, high))
 
-        self._show(figure, axes, title, build, self.views[0])
+        self._show(axes, title, "sigma", build, self.views[0])
         _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
 
     def draw_streamlines(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
@@ -158,7 +168,7 @@ class Space:
                 tubes = lines.tube(radius=0.005 * self.extent, n_sides=8)
                 _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
 
-        self._show(figure, axes, title, build, self.views[0])
+        self._show(axes, title, "streamlines", build, self.views[0])
         _bar(figure, axes, Normalize(low, high), style.STREAM_MAP, r"$|\sigma_h|$", extend)
 
     def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
@@ -172,7 +182,7 @@ class Space:
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, half, "log", style.ERROR_MAP, np.log10([norm.vmin, norm.vmax]).tolist())
 
-        self._show(figure, axes, title, build, self.views[0])
+        self._show(axes, title, "certificate", build, self.views[0])
         _bar(figure, axes, norm, style.ERROR_MAP, r"$\eta_T$")
 
     def draw_trace(self, figure: Figure | SubFigure, axes: Axes, column: str, label: str, view: Array) -> None:
@@ -186,7 +196,7 @@ class Space:
             _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), **self._edges())
             self._add_hull(plotter)
 
-        self._show(figure, axes, label, build, view)
+        self._show(axes, label, column, build, view)
         _bar(figure, axes, Normalize(low, high), style.U_MAP, "", extend)
 
     def draw_contact(self, figure: Figure | SubFigure, axes: Axes, title: str, view: Array) -> None:
@@ -196,7 +206,7 @@ class Space:
             self._add_contact(plotter)
             self._add_hull(plotter)
 
-        self._show(figure, axes, title, build, view)
+        self._show(axes, title, "contact", build, view)
 
     def draw_mesh(self, figure: Figure | SubFigure, axes: Axes, view: Array) -> None:
         """The mesh on the boundary, with the contact set."""
@@ -205,7 +215,7 @@ class Space:
             plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
             self._add_contact(plotter)
 
-        self._show(figure, axes, f"{len(self.scene.fields.cells)} cells", build, view)
+        self._show(axes, f"{len(self.scene.fields.cells)} cells", "mesh", build, view)
 
     def handles(self) -> list:
         """What the legend of Γ_S lists."""
@@ -230,6 +240,13 @@ class Space:
         if self.hull.n_cells:
             plotter.add_mesh(self.hull, color="grey", opacity=0.12, lighting=False)
 
+    def _add_lines(
+        self, plotter: pyvista.Plotter, lines: pyvista.PolyData, view: Array, color: str, width: float
+    ) -> None:
+        """Lines, moved towards the eye a little, so that the surface on which they lie does not cover them."""
+        moved = lines.translate(0.004 * self.extent * view)
+        plotter.add_mesh(moved, color=color, line_width=width, lighting=False, render_lines_as_tubes=width > 2)
+
     def _seen(self, view: Array) -> Array:
         """How much of each triangle of Γ_S one sees from a direction: its area, less if aslant, 0 if hidden."""
         scene = self.scene
@@ -246,34 +263,33 @@ class Space:
         visible = depth > nearest[where.ravel()] - 3 * size
         return scene.facets.measure * visible * np.minimum(slant, 0.35)
 
-    def _show(
-        self,
-        figure: Figure | SubFigure,
-        axes: Axes,
-        title: str,
-        build: Callable[[pyvista.Plotter], None],
-        view: Array,
-    ) -> None:
-        """Render into axes, with the edges of the domain and the directions of the coordinates."""
-        with offscreen():
-            plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
-            plotter.set_background("white")
-            build(plotter)
-            for lines, color, width in ((self.frame, "black", 1.5), (self.rim, style.CONTACT, 4)):
-                if lines.n_cells:
-                    plotter.add_mesh(lines, color=color, line_width=width, lighting=False)
-            plotter.enable_parallel_projection()
-            plotter.view_vector(view, (0, 0, 1))
-            plotter.enable_anti_aliasing("msaa")
-            image = plotter.screenshot(return_img=True)
-            plotter.close()
-        image = _cropped(image)
+    def _show(self, axes: Axes, title: str, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> None:
+        """Render into axes, with the edges of the domain and the directions of the coordinates; each view once."""
+        if (key, tuple(view)) not in self.rendered:
+            self.rendered[key, tuple(view)] = self._render(key, build, view)
+        image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
         axes.imshow(image, interpolation="antialiased")
         axes.set(xlim=(-0.1 * width, width), ylim=(1.1 * height, 0))  # room for the directions
         axes.set_axis_off()
         axes.set_title(title)
         triad(axes, view)
+
+    def _render(self, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> npt.NDArray[np.uint8]:
+        with offscreen():
+            plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
+            plotter.set_background("white")
+            build(plotter)
+            rim = self._behind(self.rim) if key in HALVES else self.rim
+            for lines, color, width in ((self.frame, "black", 1.5), (rim, style.CONTACT, 4)):
+                if lines.n_cells:
+                    self._add_lines(plotter, lines, view, color, width)
+            plotter.enable_parallel_projection()
+            plotter.view_vector(view, (0, 0, 1))
+            plotter.enable_anti_aliasing("msaa")
+            image = plotter.screenshot(return_img=True)
+            plotter.close()
+        return _cropped(image)
 
 
 def triad(axes: Axes, view: Array) -> None:
@@ -328,9 +344,8 @@ def creases(points: Array, triangles: npt.NDArray[np.int64], angle: float = 30) 
     order = np.lexsort(edges.T)
     first, second = order[:-1], order[1:]
     pair = np.all(edges[first] == edges[second], axis=1)
-    flat = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1)) >= np.cos(
-        np.radians(min(angle, 90))
-    )
+    cosine = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1))
+    flat = cosine >= np.cos(np.radians(angle))
     inner = np.zeros(len(edges), dtype=bool)
     inner[first] |= pair & flat
     inner[second] |= pair & flat

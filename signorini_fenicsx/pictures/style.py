@@ -21,6 +21,8 @@ STYLE = {
     "grid.alpha": 0.3,
     "axes.axisbelow": True,
     "savefig.dpi": 150,
+    "figure.constrained_layout.h_pad": 0.08,
+    "figure.constrained_layout.w_pad": 0.08,
 }
 """Settings of Matplotlib; `mpl.rc_context(STYLE)` puts a function under them and leaves the process as it is."""
 
