@@ -61,6 +61,7 @@ Settings = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the summary, and nothing else.")]
+Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse turns.")]
 OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
 
 
@@ -98,6 +99,7 @@ def solve(
     ] = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    html: Html = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -132,11 +134,11 @@ def solve(
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=report.step)
         except NumericalFailure as failure:
             if failure.solution is not None:
-                write_solution(failure.solution, folder.path, plot=plot)
+                write_solution(failure.solution, folder.path, plot=plot, html=html)
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
         certificate = certify(solution)
-        write_solution(solution, folder.path, certificate=certificate, plot=plot)
+        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish()
         report.solution(solution, folder.target, certificate)
         if as_json:
@@ -160,6 +162,7 @@ def adapt(
     settings: Settings = None,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures of the last solution (PNG).")] = False,
+    html: Html = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -213,10 +216,10 @@ def adapt(
                 adapt_case(problem, comm, target=wanted, max_cells=most, theta=1.0, on_row=on_row)
         except NumericalFailure as failure:
             if failure.solution is not None:
-                write_solution(failure.solution, folder.path, plot=plot)
+                write_solution(failure.solution, folder.path, plot=plot, html=html)
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
-        write_solution(solution, folder.path, certificate=certificate, plot=plot)
+        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         write_adapt(solution, rows, folder.path)
         if wanted is not None and not certificate.relative <= wanted:
             kept = folder.keep_failed()
@@ -247,6 +250,7 @@ def export(
     results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    html: Html = False,
 ) -> None:
     r"""Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
 
@@ -265,7 +269,7 @@ def export(
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution.case, comm)
         certificate = certify(solution) if solution.converged else None
-        write_solution(solution, folder.path, certificate=certificate, plot=plot)
+        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish()
         report.results(folder.target)
 

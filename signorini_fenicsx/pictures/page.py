@@ -21,6 +21,7 @@ MOST_TRIANGLES = 40_000
 """Of a surface: a megabyte or two."""
 HEIGHT = 0.5
 """Of a surface over the plane, in sides of the domain."""
+CAMERA = {"projection": {"type": "orthographic"}, "eye": {"x": 0.9, "y": -1.4, "z": 0.8}}
 SYMBOLS = {
     r"\leq": "≤",
     r"\varepsilon": "ε",
@@ -57,26 +58,34 @@ def write_page(path: Path, scene: Scene) -> None:
         {"label": sheet.name, "method": "restyle", "args": ["visible", [bool(n in (-1, number)) for n in owner]]}
         for number, sheet in enumerate(sheets)
     ]
-    size = np.ptp(scene.fields.points, axis=0)
-    sides = size / size.max()
-    axes = {"backgroundcolor": "white", "gridcolor": "lightgrey", "zerolinecolor": "lightgrey"}
+    text = f"{html.escape(scene.title)}<br><sub>{plain(scene.caption)}</sub>"
     figure.update_layout(
-        title={"text": f"{html.escape(scene.title)}<br><sub>{plain(scene.caption)}</sub>", "x": 0.5},
-        scene={
-            "aspectmode": "manual",
-            "aspectratio": dict(zip("xyz", (*sides, HEIGHT)[:3], strict=True)),
-            **{f"{axis}axis": axes | {"title": {"text": name}} for axis, name in _axis_names(scene).items()},
-            "camera": {"projection": {"type": "orthographic"}, "eye": {"x": 1.2, "y": -1.5, "z": 0.9}},
-        },
+        title={"text": text, "x": 0.5, "y": 0.98, "yanchor": "top"},
+        scene=_axes(scene) | {"camera": CAMERA},
         updatemenus=[
             {"type": "buttons", "direction": "right", "buttons": buttons}
-            | {"x": 0.5, "xanchor": "center", "y": 1.02, "yanchor": "bottom"}
+            | {"x": 0.5, "xanchor": "center", "y": 1.0, "yanchor": "bottom"}
         ],
-        legend={"orientation": "h", "x": 0.5, "xanchor": "center", "y": -0.02},
-        margin={"l": 0, "r": 0, "b": 0, "t": 130},
+        legend={"orientation": "h", "x": 0.5, "xanchor": "center", "y": 0.0},
+        margin={"l": 0, "r": 0, "b": 20, "t": 120},
         template="plotly_white",
     )
-    figure.write_html(path, include_plotlyjs=True, full_html=True, config={"displaylogo": False, "responsive": True})
+    figure.write_html(
+        path, include_plotlyjs=True, full_html=True, default_height="96vh", config={"displaylogo": False}
+    )
+
+
+def _axes(scene: Scene) -> dict[str, Any]:
+    """Equal scales along the coordinates; a surface over the plane is half as high as the domain's shorter side."""
+    low, high = scene.fields.points.min(axis=0), scene.fields.points.max(axis=0)
+    sides = (high - low) / (high - low).max()
+    third = (HEIGHT * sides.min(),) if scene.dim == 2 else ()
+    names = ("x", "y", "u<sub>h</sub>" if scene.dim == 2 else "z")
+    axes = {f"{axis}axis": {"title": {"text": name}} for axis, name in zip("xyz", names, strict=True)}
+    for axis, *ends in zip("xyz", low.tolist(), high.tolist(), strict=False):
+        room = 0.02 * (ends[1] - ends[0])
+        axes[f"{axis}axis"]["range"] = [ends[0] - room, ends[1] + room]
+    return axes | {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (*sides, *third), strict=True))}
 
 
 def plain(caption: str) -> str:
@@ -86,10 +95,6 @@ def plain(caption: str) -> str:
         text = text.replace(symbol, character)
     text = re.sub(r"\^\{([^}]*)\}", r"<sup>\1</sup>", text).replace("<sup>-", "<sup>−")
     return re.sub(r"_(\w)", r"<sub>\1</sub>", text)
-
-
-def _axis_names(scene: Scene) -> dict[str, str]:
-    return dict(zip("xyz", ("x", "y", "u" if scene.dim == 2 else "z"), strict=True))
 
 
 def _plane(scene: Scene) -> tuple[list, list[Sheet]]:
@@ -133,7 +138,8 @@ def _space(scene: Scene) -> tuple[list, list[Sheet]]:
     lines = space.streamlines
     if lines.n_lines:
         sheets.append(Sheet("streamlines", [_streamlines(scene, lines), *_faint(contact)]))
-    return [_edges(points, creases(points, scene.boundary.vertices), "black", 3, "")], sheets
+    hull = _surface(points, thinned(points, scene.boundary.vertices, MOST_TRIANGLES)[0], None, "grey")
+    return [_edges(points, creases(points, scene.boundary.vertices), "black", 3, ""), *_faint([hull], 0.08)], sheets
 
 
 def _surface(
@@ -160,8 +166,8 @@ def _surface(
             "cmax": high,
             "colorbar": {"len": 0.7, "thickness": 18},
         }
-    light = {"ambient": 0.85, "diffuse": 0.3, "specular": 0.0}
-    return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, lighting=light, flatshading=False, **look)
+    light = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0}  # colours as in the colour bar
+    return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, lighting=light, **look)
 
 
 def _rims(scene: Scene, points: Array, others: Indices) -> list:
@@ -197,5 +203,5 @@ def _streamlines(scene: Scene, lines: Any) -> go.Scatter3d:
     return go.Scatter3d(x=x, y=y, z=z, mode="lines", line=line, hoverinfo="skip", showlegend=False)
 
 
-def _faint(surfaces: list[go.Mesh3d]) -> list[go.Mesh3d]:
-    return [go.Mesh3d(surface).update(opacity=0.3) for surface in surfaces]
+def _faint(surfaces: list[go.Mesh3d], opacity: float = 0.3) -> list[go.Mesh3d]:
+    return [go.Mesh3d(surface).update(opacity=opacity) for surface in surfaces]
