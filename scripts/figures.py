@@ -7,7 +7,10 @@ Reads `reproduction.json` and the runs in `runs/`, writes a PNG and a PDF per fi
 
 import csv
 import html
+import itertools
 import json
+import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,11 +22,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
-mpl.rcParams.update({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "savefig.dpi": 150})
-
-SLIDES = {"alg1": "Alg. 1", "alg2": "Alg. 2", "alg3": "Algorithm 3", "alg4": "Algorithm 4"}
+STYLE = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 10,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "savefig.dpi": 150,
+}
+SLIDES = {"alg1": "Algorithm 1", "alg2": "Algorithm 2", "alg3": "Algorithm 3", "alg4": "Algorithm 4"}
+QUANTILE = 0.99
+"""Colours of |σ_h| end here, so that a corner does not spoil them."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +68,35 @@ class KeptRun:
         with np.load(self.folder / "checkpoint.npz", allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         return arrays | {"about": json.loads(str(arrays["about"]))}
+
+
+def power(value: float) -> str:
+    """A number as the slides print it, in mathematical type: 2^{-5}, 10^{-8}, or its digits."""
+    for base in (2, 10):
+        exponent = round(math.log(value, base))
+        if abs(exponent) > 1 and math.isclose(value, float(base) ** exponent, rel_tol=1e-12):
+            return f"{base}^{{{exponent}}}"
+    return f"{value:.4g}"
+
+
+def as_html(text: str) -> str:
+    """Powers and indices of mathematical type as HTML."""
+    text = re.sub(r"\^\{?(-?[\w.]+)\}?", r"<sup>\1</sup>", html.escape(text))
+    return re.sub(r"_\{?(\w+)\}?", r"<sub>\1</sub>", text).replace("<sup>-", "<sup>−")
+
+
+def settings(runs: list[KeptRun]) -> str:
+    """Algorithms, h and ε of some runs."""
+    studies = [run for run in runs if (run.folder / "convergence.csv").exists()]
+    over = {run.folder: json.loads((run.folder / "summary.json").read_text(encoding="utf-8")) for run in studies}
+    fixed_h = {run.parameters["solve.h"] for run in runs if over.get(run.folder, {}).get("vary") != "h"}
+    with_eps = [run for run in runs if run.algorithm in ("alg3", "alg4")]
+    fixed_eps = {run.parameters["solve.eps"] for run in with_eps if over.get(run.folder, {}).get("vary") != "eps"}
+    words = [" and ".join(sorted({SLIDES[run.algorithm] for run in runs}))]
+    words += [f"h = {power(h)}" for h in sorted(fixed_h)]
+    words += [f"ε = {power(eps)}" for eps in sorted(fixed_eps, reverse=True)]
+    words += sorted({f"errors over {about['vary']} against {about['reference']}" for about in over.values()})
+    return ", ".join(words).replace("over eps", "over ε").replace("alg1", "Algorithm 1").replace("alg2", "Algorithm 2")
 
 
 def read_runs(folder: Path, names: list[str]) -> list[KeptRun]:
@@ -94,7 +136,7 @@ def draw_solution(runs: list[KeptRun]) -> Figure:
     weights = np.bincount(cells.ravel())
     nodal = np.bincount(cells.ravel(), np.repeat(u, 3)) / weights
     surface.plot_trisurf(triangulation, nodal, cmap="viridis", linewidth=0, antialiased=False, rasterized=True)
-    surface.set(xlabel="x", ylabel="y", title="(a) $u_h$")
+    surface.set(xlabel="$x$", ylabel="$y$", title="(a) $u_h$")
     surface.locator_params(nbins=5)
 
     arrows = figure.add_subplot(1, 3, 2)
@@ -103,13 +145,17 @@ def draw_solution(runs: list[KeptRun]) -> Figure:
     x, y = np.meshgrid(*(np.arange(a + spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)))
     cell = triangulation.get_trifinder()(x, y)
     arrows.quiver(x[cell >= 0], y[cell >= 0], *sigma[cell[cell >= 0]].T, color="C0", pivot="mid", width=0.004)
-    arrows.set(aspect="equal", xlabel="x", ylabel="y", title=r"(b) $\sigma_h$")
+    arrows.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=r"(b) $\sigma_h$")
 
     magnitude = figure.add_subplot(1, 3, 3)
     magnitude.grid(visible=False)
-    image = magnitude.tripcolor(triangulation, np.linalg.norm(sigma, axis=1), cmap="viridis", rasterized=True)
-    figure.colorbar(image, ax=magnitude)
-    magnitude.set(aspect="equal", xlabel="x", ylabel="y", title=r"(c) $|\sigma_h|$")
+    norm = np.linalg.norm(sigma, axis=1)
+    top, above = float(np.quantile(norm, QUANTILE)), norm.max() > 1.2 * np.quantile(norm, QUANTILE)
+    image = magnitude.tripcolor(
+        triangulation, norm, cmap="viridis", rasterized=True, vmax=top if above else float(norm.max())
+    )
+    figure.colorbar(image, ax=magnitude, extend="max" if above else "neither")
+    magnitude.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=r"(c) $|\sigma_h|$")
     return figure
 
 
@@ -123,10 +169,11 @@ def draw_traces(runs: list[KeptRun]) -> Figure:
     labels = [arrays["about"]["parts"][name] for name in names]
     figure = Figure(figsize=(11, 2.8 * len(names)), layout="constrained")
     panels = figure.subplots(len(names), 3, squeeze=False)
+    letters = itertools.count()
     for part, (name, label) in enumerate(zip(names, labels, strict=True)):
         for axes, (key, (title, color)) in zip(panels[part], TRACES.items(), strict=True):
             _trace(axes, arrays, part, key, color)
-            axes.set(xlabel=label, title=rf"{title} on $\Gamma_S$: {name}")
+            axes.set(xlabel=_coordinate(label), title=rf"{_letter(next(letters))} {title} on $\Gamma_S$: {name}")
     return figure
 
 
@@ -136,13 +183,31 @@ def draw_penalty_traces(runs: list[KeptRun]) -> Figure:
     names = solutions[0][1]["about"]["part_names"]
     figure = Figure(figsize=(5.4 * len(names), 3.2 * len(solutions)), layout="constrained")
     panels = figure.subplots(len(solutions), len(names), squeeze=False)
+    letters = itertools.count()
     for row, (eps, arrays) in zip(panels, solutions, strict=True):
         for part, axes in enumerate(row):
             for key, (title, color) in TRACES.items():
                 _trace(axes, arrays, part, key, color, title)
-            axes.set(xlabel=arrays["about"]["parts"][names[part]], title=f"{names[part]}, ε = {eps:.4g}")
-            axes.legend()
+            title = rf"{_letter(next(letters))} {names[part]}, $\varepsilon = {power(eps)}$"
+            axes.set(xlabel=_coordinate(arrays["about"]["parts"][names[part]]), title=title)
+    _legend_below(figure, panels[0, 0], {r"_h": r"_{\varepsilon h}"})
     return figure
+
+
+def _letter(number: int) -> str:
+    return f"({chr(ord('a') + number)})"
+
+
+def _coordinate(label: str) -> str:
+    return f"${label}$" if len(label) == 1 else label
+
+
+def _legend_below(figure: Figure, axes: Axes, renamed: dict[str, str] | None = None, columns: int = 3) -> None:
+    """One legend for all panels, under them, where it covers nothing."""
+    handles, labels = axes.get_legend_handles_labels()
+    for old, new in (renamed or {}).items():
+        labels = [label.replace(old, new) for label in labels]
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def _trace(axes: Axes, arrays: dict[str, Any], part: int, key: str, color: str, label: str | None = None) -> None:
@@ -154,7 +219,8 @@ def _trace(axes: Axes, arrays: dict[str, Any], part: int, key: str, color: str, 
 def draw_iterations(runs: list[KeptRun]) -> Figure:
     """‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q, a panel per algorithm."""
     figure = Figure(figsize=(4.6 * len(runs), 3.4), layout="constrained")
-    for axes, run in zip(figure.subplots(1, len(runs), squeeze=False)[0], runs, strict=True):
+    panels = figure.subplots(1, len(runs), squeeze=False)[0]
+    for number, (axes, run) in enumerate(zip(panels, runs, strict=True)):
         rows = run.rows("history.csv")
         n = np.array([row["iteration"] for row in rows]) - 1
         for key, label, style in (
@@ -163,20 +229,23 @@ def draw_iterations(runs: list[KeptRun]) -> Figure:
         ):
             values = np.array([row[key] for row in rows])
             axes.semilogy(n[values > 0], values[values > 0], style, label=label)  # a repeated set changes nothing
-        axes.set(xlabel="n", xticks=n, title=SLIDES[run.algorithm])
-        axes.legend()
+        eps = rf", $\varepsilon = {power(run.parameters['solve.eps'])}$" if run.algorithm in ("alg3", "alg4") else ""
+        axes.set(xlabel="$n$", title=f"{_letter(number)} {SLIDES[run.algorithm]}{eps}")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    _legend_below(figure, panels[0])
     return figure
 
 
 def draw_errors(runs: list[KeptRun]) -> Figure:
     """Errors of σ, u and p of Algorithms 3 and 4: over h at fixed ε, and over ε at fixed h."""
-    figure = Figure(figsize=(11, 4), layout="constrained")
+    figure = Figure(figsize=(11, 4.8), layout="constrained")
     series = {
-        "sigma_V": r"$\|\sigma_{ref}-\sigma_h\|_V$",
-        "u_Q": r"$\|u_{ref}-u_h\|_Q$",
-        "p_Lambda": r"$\|p_{ref}-p_h\|_\Lambda$",
+        "sigma_V": r"$\|\sigma_{\mathrm{ref}}-\sigma_h\|_V$",
+        "u_Q": r"$\|u_{\mathrm{ref}}-u_h\|_Q$",
+        "p_Lambda": r"$\|p_{\mathrm{ref}}-p_h\|_\Lambda$",
     }
-    for axes, over in zip(figure.subplots(1, 2), ("h", "eps"), strict=True):
+    panels = figure.subplots(1, 2)
+    for axes, over in zip(panels, ("h", "eps"), strict=True):
         shown = [run for run in runs if json.loads((run.folder / "summary.json").read_text())["vary"] == over]
         base = 2.0 if over == "h" else 10.0
         for run, style in zip(shown, ("o-", "x--"), strict=True):
@@ -188,12 +257,11 @@ def draw_errors(runs: list[KeptRun]) -> Figure:
         guide = shown[0].rows("convergence.csv")[0]["sigma_V"] * 0.5
         axes.loglog(x, guide * x / x[0], "k:", linewidth=0.8, label="slope 1")
         axes.set_xscale("log", base=int(base))
-        fixed = (
-            f"ε = {shown[0].parameters['solve.eps']:g}" if over == "h" else f"h = {shown[0].parameters['solve.h']:g}"
-        )
-        letter, name = ("a", "h") if over == "h" else ("b", "ε")
-        axes.set(xlabel=name, title=f"({letter}) fixed {fixed}")
-        axes.legend(fontsize=7)
+        eps, h = (power(shown[0].parameters[f"solve.{name}"]) for name in ("eps", "h"))
+        fixed = rf"\varepsilon = {eps}" if over == "h" else f"h = {h}"
+        letter, name = ("a", "$h$") if over == "h" else ("b", r"$\varepsilon$")
+        axes.set(xlabel=name, title=f"({letter}) fixed ${fixed}$")
+    _legend_below(figure, panels[0])
     return figure
 
 
@@ -211,18 +279,22 @@ COLUMNS = {
     "sigma_V": "‖σ_ref − σ_h‖_V",
     "sigma_V_order": "order",
     "slides_sigma_V": "slides",
+    "slides_sigma_V_order": "slides' order",
     "u_Q": "‖u_ref − u_h‖_Q",
     "u_Q_order": "order",
     "slides_u_Q": "slides",
+    "slides_u_Q_order": "slides' order",
 }
 
 
 def table_rows(run: KeptRun, slides: dict[str, dict[str, float]]) -> list[list[str]]:
-    """The lines of a table: our errors and orders with the slides' errors beside them."""
+    """The lines of a table: our errors and orders, and the slides' beside them."""
     lines = []
     for row in run.rows("convergence.csv"):
-        theirs = slides.get(f"{row['level']:g}", {})
+        theirs, before = slides.get(f"{row['level']:g}", {}), slides.get(f"{row['level'] - 1:g}", {})
         values = row | {f"slides_{key}": value for key, value in theirs.items()}
+        for key in theirs.keys() & before.keys():
+            values[f"slides_{key}_order"] = math.log2(before[key] / theirs[key])
         cells = [f"2^-{row['level']:g}"]
         for key in list(COLUMNS)[1:]:
             value = values.get(key, float("nan"))
@@ -233,6 +305,11 @@ def table_rows(run: KeptRun, slides: dict[str, dict[str, float]]) -> list[list[s
 
 def make(folder: Path, names: Sequence[str] | None = None) -> None:
     """Draw what `reproduction.json` lists, or some of it, and the page that shows all of it."""
+    with mpl.rc_context(STYLE):
+        _make(folder, names)
+
+
+def _make(folder: Path, names: Sequence[str] | None) -> None:
     reproduction = json.loads((folder / "reproduction.json").read_text(encoding="utf-8"))
     sections = []
     for name, item in reproduction["items"].items():
@@ -248,21 +325,22 @@ def make(folder: Path, names: Sequence[str] | None = None) -> None:
                 for suffix in ("png", "pdf"):
                     figure.savefig(folder / f"{name}.{suffix}")
             shown = f'<a href="{name}.pdf"><img src="{name}.png" alt="{html.escape(item["caption"])}"></a>'
-        seconds = sum(run.seconds for run in runs)
-        sections.append(_section(name, item, shown, seconds))
+        sections.append(_section(name, item, shown, runs))
     (folder / "index.html").write_text(_page(reproduction, sections), encoding="utf-8")
 
 
 def _html_table(lines: list[list[str]]) -> str:
-    head = "".join(f"<th>{html.escape(column)}</th>" for column in COLUMNS.values())
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in lines)
+    head = "".join(f"<th>{as_html(column)}</th>" for column in COLUMNS.values())
+    body = "".join("<tr>" + "".join(f"<td>{as_html(cell)}</td>" for cell in line) + "</tr>" for line in lines)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _section(name: str, item: dict[str, Any], shown: str, seconds: float) -> str:
+def _section(name: str, item: dict[str, Any], shown: str, runs: list[KeptRun]) -> str:
     label = name.replace("table", "Table ").replace("figure", "Figure ")
+    caption = item["caption"] + (f" {settings(runs)}." if runs else "")
+    seconds = sum(run.seconds for run in runs)
     return (
-        f'<section id="{name}"><h2>{label}</h2><p>{html.escape(item["caption"])}</p>{shown}'
+        f'<section id="{name}"><h2>{label}</h2>{shown}<p class="caption"><b>{label}.</b> {as_html(caption)}</p>'
         f"<p><code>{html.escape(item['command'])}</code> · {len(item['runs'])} runs, {seconds:.0f} s of one rank</p>"
         "</section>"
     )
@@ -277,6 +355,7 @@ def _page(reproduction: dict[str, Any], sections: list[str]) -> str:
 <style>
 body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
 img {{ max-width: 100%; }} code {{ background: #f3f3f3; padding: 0.1rem 0.3rem; }} nav a {{ margin-right: 0.5rem; }}
+.caption {{ max-width: 60rem; }} sup, sub {{ line-height: 0; }}
 table {{ border-collapse: collapse; }}
 th, td {{ padding: 0.2rem 0.8rem; border-bottom: 1px solid #ddd; text-align: right; }}
 </style></head><body>

@@ -70,9 +70,7 @@ def write_page(path: Path, scene: Scene) -> None:
         margin={"l": 0, "r": 0, "b": 20, "t": 120},
         template="plotly_white",
     )
-    figure.write_html(
-        path, include_plotlyjs=True, full_html=True, default_height="96vh", config={"displaylogo": False}
-    )
+    figure.write_html(path, include_plotlyjs=True, full_html=True, default_height="96vh", config={"displaylogo": False})
 
 
 def _axes(scene: Scene) -> dict[str, Any]:

@@ -93,7 +93,9 @@ def _draw_overview(path: Path, plane: Plane) -> None:
     plane.draw_sigma(figure, figure.add_subplot(slots[1]), r"(b) $\sigma_h$ on $|\sigma_h|$")
     number = 2
     if scene.fields.indicator is not None:
-        plane.draw_certificate(figure, figure.add_subplot(slots[2]), r"(c) contributions $\eta_T$ to the certified error")
+        plane.draw_certificate(
+            figure, figure.add_subplot(slots[2]), r"(c) contributions $\eta_T$ to the certified error"
+        )
         number = 3
     first, last = (number + 1, number) if plane.wide else (number, number + 2 * len(parts))
     for part in parts:

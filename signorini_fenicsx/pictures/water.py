@@ -58,7 +58,9 @@ class Water:
         fields = self.scene.fields
         pressure = -self.scene.u - fields.points[:, 1]
         if pressure.min() < 0 < pressure.max():
-            axes.tricontour(Triangulation(*fields.points.T, fields.cells), pressure, [0.0], colors="black", linewidths=1.8)
+            axes.tricontour(
+                Triangulation(*fields.points.T, fields.cells), pressure, [0.0], colors="black", linewidths=1.8
+            )
 
     def handles(self) -> list:
         """What the legend says about it."""
