@@ -81,22 +81,31 @@ def power(value: float) -> str:
 
 def as_html(text: str) -> str:
     """Powers and indices of mathematical type as HTML."""
-    text = re.sub(r"\^\{?(-?[\w.]+)\}?", r"<sup>\1</sup>", html.escape(text))
+    text = re.sub(r"\^\{?(-?\w+)\}?", r"<sup>\1</sup>", html.escape(text))
     return re.sub(r"_\{?(\w+)\}?", r"<sub>\1</sub>", text).replace("<sup>-", "<sup>−")
 
 
 def settings(runs: list[KeptRun]) -> str:
-    """Algorithms, h and ε of some runs."""
-    studies = [run for run in runs if (run.folder / "convergence.csv").exists()]
-    over = {run.folder: json.loads((run.folder / "summary.json").read_text(encoding="utf-8")) for run in studies}
-    fixed_h = {run.parameters["solve.h"] for run in runs if over.get(run.folder, {}).get("vary") != "h"}
-    with_eps = [run for run in runs if run.algorithm in ("alg3", "alg4")]
-    fixed_eps = {run.parameters["solve.eps"] for run in with_eps if over.get(run.folder, {}).get("vary") != "eps"}
+    """Algorithms, h and ε of some runs, and what studies vary."""
     words = [" and ".join(sorted({SLIDES[run.algorithm] for run in runs}))]
-    words += [f"h = {power(h)}" for h in sorted(fixed_h)]
-    words += [f"ε = {power(eps)}" for eps in sorted(fixed_eps, reverse=True)]
-    words += sorted({f"errors over {about['vary']} against {about['reference']}" for about in over.values()})
-    return ", ".join(words).replace("over eps", "over ε").replace("alg1", "Algorithm 1").replace("alg2", "Algorithm 2")
+    studies = [run for run in runs if (run.folder / "convergence.csv").exists()]
+    if not studies:
+        words += [f"h = {power(h)}" for h in sorted({run.parameters["solve.h"] for run in runs})]
+        words += [f"ε = {power(eps)}" for eps in sorted(_epsilons(runs), reverse=True)]
+    for vary, symbol in (("h", "h"), ("eps", "ε")):
+        about = {run.folder: json.loads((run.folder / "summary.json").read_text(encoding="utf-8")) for run in studies}
+        shown = [run for run in studies if about[run.folder]["vary"] == vary]
+        if shown:
+            fixed = {f"h = {power(run.parameters['solve.h'])}" for run in shown}
+            fixed = {f"ε = {power(eps)}" for eps in _epsilons(shown)} if vary == "h" else fixed
+            at = "".join(f" at {value}" for value in sorted(fixed))
+            against = {about[run.folder]["reference"].replace(run.algorithm, "the same algorithm") for run in shown}
+            words.append(f"over {symbol}{at} against {' or '.join(sorted(against))}".replace("alg1", SLIDES["alg1"]))
+    return ", ".join(words)
+
+
+def _epsilons(runs: list[KeptRun]) -> set[float]:
+    return {run.parameters["solve.eps"] for run in runs if run.algorithm in ("alg3", "alg4")}
 
 
 def read_runs(folder: Path, names: list[str]) -> list[KeptRun]:

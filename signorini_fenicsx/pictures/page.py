@@ -19,6 +19,7 @@ type Indices = npt.NDArray[np.int64]
 
 MOST_TRIANGLES = 40_000
 """Of a surface: a megabyte or two."""
+ZOOM = 1.25
 HEIGHT = 0.5
 """Of a surface over the plane, in sides of the domain."""
 CAMERA = {"projection": {"type": "orthographic"}, "eye": {"x": 0.9, "y": -1.4, "z": 0.8}}
@@ -70,7 +71,7 @@ def write_page(path: Path, scene: Scene) -> None:
         margin={"l": 0, "r": 0, "b": 20, "t": 120},
         template="plotly_white",
     )
-    figure.write_html(path, include_plotlyjs=True, full_html=True, default_height="96vh", config={"displaylogo": False})
+    figure.write_html(path, include_plotlyjs=True, full_html=True, default_height="94vh", config={"displaylogo": False})
 
 
 def _axes(scene: Scene) -> dict[str, Any]:
@@ -79,11 +80,14 @@ def _axes(scene: Scene) -> dict[str, Any]:
     sides = (high - low) / (high - low).max()
     third = (HEIGHT * sides.min(),) if scene.dim == 2 else ()
     names = ("x", "y", "u<sub>h</sub>" if scene.dim == 2 else "z")
-    axes = {f"{axis}axis": {"title": {"text": name}} for axis, name in zip("xyz", names, strict=True)}
+    axes: dict[str, Any] = {f"{axis}axis": {"title": {"text": name}} for axis, name in zip("xyz", names, strict=True)}
     for axis, *ends in zip("xyz", low.tolist(), high.tolist(), strict=False):
         room = 0.02 * (ends[1] - ends[0])
         axes[f"{axis}axis"]["range"] = [ends[0] - room, ends[1] + room]
-    return axes | {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (*sides, *third), strict=True))}
+    return axes | {
+        "aspectmode": "manual",
+        "aspectratio": dict(zip("xyz", ZOOM * np.array([*sides, *third]), strict=True)),
+    }
 
 
 def plain(caption: str) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure, SubFigure
 
 type Array = npt.NDArray[np.float64]
@@ -58,7 +59,7 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     usual = float(values[order[np.searchsorted(measure, QUANTILE * measure[-1])]])
     if high > 1.2 * usual > 0:
         return min(low, usual), usual, "max"
-    return low, max(high, low + 1e-300), "neither"
+    return low, high if high > low else low + (abs(low) or 1.0), "neither"
 
 
 def letter(number: int) -> str:
@@ -74,7 +75,7 @@ def shape_axes(axes: Axes, title: str) -> None:
         axes.spines[side].set_visible(False)
 
 
-def colour_bar(figure: Figure | SubFigure, axes: Axes, image: object, label: str, extend: str = "neither") -> object:
+def colour_bar(figure: Figure | SubFigure, axes: Axes, image: object, label: str, extend: str = "neither") -> Colorbar:
     """A colour bar beside a panel, as high as it."""
     return figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.85, aspect=25, pad=0.02)
 

@@ -1,0 +1,160 @@
+"""Pictures: that they are made and not blank, what they need, and the geometry behind them."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from mpi4py import MPI
+from test_cli import run
+
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.gather import Boundary, gather_boundary, gather_facets, gather_fields, gather_marks
+from signorini_fenicsx.pictures import scene_of, style, traces
+from signorini_fenicsx.pictures.page import plain
+from signorini_fenicsx.pictures.scene import Scene, chains, thinned
+from signorini_fenicsx.pictures.streams import on_grid
+from signorini_fenicsx.pictures.water import Water
+from signorini_fenicsx.solver import solve
+
+COMM = MPI.COMM_WORLD
+PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
+PROGRAM = """
+import os, sys
+from signorini_fenicsx import cli
+before = dict(os.environ)
+try:
+    cli.main()
+except SystemExit as end:
+    import matplotlib
+    print(end.code, "pyvista" in sys.modules or "vtkmodules" in sys.modules, dict(os.environ) == before,
+          matplotlib.rcParams["font.size"] == matplotlib.rcParamsDefault["font.size"])
+"""
+
+
+def scene(name: str, **values: object) -> Scene:
+    """A solved case on one rank, as pictures take it."""
+    solution = solve(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
+    fields, facets, boundary = gather_fields(solution), gather_facets(solution), gather_boundary(solution)
+    assert fields is not None
+    assert facets is not None
+    assert boundary is not None
+    return scene_of(solution, fields, facets, boundary, gather_marks(solution.spaces.domain).cells)
+
+
+def draw(folder: Path, *arguments: str) -> tuple[Path, list[str]]:
+    """Solve with pictures in a process of its own; its results, and what it says of itself."""
+    options = ("--plot", "--html", "--quiet", "--output", "drawn")
+    done = run(folder, sys.executable, "-c", PROGRAM, "solve", *arguments, *options, ranks=1)
+    assert done.returncode == 0, done.stderr
+    return folder / "drawn", done.stdout.split()
+
+
+def assert_drawn(results: Path):
+    for name in PICTURES:
+        image = imread(results / f"{name}.png")
+        assert min(image.shape[:2]) > 400
+        assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 200, name  # not blank
+        assert 0.3 < image[..., :3].mean() < 0.995
+    page = (results / "solution.html").read_text(encoding="utf-8")
+    assert len(page.encode()) < 10_000_000
+    assert not re.search(r"<(script|link|img)[^>]*(src|href)=", page)  # nothing from a network
+    assert '"type":"mesh3d"' in page
+
+
+def test_plane(tmp_path: Path):
+    """In the plane no VTK; nothing of the process is changed."""
+    results, said = draw(tmp_path, "example5", "--h", "1/8")
+    assert said == ["0", "False", "True", "True"]
+    assert_drawn(results)
+
+
+def test_space(tmp_path: Path):
+    results, said = draw(tmp_path, "cube", "--h", "0.5")
+    assert said == ["0", "True", "True", "True"]
+    assert_drawn(results)
+
+
+@pytest.mark.parallel([1])
+def test_dam_has_its_water():
+    dam = scene("dam")
+    water = Water.of(dam)
+    assert water is not None
+    assert [pool[:, 1].max() for pool in water.pools] == pytest.approx([2, 8])
+    interfaces = dam.fields.points[dam.interfaces()]
+    assert np.linalg.norm(interfaces[:, 1] - interfaces[:, 0], axis=1).sum() == pytest.approx(2 * np.hypot(1, 10))
+    assert Water.of(scene("example1", h=0.25)) is None
+
+
+@pytest.mark.parallel([1])
+def test_field_of_the_plane():
+    """σ_h on a grid is σ_h, u at the vertices is p_h and u_D on the boundary, closed parts go by arc length."""
+    ring = scene("example6", h=0.25)
+    x = y = np.linspace(-1.2, 1.2, 25)
+    sigma = on_grid(ring.fields, x, y)
+    radius = np.hypot(*np.meshgrid(x, y))
+    assert not np.isfinite(sigma[:, (radius < 0.45) | (radius > 1.01)]).any()
+    assert np.isfinite(sigma[:, (radius > 0.52) & (radius < 0.95)]).all()
+    outer = np.isclose(np.linalg.norm(ring.fields.points, axis=1), 1)
+    np.testing.assert_array_equal(ring.u[outer], 0)
+    (line,), label = traces.pieces(ring, 0)
+    assert label == "angle"
+    assert line.ends[[0, -1]] == pytest.approx([-np.pi, np.pi], abs=0.2)
+    folded = Scene(**(vars(ring) | {"facets": _by_x(ring)}))
+    (line,), label = traces.pieces(folded, 0)
+    assert label == "arc length"
+    assert line.ends[-1] == pytest.approx(ring.facets.measure.sum())
+
+
+def _by_x(ring: Scene):
+    """The facets of Γ_S listed by x, as those of a mesh from a file."""
+    order = np.argsort(ring.facets.x[:, 0], kind="stable")
+    columns = {key: values[order] for key, values in vars(ring.facets).items()}
+    return type(ring.facets)(**columns | {"along": columns["x"][:, 0]})
+
+
+@pytest.mark.parallel([1, 3])
+def test_boundary_is_the_same_on_all_ranks():
+    case = load_case("example2").with_values({"solve.h": 0.5})
+    together, alone = gather_boundary(solve(case, COMM)), gather_boundary(solve(case, MPI.COMM_SELF))
+    assert (together is None) == (COMM.rank > 0)
+    if together is None or alone is None:
+        return
+
+    def rows(boundary: Boundary) -> np.ndarray:
+        table = np.column_stack([boundary.vertices, boundary.kind, boundary.u])
+        return table[np.lexsort(table[:, 1::-1].T)]
+
+    np.testing.assert_allclose(rows(together), rows(alone), atol=1e-10)
+
+
+def test_chains():
+    (open_rows, open_vertices), (closed_rows, closed_vertices) = chains(
+        np.array([[2, 3], [0, 1], [1, 2], [5, 6], [6, 7], [5, 7]])
+    )
+    assert open_vertices.tolist() in ([0, 1, 2, 3], [3, 2, 1, 0])
+    assert sorted(open_rows.tolist()) == [0, 1, 2]
+    assert closed_vertices[0] == closed_vertices[-1]
+    assert sorted(closed_rows.tolist()) == [3, 4, 5]
+
+
+@pytest.mark.parallel([1])
+def test_thinned_keeps_the_boundary():
+    square = scene("example1", h=1 / 16)
+    points = square.fields.points
+    triangles, rows = thinned(points, square.fields.cells, 200)
+    assert 50 < len(triangles) == len(rows) < 500
+    corners = {tuple(corner) for corner in points[np.unique(triangles)].round(9)}
+    assert {(0, 0), (0, 1), (1, 0), (1, 1)} <= corners
+
+
+def test_numbers_in_mathematical_type():
+    assert [style.power(value) for value in (2**-5, 1e-8, 0.03, 3e-7, 1.0, 0.0)] == [
+        *("2^{-5}", "10^{-8}", "0.03", r"3.00 \times 10^{-7}", "1", "0")
+    ]
+    assert plain(r"$h = 2^{-5}$, $\|\sigma_h\|$") == "h = 2<sup>−5</sup>, ‖σ<sub>h</sub>‖"
+    values = np.array([*np.linspace(0, 1, 1000), 50.0])
+    assert style.limits(values, np.ones(1001)) == (0, pytest.approx(0.99, abs=0.01), "max")
+    assert style.limits(np.zeros(3), np.ones(3)) == (0, 1, "neither")
