@@ -103,7 +103,7 @@ def _draw_overview(path: Path, plane: Plane) -> None:
         _draw_part(scene, row, part, first + 2 * part)
     axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2])
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
-    axes.legend(loc="best")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     style.legend_below(figure, [*plane.handles(), *traces.handles()], 6)
     style.save(figure, path)

@@ -76,6 +76,6 @@ def _draw_overview(path: Path, space: Space) -> None:
     space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
     space.draw_trace(figure, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
     draw_steps(panels[5], scene.history, "(f) iteration errors")
-    panels[5].legend(loc="best")
+    panels[5].legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     _finish(figure, space, path)
