@@ -52,27 +52,30 @@ def pieces(scene: Scene, part: int) -> tuple[list[Line], str]:
     closed curve.
     """
     facets = scene.facets
-    of_part = np.flatnonzero(facets.part == part)
-    lines = []
-    for order, _ in chains(facets.vertices[of_part]):
-        rows = of_part[order]
-        rows = rows if facets.along[rows[0]] <= facets.along[rows[-1]] else rows[::-1]
-        along = facets.along[rows]
-        middle = (along[1:] + along[:-1]) / 2
-        first, last = (2 * along[0] - middle[0], 2 * along[-1] - middle[-1]) if len(rows) > 1 else (along[0], along[0])
-        lines.append(Line(rows, np.concatenate([[first], middle, [last]])))
-    label = list(scene.labels.values())[part]
-    lines.sort(key=lambda line: float(line.ends[0]))
-    everything = np.concatenate([line.ends for line in lines])
-    size = float(facets.measure[of_part].max())
-    if len(of_part) > len(lines) and np.all(np.diff(everything) >= -size):
-        return [line for line in lines if len(line.rows) > 1], label
-    start, by_length = 0.0, []
-    for line in lines:
-        length = np.concatenate([[0.0], np.cumsum(facets.measure[line.rows])]) + start
-        by_length.append(Line(line.rows, length))
-        start = float(length[-1])
-    return by_length, "arc length"
+    rows = np.flatnonzero(facets.part == part)
+    edges = facets.vertices[rows]
+    joined = np.any(edges[1:, :, None] == edges[:-1, None, :], axis=(1, 2))
+    connected = chains(edges)
+    if np.count_nonzero(~joined) < len(connected):
+        lines = [
+            Line(run, _ends(facets.along[run], facets.measure[run]))
+            for run in np.split(rows, np.flatnonzero(~joined) + 1)
+        ]
+        return lines, list(scene.labels.values())[part]
+    start, lines = 0.0, []
+    for order, _ in connected:
+        ends = start + np.concatenate([[0.0], np.cumsum(facets.measure[rows[order]])])
+        lines.append(Line(rows[order], ends))
+        start = float(ends[-1])
+    return lines, "arc length"
+
+
+def _ends(along: Array, measure: Array) -> Array:
+    """The ends of facets with these midpoints, halfway between them."""
+    if len(along) == 1:
+        return along[0] + measure[0] * np.array([-0.5, 0.5])
+    middle = (along[1:] + along[:-1]) / 2
+    return np.concatenate([[2 * along[0] - middle[0]], middle, [2 * along[-1] - middle[-1]]])
 
 
 def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> None:
