@@ -11,7 +11,7 @@ import numpy.typing as npt
 import plotly.graph_objects as go
 
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.scene import Scene, thinned
+from signorini_fenicsx.pictures.scene import Scene, creases, thinned
 from signorini_fenicsx.spaces import SIGNORINI
 
 type Array = npt.NDArray[np.float64]
@@ -117,7 +117,7 @@ def _plane(scene: Scene) -> tuple[list, list[Sheet]]:
 
 def _space(scene: Scene) -> tuple[list, list[Sheet]]:
     """Γ_S with its contact set, p_h and σ_h·n, cuts with u_h, streamlines."""
-    from signorini_fenicsx.pictures.space import Space, creases
+    from signorini_fenicsx.pictures.space import Space
 
     space = Space(scene)
     points, facets = scene.fields.points, scene.facets

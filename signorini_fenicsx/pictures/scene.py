@@ -158,3 +158,20 @@ def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
             vertices.append(a if b == vertices[-1] else b)
         found.append((np.array(rows), np.array(vertices)))
     return found
+
+
+def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:
+    """Edges at which triangles end or meet at more than this angle, shape (edges, 2); how they turn does not matter."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]]), axis=1)
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    order = np.lexsort(edges.T)
+    first, second = order[:-1], order[1:]
+    pair = np.all(edges[first] == edges[second], axis=1)
+    cosine = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1))
+    flat = cosine >= np.cos(np.radians(angle))
+    inner = np.zeros(len(edges), dtype=bool)
+    inner[first] |= pair & flat
+    inner[second] |= pair & flat
+    return np.unique(edges[~inner], axis=0)

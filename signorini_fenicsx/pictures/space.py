@@ -1,8 +1,6 @@
 """Views of a solution in space: VTK renders surfaces without any text, Matplotlib adds titles, axes and colour bars."""
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,7 +16,8 @@ from matplotlib.patches import Patch
 
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.plane import log_norm
-from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.pictures.rendering import cropped, offscreen, screen, triad
+from signorini_fenicsx.pictures.scene import Scene, creases
 from signorini_fenicsx.spaces import SIGNORINI
 
 type Array = npt.NDArray[np.float64]
@@ -253,7 +252,7 @@ class Space:
         corners = scene.fields.points[scene.facets.vertices]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)
-        across, up = _screen(view)
+        across, up = screen(view)
         depth = scene.facets.x @ view
         size = 1.5 * np.sqrt(scene.facets.measure.max())
         pixel = np.floor(scene.facets.x @ np.column_stack([across, up]) / size).astype(np.int64)
@@ -289,67 +288,7 @@ class Space:
             plotter.enable_anti_aliasing("msaa")
             image = plotter.screenshot(return_img=True)
             plotter.close()
-        return _cropped(image)
-
-
-def triad(axes: Axes, view: Array) -> None:
-    """Small arrows along x, y and z in the lower left corner."""
-    across, up = _screen(view)
-    corner = axes.inset_axes((0, 0, 0.2, 0.2))
-    corner.set(xlim=(-1.5, 1.5), ylim=(-1.5, 1.5), aspect="equal")
-    corner.set_axis_off()
-    for name, direction in zip("xyz", np.eye(3), strict=True):
-        tip = np.array([direction @ across, direction @ up])
-        corner.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "lw": 0.9, "shrinkA": 0, "shrinkB": 0})
-        corner.text(*(1.35 * tip), f"${name}$", ha="center", va="center", fontsize=9)
-
-
-@contextmanager
-def offscreen() -> Iterator[None]:
-    """Let VTK render without a display; else it looks for an X server and warns."""
-    key = "VTK_DEFAULT_OPENGL_WINDOW"
-    if "DISPLAY" in os.environ or key in os.environ:
-        yield
-        return
-    os.environ[key] = "vtkEGLRenderWindow"
-    try:
-        yield
-    finally:
-        del os.environ[key]
-
-
-def _screen(view: Array) -> tuple[Array, Array]:
-    """The directions to the right and up on the screen."""
-    across = np.cross([0, 0, 1.0], view)
-    across /= np.linalg.norm(across)
-    up = np.cross(view, across)
-    return across, up / np.linalg.norm(up)
-
-
-def _cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """The image without its white margins."""
-    drawn = (image < 250).any(axis=2)
-    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
-    if not len(rows):
-        return image
-    return image[max(rows[0] - 4, 0) : rows[-1] + 5, max(columns[0] - 4, 0) : columns[-1] + 5]
-
-
-def creases(points: Array, triangles: npt.NDArray[np.int64], angle: float = 30) -> npt.NDArray[np.int64]:
-    """Edges at which triangles end or meet at more than this angle, shape (edges, 2); how they turn does not matter."""
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]]), axis=1)
-    corners = points[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    order = np.lexsort(edges.T)
-    first, second = order[:-1], order[1:]
-    pair = np.all(edges[first] == edges[second], axis=1)
-    cosine = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1))
-    flat = cosine >= np.cos(np.radians(angle))
-    inner = np.zeros(len(edges), dtype=bool)
-    inner[first] |= pair & flat
-    inner[second] |= pair & flat
-    return np.unique(edges[~inner], axis=0)
+        return cropped(image)
 
 
 def _lines(points: Array, edges: npt.NDArray[np.int64]) -> pyvista.PolyData:

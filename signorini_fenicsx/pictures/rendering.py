@@ -1,0 +1,54 @@
+"""What rendered views need around them: no display, no margins, arrows along the coordinates."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+type Array = npt.NDArray[np.float64]
+
+
+@contextmanager
+def offscreen() -> Iterator[None]:
+    """Let VTK render without a display; else it looks for an X server and warns."""
+    key = "VTK_DEFAULT_OPENGL_WINDOW"
+    if "DISPLAY" in os.environ or key in os.environ:
+        yield
+        return
+    os.environ[key] = "vtkEGLRenderWindow"
+    try:
+        yield
+    finally:
+        del os.environ[key]
+
+
+def screen(view: Array) -> tuple[Array, Array]:
+    """The directions to the right and up on the screen."""
+    across = np.cross([0, 0, 1.0], view)
+    across /= np.linalg.norm(across)
+    up = np.cross(view, across)
+    return across, up / np.linalg.norm(up)
+
+
+def cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """The image without its white margins."""
+    drawn = (image < 250).any(axis=2)
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    if not len(rows):
+        return image
+    return image[max(rows[0] - 4, 0) : rows[-1] + 5, max(columns[0] - 4, 0) : columns[-1] + 5]
+
+
+def triad(axes: Axes, view: Array) -> None:
+    """Small arrows along x, y and z in the lower left corner."""
+    across, up = screen(view)
+    corner = axes.inset_axes((0, 0, 0.2, 0.2))
+    corner.set(xlim=(-1.5, 1.5), ylim=(-1.5, 1.5), aspect="equal")
+    corner.set_axis_off()
+    for name, direction in zip("xyz", np.eye(3), strict=True):
+        tip = np.array([direction @ across, direction @ up])
+        corner.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "lw": 0.9, "shrinkA": 0, "shrinkB": 0})
+        corner.text(*(1.35 * tip), f"${name}$", ha="center", va="center", fontsize=9)
