@@ -69,6 +69,7 @@ def checked(contents: Contents) -> FileMesh:
     for kind, elements in contents.blocks:
         if kind not in SIMPLICES and len(elements) > 0:
             raise InputError(_refusal(kind, len(elements)))
+    check_widths(contents.points, contents.blocks)
     dim = max((SIMPLICES[kind] for kind, elements in contents.blocks if len(elements) > 0), default=0)
     if dim < 2:
         raise InputError(
@@ -102,6 +103,22 @@ def checked(contents: Contents) -> FileMesh:
     )
     _check_cells(mesh)
     return mesh
+
+
+def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:
+    """Refuse points without two or three coordinates, and simplices with another number of points than they have.
+
+    Raises:
+        InputError: If there are any.
+    """
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"its points are an array of shape {points.shape}; 2 or 3 coordinates for each are needed")
+    for kind, elements in blocks:
+        if kind in SIMPLICES and len(elements) > 0 and elements.shape[1:] != (SIMPLICES[kind] + 1,):
+            raise InputError(
+                f"an array of elements of kind '{kind}' has the shape {elements.shape}; {SIMPLICES[kind] + 1} points "
+                "for each are needed"
+            )
 
 
 def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:
