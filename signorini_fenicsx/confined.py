@@ -116,7 +116,9 @@ def limit(parent: int) -> None:
         _prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     for kind, most in limits.items():
         with contextlib.suppress(OSError, ValueError):  # a lower limit stands already
-            resource.setrlimit(kind, (most, most + (kind == resource.RLIMIT_CPU)))  # a signal, and a second later the end
+            resource.setrlimit(
+                kind, (most, most + (kind == resource.RLIMIT_CPU))
+            )  # a signal, and a second later the end
     if os.getppid() != parent:
         os._exit(1)
 
@@ -145,7 +147,13 @@ CALLS = {  # name: number on x86-64 and on ARM, −1 for none
     **{"linkat": (265, 37), "symlink": (88, -1), "symlinkat": (266, 36), "mknod": (133, -1), "mknodat": (259, 33)},
     **{"truncate": (76, 45), "chmod": (90, -1), "fchmod": (91, 52), "fchmodat": (268, 53), "fchmodat2": (452, 452)},
     **{"chown": (92, -1), "fchown": (93, 55), "lchown": (94, -1), "fchownat": (260, 54), "utime": (132, -1)},
-    **{"utimes": (235, -1), "futimesat": (261, -1), "utimensat": (280, 88), "setxattr": (188, 5), "lsetxattr": (189, 6)},
+    **{
+        "utimes": (235, -1),
+        "futimesat": (261, -1),
+        "utimensat": (280, 88),
+        "setxattr": (188, 5),
+        "lsetxattr": (189, 6),
+    },
     **{"fsetxattr": (190, 7), "removexattr": (197, 14), "lremovexattr": (198, 15), "fremovexattr": (199, 16)},
     **{"setxattrat": (463, 463), "removexattrat": (466, 466), "file_setattr": (469, 469), "mq_open": (240, 180)},
     **{"mq_unlink": (241, 181), "shmget": (29, 194), "shmctl": (31, 195), "msgget": (68, 186), "semget": (64, 190)},
@@ -197,9 +205,7 @@ def seal() -> None:
     given = Program(len(code) // 8, ctypes.addressof(program))
     _prctl(PR_SET_NO_NEW_PRIVS, 1)
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.syscall(
-        *map(ctypes.c_long, (call, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC)), ctypes.byref(given)
-    )
+    libc.syscall(*map(ctypes.c_long, (call, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC)), ctypes.byref(given))
 
 
 LOAD, EQUAL, AT_LEAST, ANY_BIT, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06

@@ -89,7 +89,7 @@ def allowed_tokens(content: bytes) -> list[Token]:
         content: Of the file.
 
     Returns:
-        What Gmsh may be given, without what is only printed.
+        What Gmsh may be given, without what is only printed, and without `Mesh 2;`, which is done anyway.
 
     Raises:
         InputError: If the file says anything that is not allowed.
@@ -129,10 +129,17 @@ def _tokens(text: str) -> Iterator[Token]:
             if text.startswith("/*", place):
                 raise InputError(f"line {line}: the comment that begins here never closes")
             if len(piece) > LONGEST[kind]:
-                raise InputError(f"line {line}: '{piece[:20]}…' is a {kind} of more than {LONGEST[kind]} characters")
+                raise InputError(
+                    f"line {line}: '{_shown(piece[:20])}…' is a {kind} of more than {LONGEST[kind]} characters"
+                )
             yield Token(kind, piece, line)
         line += piece.count("\n")
         place = found.end()
+
+
+def _shown(text: str) -> str:
+    """A piece of the file for a message on a terminal."""
+    return ascii(text[:40])[1:-1] + "…" * (len(text) > 40)
 
 
 def _stray(character: str) -> str:
@@ -170,10 +177,17 @@ def _checked(statements: _Statements) -> list[Token]:
         token = statements.tokens[index]
         handler = special.get(token.text) if token.kind == "word" else None
         end = handler(statements, index) if handler is not None else _plain(statements, index)
-        if token.text != "Printf":
+        if not (token.text == "Printf" or _is_meshing(statements, index)):
             result += statements.tokens[index:end]
         index = end
     return result
+
+
+def _is_meshing(statements: _Statements, index: int) -> bool:
+    """Whether this is `Mesh 2;`, which is done anyway."""
+    return [statements.text(index), statements.text(index + 2)] == ["Mesh", ";"] and statements.kind(
+        index + 1
+    ) == "number"
 
 
 def _refuse(token: Token, why: str = INSTEAD) -> InputError:
@@ -185,7 +199,7 @@ def _plain(statements: _Statements, index: int) -> int:
     token = statements.tokens[index]
     if token.kind == "string":
         raise InputError(
-            f"line {token.line}: the string {token.text} is not allowed here: strings are names of physical groups "
+            f"line {token.line}: the string {_shown(token.text)} is not allowed here: strings are names of physical groups "
             "and parameters, or formulas of fields"
         )
     if token.text == ".":
@@ -207,9 +221,7 @@ def _check_word(statements: _Statements, index: int) -> None:
     if statements.text(index - 1) == "Delete":
         raise _refuse(token, "delete { shapes }")
     follower = statements.kind(index + 1)
-    if follower in ("number", "string") or (
-        follower == "word" and statements.text(index + 1) not in AFTER_VARIABLE
-    ):
+    if follower in ("number", "string") or (follower == "word" and statements.text(index + 1) not in AFTER_VARIABLE):
         raise _refuse(token, "it is not a command that describes a geometry; " + INSTEAD)
 
 
@@ -247,10 +259,12 @@ def _check_text(statements: _Statements, index: int, pattern: re.Pattern[str], w
     if token.kind == "string":
         formatted = statements.text(index - 2) == "Sprintf"
         if (formatted or pattern is NAME) and len(token.text) > LONGEST_NAME:
-            raise InputError(f"line {token.line}: {token.text[:20]}… has more than {LONGEST_NAME} characters")
+            raise InputError(f"line {token.line}: {_shown(token.text[:20])}… has more than {LONGEST_NAME} characters")
         pattern = FORMAT if formatted and pattern is NAME else pattern
         if not pattern.fullmatch(token.text[1:-1]) or not token.text.isprintable():
-            raise InputError(f"line {token.line}: {token.text} will not do as {what}: it has a character with a meaning")
+            raise InputError(
+                f"line {token.line}: {_shown(token.text)} will not do as {what}: it has a character with another meaning"
+            )
     elif token.text not in TEXT:
         _plain(statements, index)
 
@@ -282,6 +296,8 @@ def _field(statements: _Statements, index: int) -> int:
 def _option(statements: _Statements, index: int) -> int:
     """`Mesh.Algorithm`, to be set or read."""
     token, name = statements.tokens[index], statements.text(index + 2)
+    if _is_meshing(statements, index):
+        return index + 3
     if statements.text(index + 1) != ".":
         raise _refuse(token)
     if name not in OPTIONS[token.text]:
@@ -300,11 +316,9 @@ def _parameters(statements: _Statements, index: int) -> int:
         token = statements.tokens[inside]
         if token.text in PARAMETER and statements.text(inside - 1) in (",", "{"):
             continue
-        if token.kind == "string" and not (
-            statements.text(inside - 1) in PARAMETER or _is_choice(statements, inside)
-        ):
+        if token.kind == "string" and not (statements.text(inside - 1) in PARAMETER or _is_choice(statements, inside)):
             raise InputError(
-                f"line {token.line}: the string {token.text} is not allowed here: parameters are numbers; strings name "
+                f"line {token.line}: the string {_shown(token.text)} is not allowed here: parameters are numbers; strings name "
                 "them after Name, Label, Help or Units"
             )
         _check_text(statements, inside, NAME, "a name of a parameter")

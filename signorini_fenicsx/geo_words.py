@@ -63,7 +63,7 @@ FIELD_OPTIONS = FIELD_FORMULAS | _words(
 )
 
 OPTIONS = {
-    "General": _words("Terminal Verbosity NumThreads"),
+    "General": _words("Axes NumThreads RotationX RotationY RotationZ SmallAxes Terminal Trackball Verbosity"),
     "Geometry": _words(
         "AutoCoherence CopyMeshingMethod CurveLabels CurveNumbers CurveWidth Curves ExtrudeReturnLateralEntities",
         "ExtrudeSplinePoints HideCompounds HighlightOrphans LabelType LineNumbers LineWidth Lines MatchGeomAndMesh",
@@ -79,14 +79,14 @@ OPTIONS = {
         "AnisoMax Binary BoundaryLayerFanElements BoundaryLayerFanPoints CharacteristicLengthExtendFromBoundary",
         "CharacteristicLengthFactor CharacteristicLengthFromCurvature CharacteristicLengthFromPoints",
         "CharacteristicLengthFromParametricPoints CharacteristicLengthMax CharacteristicLengthMin ColorCarousel",
-        "CompoundCharacteristicLengthFactor CompoundClassify CompoundMeshSizeFactor ElementOrder FlexibleTransfinite",
+        "CompoundCharacteristicLengthFactor CompoundClassify CompoundMeshSizeFactor ElementOrder FlexibleTransfinite Format",
         "HighOrderOptimize LabelType LcIntegrationPrecision Light LineNumbers LineWidth Lines",
         "MaxIterDelaunay3D MaxNumThreads1D MaxNumThreads2D MaxNumThreads3D MeshSizeExtendFromBoundary MeshSizeFactor",
         "MeshSizeFromCurvature MeshSizeFromCurvatureIsotropic MeshSizeFromParametricPoints MeshSizeFromPoints",
         "MeshSizeMax MeshSizeMin MinimumCirclePoints MinimumCurveNodes MinimumCurvePoints MinimumElementsPerTwoPi",
         "MshFileVersion NewtonConvergenceTestXYZ NodeNumbers Nodes NumSubEdges Optimize OptimizeNetgen",
         "OptimizeThreshold PointNumbers PointSize Points QualityType RandomFactor RandomFactor3D RandomSeed",
-        "RecombinationAlgorithm Recombine3DAll RecombineAll RecombineOptimizeTopology RefineSteps SaveAll",
+        "RecombinationAlgorithm Recombine3DAll RecombineAll RecombineOptimizeTopology RefineSteps Renumber SaveAll",
         "SaveGroupsOfElements SaveGroupsOfNodes SaveParametric SaveTopology SecondOrderIncomplete SecondOrderLinear",
         "SmoothNormals SmoothRatio Smoothing SubdivisionAlgorithm SurfaceEdges SurfaceFaces SurfaceNumbers",
         "ToleranceEdgeLength ToleranceInitialDelaunay ToleranceReferenceElement TransfiniteTri Triangles Tetrahedra",

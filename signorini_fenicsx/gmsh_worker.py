@@ -37,7 +37,9 @@ def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: C
         return model_contents()
     except Exception as error:  # Gmsh raises plain exceptions
         words = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"Gmsh cannot use it: {translate(re.sub(re.escape(str(source)), source.name, words))}") from error
+        raise InputError(
+            f"Gmsh cannot use it: {translate(re.sub(re.escape(str(source)), source.name, words))}"
+        ) from error
 
 
 def generate(h: float | None, max_cells: float) -> None:

@@ -229,8 +229,9 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             that are left are Γ_D.
 
     Raises:
-        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, or one of several
-            components of the domain has no facet of Γ_D.
+        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, facets that are in
+            no part lie on one another, cells overlap there, or one of several components of the domain has no facet of
+            Γ_D. A crack both sides of which are in parts is one.
     """
     known = ", ".join(f"'{name}'" for name in mesh.parts) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
@@ -261,8 +262,30 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     if given is not None and np.any(left):
         where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
         raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
+    _check_seams(mesh, rows[boundary], first[boundary], left[boundary])
     fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
     _check_components(mesh, everything, first[fixed])
+
+
+def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: npt.NDArray[np.bool_]) -> None:
+    """Refuse facets of the boundary that are inside the domain: only a crack with both sides in parts is meant."""
+    from signorini_fenicsx.mesh_seams import seams
+
+    opposite, cell = np.divmod(first, len(mesh.cells))
+    crack, overlap = seams(mesh.points[facets], mesh.points[mesh.cells[cell, opposite]])
+    if np.any(overlap):
+        where = _places(mesh.points[facets[overlap][:1]].mean(axis=1))
+        raise InputError(
+            f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells on "
+            f"the same side, the first around {where}; each place has to be in one cell"
+        )
+    if np.any(crack & left):
+        where = _places(mesh.points[facets[crack & left][:1]].mean(axis=1))
+        raise InputError(
+            f"{_count(int(np.sum(crack & left)), 'facet')} in no part lie on other facets, inside the domain, the first "
+            f"around {where}: the cells there do not share their vertices (a crack, hanging nodes, or pieces that are not "
+            "joined); join them (in Gmsh, Coherence or BooleanFragments), or name both sides in [boundary]"
+        )
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:

@@ -35,7 +35,9 @@ def _check_head(path: Path) -> None:
     """Refuse declarations: entities can be other files, or grow beyond all memory. DOLFINx writes an empty DOCTYPE."""
 
     def refuse(*_: object) -> None:
-        raise InputError("declares entities or defaults in its DOCTYPE, which can grow or be other files; leave them out")
+        raise InputError(
+            "declares entities or defaults in its DOCTYPE, which can grow or be other files; leave them out"
+        )
 
     def stop(*_: object) -> None:
         raise _Root
@@ -84,7 +86,9 @@ def _check_hdf5(path: Path) -> None:
                 if isinstance(link, h5py.SoftLink):  # what it leads to is met where it is
                     continue
                 if not isinstance(link, h5py.HardLink):
-                    raise InputError(f"'{name}' in {path.name} is a link to another file; an array has to be in the file")
+                    raise InputError(
+                        f"'{name}' in {path.name} is a link to another file; an array has to be in the file"
+                    )
                 thing = group[name]
                 address = h5py.h5o.get_info(thing.id).addr
                 if isinstance(thing, h5py.Group) and address not in seen:
