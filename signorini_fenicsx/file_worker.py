@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -40,7 +41,8 @@ def _by_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
         tokens = allowed_tokens(source.read_bytes())
         copy.write_text(text_for_gmsh(tokens), encoding="utf-8")
         confined.seal()
-        return read_with_gmsh(copy, h, max_cells, lambda words: with_lines_of(tokens, words))
+        words = partial(with_lines_of, tokens)
+        return read_with_gmsh(copy, h, max_cells, lambda message: words(message).replace(copy.name, source.name))
     with source.open("rb") as file:
         if not file.read(64).startswith(b"$MeshFormat"):  # Gmsh would take it for a .geo file
             raise InputError("is not a mesh of Gmsh, which would begin with $MeshFormat")

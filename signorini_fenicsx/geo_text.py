@@ -31,8 +31,8 @@ LONGEST = {"word": 100, "number": 100, "string": 1000, "operator": 3}
 LONGEST_NAME = 120
 """Characters of the name of a group, and of what Sprintf makes it from; Gmsh's buffer for that holds 255."""
 INSTEAD = (
-    "a .geo file may describe a geometry, its mesh sizes and its physical groups, and not run programs, use other files "
-    "or end the program; mesh it with Gmsh and give the .msh file"
+    "a .geo file may describe a geometry, its mesh sizes and its physical groups, and not run programs, use other "
+    "files or end the program; mesh it with Gmsh and give the .msh file"
 )
 TOKEN = re.compile(
     r"""
@@ -199,8 +199,8 @@ def _plain(statements: _Statements, index: int) -> int:
     token = statements.tokens[index]
     if token.kind == "string":
         raise InputError(
-            f"line {token.line}: the string {_shown(token.text)} is not allowed here: strings are names of physical groups "
-            "and parameters, or formulas of fields"
+            f"line {token.line}: the string {_shown(token.text)} is not allowed here: strings are names of physical "
+            "groups and parameters, or formulas of fields"
         )
     if token.text == ".":
         raise InputError(
@@ -263,7 +263,8 @@ def _check_text(statements: _Statements, index: int, pattern: re.Pattern[str], w
         pattern = FORMAT if formatted and pattern is NAME else pattern
         if not pattern.fullmatch(token.text[1:-1]) or not token.text.isprintable():
             raise InputError(
-                f"line {token.line}: {_shown(token.text)} will not do as {what}: it has a character with another meaning"
+                f"line {token.line}: {_shown(token.text)} will not do as {what}: it has a character that "
+                "means something else"
             )
     elif token.text not in TEXT:
         _plain(statements, index)
@@ -318,8 +319,8 @@ def _parameters(statements: _Statements, index: int) -> int:
             continue
         if token.kind == "string" and not (statements.text(inside - 1) in PARAMETER or _is_choice(statements, inside)):
             raise InputError(
-                f"line {token.line}: the string {_shown(token.text)} is not allowed here: parameters are numbers; strings name "
-                "them after Name, Label, Help or Units"
+                f"line {token.line}: the string {_shown(token.text)} is not allowed here: parameters are "
+                "numbers; strings name them after Name, Label, Help or Units"
             )
         _check_text(statements, inside, NAME, "a name of a parameter")
     return end + 1

@@ -276,15 +276,15 @@ def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: npt.NDAr
     if np.any(overlap):
         where = _places(mesh.points[facets[overlap][:1]].mean(axis=1))
         raise InputError(
-            f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells on "
-            f"the same side, the first around {where}; each place has to be in one cell"
+            f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells "
+            f"on the same side, the first around {where}; each place has to be in one cell"
         )
     if np.any(crack & left):
         where = _places(mesh.points[facets[crack & left][:1]].mean(axis=1))
         raise InputError(
-            f"{_count(int(np.sum(crack & left)), 'facet')} in no part lie on other facets, inside the domain, the first "
-            f"around {where}: the cells there do not share their vertices (a crack, hanging nodes, or pieces that are not "
-            "joined); join them (in Gmsh, Coherence or BooleanFragments), or name both sides in [boundary]"
+            f"{_count(int(np.sum(crack & left)), 'facet')} in no part lie on other facets, inside the domain, the "
+            f"first around {where}: the cells there do not share their vertices (a crack, hanging nodes, or pieces "
+            "that are not joined); join them (in Gmsh, Coherence or BooleanFragments), or name both sides in [boundary]"
         )
 
 

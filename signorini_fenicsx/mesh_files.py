@@ -1,8 +1,8 @@
 """Meshes from files: Gmsh's `.msh` and `.geo` (`gmsh_worker`), and what meshio reads (`meshio_files`).
 
 All of this runs on rank 0. A file is read in another process (`file_worker`), into blocks of elements and named groups
-of them (`Contents`); the cells of its highest dimension become the mesh, groups of cells its regions, and groups of facets its boundary parts. Groups
-without a name go by their number.
+of them (`Contents`); the cells of its highest dimension become the mesh, groups of cells its regions, and groups of
+facets its boundary parts. Groups without a name go by their number.
 """
 
 import tempfile

@@ -1,4 +1,4 @@
-"""Where the boundary of a mesh lies on itself: cracks, hanging nodes, pieces that are not joined, sheets on one another.
+"""Where the boundary of a mesh lies on itself: cracks, hanging nodes, pieces not joined, sheets on one another.
 
 There, facets that should be inside the domain belong to one cell each and count as boundary. They are found by a few
 points of each facet that lie inside another facet. Lengths are compared with the heights of the cells only, so nothing

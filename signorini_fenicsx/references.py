@@ -1,4 +1,4 @@
-"""What a mesh file in XML or HDF5 refers to: no other files than HDF5 files beside it, and nothing that grows when read."""
+"""What a mesh file in XML or HDF5 may refer to: HDF5 files beside it, and nothing that grows when it is read."""
 
 from pathlib import Path
 from xml.etree import ElementTree

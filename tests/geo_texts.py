@@ -30,7 +30,7 @@ Return
 Delete { Surface{1}; }
 x = 0.3; y = 0.5; r = 0.1; Call Hole; holes() = {loop}; x = 0.7; Call Hole; holes() += {loop};
 Plane Surface(1) = {1, holes()}; Physical Surface("plate") = {1};""",
-    "constants": 'DefineConstant[ h = {0.3, Min 0.1, Max 1, Step 0.1, Name "Mesh size", Label "size of cells"}, n = 3 ];\n'
+    "constants": 'DefineConstant[ h = {0.3, Min 0.1, Max 1, Step 0.1, Name "Mesh size", Label "size"}, n = 3 ];\n'
     'DefineConstant[ order = {1, Choices{1="first", 2="second"}, Name "Order"} ];\n' + SQUARE,
     "options": "Mesh.Algorithm = 6; Mesh.CharacteristicLengthMax = 0.25; Mesh.MeshSizeFromCurvature = 12;\n"
     "Geometry.Tolerance = 1e-9; General.Terminal = 1; Mesh.MshFileVersion = 2.2;\n" + SQUARE,
@@ -48,11 +48,12 @@ Mesh.MeshSizeExtendFromBoundary = 0;""",
     "transfinite": SQUARE
     + "Transfinite Curve {1, 3} = 4 Using Progression 1.2; Transfinite Curve {2, 4} = 5 Using Bump 2;\n"
     "Transfinite Surface {1} Alternate;",
-    "splines": """h = 0.2; Point(1) = {0, 0, 0, h}; Point(2) = {1, 0, 0, h}; Point(3) = {1.2, 0.7, 0, h}; Point(4) = {0.5, 1.2, 0, h};
-Point(5) = {0, 0.8, 0, h}; Line(1) = {1, 2}; Spline(2) = {2, 3, 4}; BSpline(3) = {4, 5, 1};
+    "splines": """h = 0.2; Point(1) = {0, 0, 0, h}; Point(2) = {1, 0, 0, h}; Point(3) = {1.2, 0.7, 0, h};
+Point(4) = {0.5, 1.2, 0, h}; Point(5) = {0, 0.8, 0, h}; Line(1) = {1, 2}; Spline(2) = {2, 3, 4}; BSpline(3) = {4, 5, 1};
 Line Loop(1) = {1:3}; Plane Surface(1) = {1}; Physical Line("curved") = {2, 3}; Physical Surface("in", 7) = {1};""",
-    "arcs": """Point(1) = {0, 0, 0, 0.2}; Point(2) = {2, 0, 0, 0.2}; Point(3) = {0, 1, 0, 0.2}; Point(4) = {1, 0, 0, 0.2};
-Line(1) = {1, 2}; Ellipse(2) = {2, 1, 4, 3}; Line(3) = {3, 1}; Curve Loop(1) = {1, 2, 3}; Plane Surface(1) = {1};""",
+    "arcs": """Point(1) = {0, 0, 0, 0.2}; Point(2) = {2, 0, 0, 0.2}; Point(3) = {0, 1, 0, 0.2};
+Point(4) = {1, 0, 0, 0.2}; Line(1) = {1, 2};
+Ellipse(2) = {2, 1, 4, 3}; Line(3) = {3, 1}; Curve Loop(1) = {1, 2, 3}; Plane Surface(1) = {1};""",
     "copies": SQUARE
     + """b() = Translate {2, 0, 0} { Duplicata { Surface{1}; } };
 Rotate {{0, 0, 1}, {0, 0, 0}, Pi/6} { Surface{b(0)}; } e() = Boundary { Surface{1}; }; Physical Curve("e") = {e()};
@@ -82,7 +83,7 @@ Physical Surface("boundary") = Abs(Boundary{ Volume{5}; }); Physical Volume("v")
     "volumes": 'SetFactory("Built-in");\n'
     + SQUARE
     + 'Extrude {0, 0, 1} { Surface{1}; } Surface Loop(99) = {1}; s() = Surface{:}; Physical Surface("all") = s();',
-    "pieces of expressions": "x = 1.5e-3 + .5 - 2. * (3 > 2 ? 1 : 0); y = Hypot(3, 4) + Floor(2.7) + Atan2(1, 2) + Max(1, 2);\n"
+    "pieces of expressions": "x = 1.5e-3 + .5 - 2. * (3 > 2 ? 1 : 0); y = Hypot(3, 4) + Max(1, Atan2(1, 2));\n"
     "z = x^2 % 3; z += 1; z *= 2; z -= 1; z /= 3; z++; q = newreg;\n" + SQUARE,
 }
 

@@ -1,19 +1,14 @@
 """What a `.geo` file may say: usual constructions mesh as Gmsh alone would mesh them, hostile ones touch nothing."""
 
-import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from broken_input import CASE_FOR_MESH
 from geo_texts import HOSTILE, OCC, SQUARE, USUAL
 
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geo_text import allowed_tokens, text_for_gmsh, with_lines_of
+from signorini_fenicsx.geo_text import allowed_tokens, text_for_gmsh
 from signorini_fenicsx.geo_words import ALLOWED, REFUSED, TEXT
-from signorini_fenicsx.mesh_files import read_mesh_file
 from signorini_fenicsx.shipped import data_folder
 
 

@@ -22,7 +22,16 @@ VTU = """<?xml version="1.0"?>{head}<VTKFile type="UnstructuredGrid" version="0.
 """
 FACES = """<DataArray type="Int64" Name="faces" format="ascii">4 3 0 1 2 3 0 1 3 3 0 2 3 3 1 2 3</DataArray>
 <DataArray type="Int64" Name="faceoffsets" format="ascii">17</DataArray>"""
-TRIANGLE = {"head": "", "count": 3, "width": 3, "points": "0 0 0 1 0 0 0 1 0", "cells": CELLS, "end": 3, "kind": 5, "more": ""}
+TRIANGLE = {
+    "head": "",
+    "count": 3,
+    "width": 3,
+    "points": "0 0 0 1 0 0 0 1 0",
+    "cells": CELLS,
+    "end": 3,
+    "kind": 5,
+    "more": "",
+}
 TETRAHEDRON = {"count": 4, "points": "0 0 0 1 0 0 0 1 0 0 0 1", "cells": "0 1 2 3", "end": 4}
 BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">' + "".join(
     f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcdefgh", "bcdefghi", strict=True)
@@ -51,7 +60,8 @@ def grid(name: str, kind: str, cells: str, shape: str, more: str) -> str:
 def numbers(values: str) -> str:
     """The numbers of `MeshTags`."""
     count = len(values.split())
-    return f'<Attribute Name="t" Center="Cell"><DataItem Dimensions="{count} 1" Format="XML">{values}</DataItem></Attribute>'
+    item = f'<DataItem Dimensions="{count} 1" Format="XML">{values}</DataItem>'
+    return f'<Attribute Name="t" Center="Cell">{item}</Attribute>'
 
 
 def xdmf(
@@ -86,9 +96,17 @@ REFUSED = {
     "four coordinates": ("vtu", vtu(width=4, points="0 " * 12), r"shape \(3, 4\); 2 or 3 coordinates"),
     "a point that is not there": ("vtu", vtu(cells="0 1 9"), "a point that the file does not hold"),
     "offsets of another mesh": ("vtu", vtu(end=-5), "mesh|cannot be read|points for each|holds"),
-    "xdmf: cells too wide": ("xdmf", xdmf(triangle=("0 1 2 0", "1 4")), r"kind 'triangle' has the shape \(1, 4\); 3 points"),
+    "xdmf: cells too wide": (
+        "xdmf",
+        xdmf(triangle=("0 1 2 0", "1 4")),
+        r"kind 'triangle' has the shape \(1, 4\); 3 points",
+    ),
     "xdmf: cells in a row": ("xdmf", xdmf(triangle=(CELLS, "3")), r"kind 'triangle' has the shape \(3,\); 3 points"),
-    "xdmf: sides too wide": ("xdmf", xdmf(sides=("0 1 2 0", "1 4"), tags="7"), r"'line' has the shape \(1, 4\); 2 points"),
+    "xdmf: sides too wide": (
+        "xdmf",
+        xdmf(sides=("0 1 2 0", "1 4"), tags="7"),
+        r"'line' has the shape \(1, 4\); 2 points",
+    ),
     "xdmf: tagged cells too wide": ("xdmf", xdmf(cell=("0 1 2 0", "1 4")), r"'triangle' has the shape \(1, 4\)"),
     "xdmf: other cells": ("xdmf", xdmf(cell=("0 1 1", "1 3")), "a cell that the mesh does not have"),
     "xdmf: one coordinate": ("xdmf", xdmf(points="0 1 2", shape="3 1"), r"shape \(3, 1\); 2 or 3 coordinates"),
@@ -159,7 +177,7 @@ def test_what_was_changed_is_a_mesh(tmp_path: Path, suffix: str, text: str):
 def strip(n: int, left: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Points and cells of n squares on top of each other, of n triangles on each side."""
     low = np.stack([np.full(n + 1, left), np.linspace(y, y + 1, n + 1)], axis=1)
-    points = np.concatenate([low, low + [1, 0]])
+    points = np.concatenate([low, low + np.array([1, 0])])
     a = np.arange(n)
     b, c, d = a + n + 1, a + n + 2, a + 1
     return points, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
@@ -177,7 +195,7 @@ def pieces(*parts: tuple[np.ndarray, np.ndarray], join: bool = True) -> FileMesh
 
 
 def cube(points: list[list[float]], flipped: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Five or more tetrahedra: a pyramid over each face's two triangles from the middle, faces split one way or another."""
+    """Tetrahedra from the middle over the two triangles of each face, which is split in one of two ways."""
     corners = np.array(points, dtype=float)
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     triangles = []

@@ -299,7 +299,7 @@ def test_a_geometry_is_meshed_as_finely_as_asked(tmp_path: Path):
         ('Field[1] = Structured; Field[1].FileName = "a.geo.opt";', "'Structured' is not allowed"),
         ('Printf("x") > "hacked";', "Printf to a file"),
         ("\nPoint(1) = {0, 0", "line 2: '{' is never closed"),
-        ("// two\n\nPoint(1) = {0, 0};", "Gmsh cannot use it: 'mesh.geo', line 3: syntax error"),
+        ("// two\n\nPoint(1) = {0, 0};", "Gmsh cannot use it: 'a.geo', line 3: syntax error"),
         ("// Save the Exit", "no surface and no volume"),
     ],
 )
