@@ -9,6 +9,7 @@ has to say goes into a file that its parent opened. On other systems the limits 
 import contextlib
 import ctypes
 import errno
+import importlib
 import os
 import platform
 import resource
@@ -35,20 +36,19 @@ LAST_WORDS = 4096
 
 
 def run(module: str, arguments: list[str], result: BinaryIO) -> None:
-    """Run a module's `main`, confined, and wait for it.
+    """Run `main(arguments, result)` of a module, confined, and wait for it.
 
     Args:
-        module: Called as `python -m module PARENT RESULT ARGUMENTS…`; it begins with `limit(int(PARENT))`, writes what
-            it has found to the open file number RESULT, and ends with a line on stderr and status 1 if it cannot.
+        module: Its name.
         arguments: Paths among them have to be absolute.
-        result: Where the result goes.
+        result: An open file, where `main` writes what it has found.
 
     Raises:
-        InputError: If it fails, with its last line, or runs into a limit.
+        InputError: If it raises one or OSError, crashes, or runs into a limit.
     """
     with tempfile.TemporaryDirectory(prefix="signorini-") as folder, tempfile.TemporaryFile() as said:
         number = result.fileno()
-        command = [sys.executable, "-P", "-B", "-m", module, str(os.getpid()), str(number), *arguments]
+        command = [sys.executable, "-P", "-B", "-m", __name__, str(os.getpid()), str(number), module, *arguments]
         try:
             status = subprocess.run(
                 command,
@@ -65,7 +65,9 @@ def run(module: str, arguments: list[str], result: BinaryIO) -> None:
         except subprocess.TimeoutExpired:
             raise InputError(SLOW) from None
         said.seek(max(said.seek(0, os.SEEK_END) - LAST_WORDS, 0))
-        words = said.read().decode(errors="replace").strip()
+        words = "".join(
+            c if c.isprintable() or c == "\n" else "?" for c in said.read().decode(errors="replace")
+        ).strip()
     if status != 0:
         raise InputError(_reason(status, words))
 
@@ -104,8 +106,22 @@ def _memory() -> int:
     return LEAST_MEMORY
 
 
+def main(parent: int, result: int, module: str, arguments: list[str]) -> None:
+    """What the process does: set its limits before anything else, then import the module and run it."""
+    limit(parent)
+    try:
+        with os.fdopen(result, "wb") as file:
+            importlib.import_module(module).main(arguments, file)
+    except InputError as refusal:
+        sys.exit(str(refusal))
+    except MemoryError:
+        sys.exit("MemoryError")
+    except OSError as error:
+        sys.exit(error.strerror or str(error))
+
+
 def limit(parent: int) -> None:
-    """Limit this process, and let it die with its parent; the first thing it does.
+    """Limit this process, and let it die with its parent.
 
     Args:
         parent: The parent's process number; if that has died already, so does this process.
@@ -241,3 +257,7 @@ def _filter(column: int, architecture: int) -> bytes:
     code += step(EQUAL, (16, 29)[column], 0, 4) + verdict(argument(1) + step(EQUAL, 0x5412, 0, 1))  # TIOCSTI types
     code += step(EQUAL, (157, 167)[column], 0, 4) + verdict(argument(0) + step(EQUAL, PR_SET_PDEATHSIG, 0, 1))
     return code + step(RETURN, ALLOW)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3], sys.argv[4:])

@@ -1,12 +1,10 @@
-"""One file by someone unknown, read in a confined process: `python -m signorini_fenicsx.file_worker`, see `confined`.
+"""One file by someone unknown, read in a confined process (`confined`).
 
 Gmsh, meshio, XML and HDF5 meet the file here and only here. What they find goes back as arrays.
 """
 
 import json
-import os
 import shutil
-import sys
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -19,8 +17,14 @@ from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.mesh_checks import Contents
 
 
-def main(source: Path, result: BinaryIO, h: float | None, max_cells: float) -> None:
-    """Read a file in the current folder, which is empty, and write what it holds."""
+def main(arguments: list[str], result: BinaryIO) -> None:
+    """Read a file and write what it holds; the current folder is empty.
+
+    Args:
+        arguments: The file, h of a mesh that is made or 0 for the file's own sizes, and the most cells of it.
+        result: For `unpack`.
+    """
+    source, h, max_cells = Path(arguments[0]), float(arguments[1]) or None, float(arguments[2])
     if source.suffix in (".geo", ".msh"):
         contents = _by_gmsh(source, h, max_cells)
     else:
@@ -81,16 +85,3 @@ def unpack(result: BinaryIO) -> Contents:
             return Contents(arrays["points"], blocks, groups)
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InputError("makes its reader go wrong") from error
-
-
-if __name__ == "__main__":
-    confined.limit(int(sys.argv[1]))
-    try:
-        with os.fdopen(int(sys.argv[2]), "wb") as file:
-            main(Path(sys.argv[3]), file, float(sys.argv[4]) or None, float(sys.argv[5]))
-    except InputError as refusal:
-        sys.exit(str(refusal))
-    except MemoryError:
-        sys.exit("MemoryError")
-    except OSError as error:
-        sys.exit(error.strerror or str(error))

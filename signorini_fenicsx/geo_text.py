@@ -28,8 +28,8 @@ from signorini_fenicsx.geo_words import (
 LARGEST_FILE = 2**24
 LONGEST = {"word": 100, "number": 100, "string": 1000, "operator": 3}
 """Characters of a token; Gmsh's buffer holds 1023 of a string."""
-LONGEST_NAME = 120
-"""Characters of the name of a group, and of what Sprintf makes it from; Gmsh's buffer for that holds 255."""
+LONGEST_NAME = 200
+"""Bytes of the name of a group, and of what Sprintf makes it from; Gmsh's buffer for that holds 255."""
 INSTEAD = (
     "a .geo file may describe a geometry, its mesh sizes and its physical groups, and not run programs, use other "
     "files or end the program; mesh it with Gmsh and give the .msh file"
@@ -258,8 +258,8 @@ def _check_text(statements: _Statements, index: int, pattern: re.Pattern[str], w
     token = statements.tokens[index]
     if token.kind == "string":
         formatted = statements.text(index - 2) == "Sprintf"
-        if (formatted or pattern is NAME) and len(token.text) > LONGEST_NAME:
-            raise InputError(f"line {token.line}: {_shown(token.text[:20])}… has more than {LONGEST_NAME} characters")
+        if (formatted or pattern is NAME) and len(token.text.encode()) > LONGEST_NAME:
+            raise InputError(f"line {token.line}: {_shown(token.text[:20])}… has more than {LONGEST_NAME} bytes")
         pattern = FORMAT if formatted and pattern is NAME else pattern
         if not pattern.fullmatch(token.text[1:-1]) or not token.text.isprintable():
             raise InputError(

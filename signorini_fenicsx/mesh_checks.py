@@ -233,7 +233,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             no part lie on one another, cells overlap there, or one of several components of the domain has no facet of
             Γ_D. A crack both sides of which are in parts is one.
     """
-    known = ", ".join(f"'{name}'" for name in mesh.parts) or "none: the file has no groups of facets"
+    known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
     rows, first, times = np.unique(everything, axis=0, return_index=True, return_counts=True)
     owner = np.full(len(rows), -1)

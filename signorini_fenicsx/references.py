@@ -18,12 +18,13 @@ def check_references(path: Path) -> None:
     Raises:
         InputError: If it refers to what it may not, or declares XML entities.
     """
-    if path.suffix in XML:
+    suffix = path.suffix.lower()  # as meshio takes it
+    if suffix in XML:
         _check_head(path)
-    if path.suffix in HDF5:
+    if suffix in HDF5:
         _check_hdf5(path)
-    if path.suffix in (".xdmf", ".xmf"):
-        for file in {_beside(path, item) for item in ElementTree.parse(path).iter("DataItem")} - {None}:
+    if suffix in (".xdmf", ".xmf"):
+        for file in {_beside(path, item) for item in ElementTree.parse(path).iter()} - {None}:
             _check_hdf5(Path(str(file)))
 
 
@@ -56,7 +57,7 @@ def _check_head(path: Path) -> None:
 
 
 def _beside(path: Path, item: ElementTree.Element) -> Path | None:
-    """The HDF5 file of an array in XDMF, None if the array is in the XDMF file itself."""
+    """The HDF5 file of an array in XDMF, None if there is none; meshio takes arrays from elements of any name."""
     kind, text = item.get("Format", "XML"), (item.text or "").strip()
     if kind == "XML":
         return None

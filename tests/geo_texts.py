@@ -269,6 +269,7 @@ HOSTILE = [
     'Physical Curve(Sprintf("' + "a" * 300 + '%g", 1)) = {1};',
     'Physical Curve(GetEnv("HOME")) = {1};',
     'Physical Curve("' + "n" * 200 + '") = {1};',
+    'Physical Curve(Sprintf("' + "\U0001f600" * 60 + '%g", 1)) = {1};',
     'Physical "x" = {1};',
     'Physical Curve("x") "y" = {1};',
     'Point "x";',

@@ -124,6 +124,13 @@ REFUSED = {
     "xdmf: a link to a link": ("xdmf", hdf("soft.h5"), "'out' in soft.h5 is a link to another file"),
     "xdmf: values elsewhere": ("xdmf", hdf("raw.h5"), "the values of 'points' in raw.h5 are in another file"),
     "xdmf: a virtual array": ("xdmf", hdf("virtual.h5"), "the values of 'points' in virtual.h5 are in another file"),
+    "xdmf: another element": ("xdmf", hdf("../x.h5").replace("DataItem", "Item"), "'../x.h5', which is outside"),
+    "xdmf: in capitals": ("XDMF", hdf("external.h5"), "is a link to another file"),
+    "xdmf: in capitals, a bomb": (
+        "XDMF",
+        xdmf().replace('<!DOCTYPE Xdmf SYSTEM "Xdmf.dtd" []>', BOMB + "]>"),
+        "declares",
+    ),
     "xdmf: not HDF5": ("xdmf", hdf("mesh.xdmf"), "cannot be read"),
     "not XML": ("vtu", "\0\1\2", "is not XML"),
     **{f"vtu: {name}": ("vtu", vtu(head=head), "declares entities or defaults") for name, head in HEADS.items()},
