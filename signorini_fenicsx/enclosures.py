@@ -139,7 +139,8 @@ class _Bisection:
         else:
             gap = parts.share * (known[:, SQUARE] - known[:, LEAST])
             upper = np.bincount(own, parts.share * known[:, SQUARE], n)
-            needy = ~((upper <= self._tolerance**2) | (np.bincount(own, gap, n) <= CLOSE * upper))
+            close = np.isfinite(upper) & (np.bincount(own, gap, n) <= CLOSE * upper)
+            needy = ~(close | (upper <= self._tolerance**2))
         largest = np.zeros(n)
         np.maximum.at(largest, own, gap)
         cut = needy[own] & (gap >= WORST * largest[own])
@@ -182,7 +183,6 @@ class _Bisection:
 def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, scale: float, elementary: Elementary) -> Array:
     """What one box each says of the parts of simplices."""
     centre, arms = parts.centred()
-    dim = centre.shape[1]
     e = evaluated(tree, parts, scale, elementary)
 
     # p in the centres, and how it changes from there

@@ -34,9 +34,11 @@ class Parts:
         return centre, self.vertices - centre[:, None]
 
     def take(self, which: slice | Mask) -> Parts:
+        """Some of them."""
         return Parts(self.vertices[which], self.own[which], self.share[which])
 
     def and_(self, other: Parts) -> Parts:
+        """These and others."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
         return Parts(*(np.concatenate(pair) for pair in pairs))
 
