@@ -14,8 +14,11 @@ of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its r
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 
 from signorini_fenicsx.expressions import Tree
@@ -33,6 +36,20 @@ CLOSE = 0.5
 """An upper bound of ‖d‖² that is at most so much too large, relative to itself, is good enough."""
 CHUNK = 20000
 """Boxes evaluated at once."""
+
+
+def cell_vertices(mesh: Mesh) -> Array:
+    """Vertices of the owned cells, shape (cells, d + 1, d)."""
+    dim = mesh.geometry.dim
+    cells = mesh.geometry.dofmap[: mesh.topology.index_map(dim).size_local]
+    return np.array(mesh.geometry.x[cells, :dim])
+
+
+def facet_vertices(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Array:
+    """Vertices of facets, shape (facets, d, d)."""
+    dim = mesh.geometry.dim
+    nodes = entities_to_geometry(mesh, dim - 1, facets) if len(facets) else np.empty((0, dim), dtype=np.int32)
+    return np.array(mesh.geometry.x[nodes, :dim])
 
 
 @dataclass(frozen=True)
@@ -68,13 +85,14 @@ def enclose(
     comm: MPI.Comm,
     *,
     scale: float,
-    by_slope: bool = False,
+    by: Literal["norm", "sup", "slope"] = "norm",
     elementary: Elementary | None = None,
 ) -> Enclosure:
     """Enclose an expression less a quadratic on simplices, each by itself (collective).
 
-    A simplex is resolved where the upper bound of the root mean square of d (or of |∇d|) is below the tolerance, or
-    not much above a lower bound. What was reached elsewhere is valid too. Nothing depends on the number of ranks.
+    A simplex is resolved where the upper bound of the root mean square of d is below the tolerance, or not much above a
+    lower bound; or that of |d| or |∇d| is below the tolerance. What was reached elsewhere is valid too. Nothing depends
+    on the number of ranks.
 
     Args:
         tree: The expression, in x, y and, in 3D, z.
@@ -83,7 +101,7 @@ def enclose(
         tolerance: For each simplex, shape (n,).
         comm: The ranks.
         scale: Size of the whole domain: decides what is rounding in the place of a discontinuity; 0: nothing is.
-        by_slope: Whether the tolerance is for |∇d|.
+        by: What the tolerance is for: `Enclosure.norm`, `sup` or `slope`.
         elementary: Bounds of sin, exp, …; by default those of NumPy.
     """
     algebra = elementary or FromNumPy()
@@ -95,7 +113,7 @@ def enclose(
         )
 
     with np.errstate(all="ignore"):
-        work = _Bisection(vertices, tolerance, by_slope=by_slope)
+        work = _Bisection(vertices, tolerance, by)
         parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
         known = look(parts)
         left = (BUDGET_EACH - 1) * comm.allreduce(len(vertices)) + BUDGET
@@ -119,10 +137,10 @@ MEAN_LO, MEAN_HI, SQUARE, LEAST, SUP, SLOPE, LO, HI = range(8)
 class _Bisection:
     """The decision which parts are cut, and sums over the parts of simplices that are done."""
 
-    def __init__(self, vertices: Array, tolerance: Array, *, by_slope: bool):
+    def __init__(self, vertices: Array, tolerance: Array, by: str):
         n = len(vertices)
         self._tolerance = tolerance
-        self._by_slope = by_slope
+        self._bounded = {"sup": SUP, "slope": SLOPE}.get(by)
         self._cost = np.ones(n, dtype=np.int64)
         self._sums = np.zeros((n, 3))
         self._most = np.zeros((n, 2))
@@ -133,8 +151,9 @@ class _Bisection:
     def decide(self, parts: Parts, known: Array) -> tuple[Mask, Mask]:
         """Parts of simplices that too little is known of, and the worst of them, which are to be cut."""
         own, n = parts.own, len(self._cost)
-        if self._by_slope:
-            gap = np.where(known[:, SLOPE] <= self._tolerance[own], 0.0, known[:, SLOPE])
+        if self._bounded is not None:
+            bound = known[:, self._bounded]
+            gap = np.where(bound <= self._tolerance[own], 0.0, bound)
             needy = np.bincount(own, gap > 0, n) > 0
         else:
             gap = parts.share * (known[:, SQUARE] - known[:, LEAST])

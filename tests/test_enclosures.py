@@ -1,16 +1,20 @@
 """Enclosures hold, wherever one looks, find what quadrature does not see, and are sharp where data are smooth."""
 
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import make_case
 from fuzz_expressions import valid
 from mpi4py import MPI
 
-from signorini_fenicsx.enclosures import enclose
+from signorini_fenicsx.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.enclosures import cell_vertices, enclose, facet_vertices
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import read, values, values_and_gradient
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
+from signorini_fenicsx.spaces import build_spaces
 
 COMM = MPI.COMM_SELF
 
@@ -147,6 +151,32 @@ def test_gradients_by_tolerance():
         np.testing.assert_allclose(
             value_of(p, vertices, x[None])[0], values(tree, {"x": x[:, 0], "y": x[:, 1]}), atol=1e-14
         )
-    found = enclose(tree, vertices, p, np.full(128, 0.3), COMM, scale=1.0, by_slope=True)
+    found = enclose(tree, vertices, p, np.full(128, 0.3), COMM, scale=1.0, by="slope")
     assert found.resolved.all()
     assert found.slope.max() <= 0.3
+    kappa = read("1 - 0.99*exp(-((x - 0.515)/0.01)^2)", "xy")
+    found = enclose(kappa, vertices, interpolated(kappa, vertices), np.full(128, 0.2), COMM, scale=1.0, by="sup")
+    assert 0 < found.range.lo.min() <= 0.01
+    assert found.range.lo.min() > 0.005
+
+
+@pytest.mark.parallel([1, 2])
+def test_partition_changes_nothing(folder: Path):
+    """The same for each cell and facet, also where the budget or the cap ends the bisection."""
+    case = make_case(folder, parts=["bottom"], f="1 if (x-0.4)^2 + y^2 < 0.01 else sin(300*x*y)", h=0.3)
+    case = case.with_values({"problem.q_S": "-abs(x - 0.3)", "problem.kappa": [["2", "x/9"], ["x/9", "1"]]})
+    spaces = build_spaces(mesh_case(case, MPI.COMM_WORLD), ["bottom"])
+    data = discrete_data(case, spaces)
+    assert set(data.trees) == {"f", "kappa", "u_D", "g_N", "psi", "q_S"}
+    comm = MPI.COMM_WORLD
+    for tree, vertices in [
+        (data.trees["f"], cell_vertices(spaces.mesh)),
+        (data.trees["q_S"], facet_vertices(spaces.mesh, spaces.facets)),
+        (data.trees["kappa"][0][1], cell_vertices(spaces.mesh)),
+    ]:
+        found = enclose(tree, vertices, interpolated(tree, vertices), np.full(len(vertices), 0.01), comm, scale=1.0)
+        alone = [
+            enclose(tree, v[None], interpolated(tree, v[None]), np.full(1, 0.01), COMM, scale=1.0) for v in vertices
+        ]
+        np.testing.assert_array_equal(found.norm, np.array([one.norm[0] for one in alone]))
+        assert found.boxes == sum(one.boxes for one in alone)
