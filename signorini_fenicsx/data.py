@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import basix
 import basix.ufl
@@ -87,6 +87,36 @@ class Data:
     q_Sh: Array
     stiffness: float
     total_load: float
+
+    def conductivities(self, spaces: Spaces) -> Array:
+        """Mean eigenvalue of κ_h on each cell of this rank."""
+        if is_constant(self.kappa_h):
+            return np.full(spaces.Q.dofmap.index_map.size_local, float(self.kappa_h))
+        shape = self.kappa_h.ufl_shape or (1, 1)
+        return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+
+    def extent(self, spaces: Spaces) -> tuple[float, float]:
+        """The least and the largest of u_D and ψ, of their means (collective)."""
+        u_D = self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
+        values = np.concatenate([u_D, self.psi_h])
+        ends = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
+        spaces.mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+        return -float(ends[0]), float(ends[1])
+
+    def common_constant(self, spaces: Spaces) -> float:
+        """The value nearest to 0 in the range of u_D and ψ: 0 unless all of them have one sign (collective)."""
+        return float(np.clip(0.0, *self.extent(spaces)))
+
+    def less(self, spaces: Spaces, constant: float) -> Data:
+        """The data of the problem for u − constant (collective)."""
+        if constant == 0:
+            return self
+        u_lift = self.u_lift.copy()
+        for facets in (spaces.dirichlet_facets, spaces.facets):
+            u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
+        u_lift.x.scatter_forward()
+        shift = fem.Constant(spaces.mesh, constant)  # no number in a form, which would be compiled for each
+        return replace(self, u_D=self.u_D - shift, psi=self.psi - shift, u_lift=u_lift, psi_h=self.psi_h - constant)
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
