@@ -213,14 +213,11 @@ def ties(spaces: Spaces, data: Data, iterate: Iterate) -> npt.NDArray[np.bool_]:
     """
     roots = np.sqrt(data.conductivities(spaces))
     root = roots[spaces.cells]
-    u = np.abs(iterate.u.x.array)
     through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
     flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
-    p = np.abs(iterate.p)
-    traces = [
-        max(np.max(on, initial=0.0), np.max(inside, initial=0.0)) for on, inside in ((p, u), (root * p, roots * u))
-    ]
-    scales = np.array([*traces, *(np.max(values, initial=0.0) for values in (flux, flux / root))])
+    u, p = np.abs(iterate.u.x.array), np.abs(iterate.p)
+    terms = (np.append(u, p), np.append(roots * u, root * p), flux, flux / root)
+    scales = np.array([values.max(initial=0.0) for values in terms])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, scales, MPI.MAX)
     trace_scale, flux_scale = np.minimum(scales[0], scales[1] / root), np.minimum(scales[2], scales[3] * root)
     return (p <= TIE * trace_scale) & (np.abs(iterate.flux) <= TIE * flux_scale)

@@ -39,7 +39,8 @@ class KKTResiduals:
     Attributes:
         primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
         dual: √L ‖k⁻¹[σ·n]_-‖_Λ / G and √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
-        complementarity: Σ_e |e| k⁻¹|p σ·n| / G² and Σ_e |e| k|p σ·n| / S².
+        complementarity: √L ‖min(|p|/L, k⁻¹|σ·n|)‖_Λ / G and √L ‖min(k|p|/L, |σ·n|)‖_Λ / S, the smaller one of p and σ·n
+            on each facet: their product would be as small as the square of an error.
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
         mass_balance: ‖h_T k⁻¹(∇·σ + f_h)‖ / G and ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell; on Γ_N √L ‖k⁻¹(σ·n −
@@ -87,13 +88,13 @@ def kkt_residuals(
     if penalty is not None:
         trace, flux = penalty.shift(trace, flux, eps)
     low, inward = np.minimum(trace, 0), np.minimum(flux, 0)
-    sums = [[e @ low**2, e @ (k * low) ** 2], [e @ (inward / k) ** 2, e @ inward**2]]
-    sums.append([e @ np.abs(trace * flux / k), e @ np.abs(trace * flux * k)])
-    primal, dual, complementarity = spaces.mesh.comm.allreduce(np.array(sums))
+    smaller = np.minimum(np.abs(k * trace) / length, np.abs(flux))
+    sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
     return KKTResiduals(
-        primal=float((np.sqrt(primal / length) / scales).max()),
-        dual=float((np.sqrt(dual * length) / scales).max()),
-        complementarity=float((complementarity / scales**2).max()),
+        primal=float(primal.max()),
+        dual=float(dual.max()),
+        complementarity=float(complementarity.max()),
         stationarity=float((_stationarity(spaces, sigma, u, p, data) / scales).max()),
         mass_balance=float((_imbalance(spaces, sigma, data) / scales).max()),
     )
