@@ -139,6 +139,8 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, spaces.ds, "on Γ_S")
     dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
     neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
+    near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
+    check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
     u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
     for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
@@ -166,6 +168,21 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
         total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
     )
+
+
+def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.NDArray[np.int32]) -> None:
+    """Make sure that a scalar and its gradient are finite at the quadrature points of these cells (collective).
+
+    Raises:
+        InputError: If they are not.
+    """
+    if is_constant(value):
+        return
+    size = abs(value) + sum(abs(ufl.grad(value)[i]) for i in range(spaces.mesh.geometry.dim))
+    dx = ufl.Measure("dx", spaces.mesh, subdomain_data=[(1, cells)], metadata=quadrature(value))
+    integrals = assembled(size * ufl.TestFunction(spaces.Q) * dx(1))
+    if not spaces.mesh.comm.allreduce(bool(np.isfinite(integrals).all()), op=MPI.LAND):
+        raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
 
 
 def quadrature(value: Expr) -> dict[str, int]:
