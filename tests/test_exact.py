@@ -137,7 +137,7 @@ def test_ranks_do_not_matter():
 
 @pytest.mark.parametrize("u", ["-x*x", "-2"])
 def test_contact_with_a_curved_obstacle(u: str):
-    """u = ψ on all of Γ_S, whose facet means are not its values at midpoints."""
+    """Contact everywhere, with a ψ whose facet means are not its values at midpoints."""
     values = {"boundary.signorini": ["bottom"], "solve.h": 0.5, "exact.u": u, "problem.f": "-10"}
     solution = solve(load_case("example1").with_values(values | {"problem.u_D": u, "problem.psi": u}))
     errors = solution.errors()
