@@ -203,19 +203,24 @@ class FluxClip:
         return replace(iterate, sigma=sigma, p=p, flux=np.where(negative, 0.0, iterate.flux)), clipped
 
 
-def ties(spaces: Spaces, iterate: Iterate) -> npt.NDArray[np.bool_]:
+def ties(spaces: Spaces, data: Data, iterate: Iterate) -> npt.NDArray[np.bool_]:
     """The Γ_S facets of this rank whose p and σ·n are both rounding (collective).
 
     The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux, per |e|, through any facet of a
-    cell behind Γ_S: the terms whose sums p and σ·n are. On a ROBIN facet, where one of the two may be small and still
-    meaningful, the other one decides.
+    cell behind Γ_S: the terms whose sums p and σ·n are. Where κ jumps, rounding is the same in the energy, so that the
+    scale of p is also at most the largest √κ|u| or √κ|p| over √κ of the facet's cell, that of σ·n the largest flux/√κ
+    times that. On a ROBIN facet, where one of the two may be small and still meaningful, the other one decides.
     """
+    roots = np.sqrt(data.conductivities(spaces))
+    root = roots[spaces.cells]
     through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
-    flux_scale = (through * np.abs(spaces.basis_flux) / spaces.facet_measure).max(initial=0.0)
-    trace_scale = max(np.abs(values).max(initial=0.0) for values in (iterate.u.x.array, iterate.p))
-    scales = np.array([trace_scale, flux_scale])
+    flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
+    u, p = np.abs(iterate.u.x.array), np.abs(iterate.p)
+    terms = (np.append(u, p), np.append(roots * u, root * p), flux, flux / root)
+    scales = np.array([values.max(initial=0.0) for values in terms])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, scales, MPI.MAX)
-    return (np.abs(iterate.p) <= TIE * scales[0]) & (np.abs(iterate.flux) <= TIE * scales[1])
+    trace_scale, flux_scale = np.minimum(scales[0], scales[1] / root), np.minimum(scales[2], scales[3] * root)
+    return (p <= TIE * trace_scale) & (np.abs(iterate.flux) <= TIE * flux_scale)
 
 
 class SingleChange:
@@ -279,7 +284,7 @@ def iterate_sets(
         )
 
     def wanted(*, start: bool = False) -> FacetConditions:
-        tied = ties(spaces, iterate)
+        tied = ties(spaces, backend.data, iterate)
         p, flux = (np.where(tied, 0.0, values) for values in (iterate.p, iterate.flux))
         if start and algorithm.forgets_start:
             p, flux = np.zeros_like(p), np.zeros_like(flux)

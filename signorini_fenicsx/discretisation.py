@@ -4,9 +4,10 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.case import Case
-from signorini_fenicsx.data import Data, project_data
+from signorini_fenicsx.data import Data, check_finite, project_data
 from signorini_fenicsx.domain import Domain
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.geometry import SHAPES, build_domain, estimated_cells, expected_cells, own_domain
 from signorini_fenicsx.sampling import curve_gap
 from signorini_fenicsx.spaces import Spaces
@@ -16,8 +17,12 @@ def discrete_data(case: Case, spaces: Spaces) -> Data:
     """The data of a case and their means (collective).
 
     Raises:
-        InputError: If one of them cannot be used, see `project_data`.
+        InputError: If one of them, or the exact u, cannot be used, see `project_data`.
     """
+    if case.exact.u is not None:
+        u = parse_expression(case.exact.u, ufl.SpatialCoordinate(spaces.mesh))
+        cells = np.arange(spaces.Q.dofmap.index_map.size_local, dtype=np.int32)
+        check_finite(spaces, "[exact] u", "in the domain", u, cells)
     return project_data(spaces, case.problem.read(spaces.mesh.geometry.dim))
 
 

@@ -74,9 +74,10 @@ def solve(
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
     check_solvability(spaces, data)
-    run = _Run(
-        case, algorithm or ALGORITHMS[case.solve.algorithm], backend or BACKENDS[case.solve.backend], spaces, data
-    )
+    algorithm = algorithm or ALGORITHMS[case.solve.algorithm]
+    # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
+    constant = 0.0 if algorithm.stabilised else data.common_constant(spaces)
+    run = _Run(case, algorithm, backend or BACKENDS[case.solve.backend], spaces, data.less(spaces, constant))
     watch.lap("assembly")
     contact = None
     if start is not None:
@@ -95,6 +96,7 @@ def solve(
         watch.lap("solve")
         kkt = run.residuals(outcome)
     iterate = outcome.iterate
+    iterate.u.x.array[:] += constant
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)

@@ -184,7 +184,7 @@ class P1System:
         dofs = self.space.dofmap.list[spaces.cells]
         opposite = np.argmax(spaces.V.dofmap.list[spaces.cells] == spaces.flux_dofs[:, None], axis=1)
         keep = np.arange(dofs.shape[1]) != opposite[:, None]
-        return dofs[keep].reshape(len(dofs), -1)
+        return dofs[keep].reshape(len(dofs), spaces.mesh.topology.dim)
 
     def _owned(self, form: ufl.Form) -> Array:
         return assembled(form)[: self._size].copy()
