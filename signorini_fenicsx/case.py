@@ -37,11 +37,18 @@ def _number(value: object) -> object:
             value = parse_number(value)
         except InputError as error:
             raise ValueError(str(error)) from None
-    return value
+    return _not_huge(value)
 
 
 def _text(value: object) -> object:
-    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+    return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _not_huge(value: object) -> object:
+    """Refuse integers of TOML that are no floating point numbers; Python cannot even print some of them."""
+    if isinstance(value, int) and value.bit_length() > MAX_BITS:
+        raise ValueError(f"must be a number of at most {MAX_BITS} bits")
+    return value
 
 
 def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
@@ -63,6 +70,9 @@ def _within(low: float, high: float) -> AfterValidator:
 
     return AfterValidator(check)
 
+
+MAX_BITS = 1000
+"""Of an integer."""
 
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
 Expression = Annotated[str, BeforeValidator(_text)]
@@ -220,7 +230,7 @@ class Solve(_Section):
 
     algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
     backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
-    h: Positive = 2**-5
+    h: Annotated[Positive, _within(1e-90, 1e90)] = 2**-5  # its powers are numbers
     rho: Annotated[Positive, _within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, _within(1e-14, 1e6)] = 1e-8
     max_iterations: Annotated[int, BeforeValidator(_number), _within(1, 10**6)] | None = None
@@ -323,10 +333,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a TOML file: {error}") from None
 
 
 def load_case(name_or_path: str | Path) -> Case:
@@ -380,7 +390,10 @@ def complaint(error: ValidationError, root: type[BaseModel]) -> str:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # integers of many digits, deep lists
+        text = f"this {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
