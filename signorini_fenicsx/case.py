@@ -5,7 +5,7 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, get_args
 
 import basix.ufl
 import ufl
@@ -27,6 +27,12 @@ from signorini_fenicsx.expressions import parse_expression, parse_number
 from signorini_fenicsx.geometry import SHAPES, Shape
 from signorini_fenicsx.mesh_files import is_geometry
 from signorini_fenicsx.shipped import case_names, data_folder
+
+
+MAX_BYTES = 2**23
+"""Of a TOML file; Python reads about a million a second."""
+MAX_BITS = 1000
+"""Of an integer."""
 
 
 def _number(value: object) -> object:
@@ -70,9 +76,6 @@ def _within(low: float, high: float) -> AfterValidator:
 
     return AfterValidator(check)
 
-
-MAX_BITS = 1000
-"""Of an integer."""
 
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
 Expression = Annotated[str, BeforeValidator(_text)]
@@ -332,6 +335,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: If it cannot be read.
     """
     try:
+        if not path.is_file():
+            raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, as no case or study has")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
@@ -348,8 +355,6 @@ def load_case(name_or_path: str | Path) -> Case:
     text = str(name_or_path)
     if text.endswith(".toml") or "/" in text:
         path = Path(text)
-        if not path.is_file():
-            raise InputError(f"{path}: is a folder, not a case file" if path.is_dir() else f"{path}: no such file")
     else:
         path = data_folder("cases") / f"{text}.toml"
         if text not in case_names():
@@ -404,8 +409,8 @@ def _place_of_key(sections: list[str]) -> str:
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
         annotation = model.model_fields[section].annotation
-        assert isinstance(annotation, type)
-        model = annotation
+        kinds = (annotation, *get_args(annotation))  # of a section that may be left out: a union with None
+        model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
     known = _keys(model)
     close = difflib.get_close_matches(wrong, known, 1)
     return ", ".join(known) + (f" (did you mean '{close[0]}'?)" if close else "")

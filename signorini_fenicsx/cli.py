@@ -546,6 +546,7 @@ def _start_petsc(options: list[str], comm: MPI.Comm) -> None:
     Raises:
         InputError: If it cannot start with them.
     """
+    failure: InputError | None = None
     with tempfile.TemporaryFile("w+", errors="replace") as words:
         stderr = os.dup(2)
         os.dup2(words.fileno(), 2)
@@ -556,8 +557,6 @@ def _start_petsc(options: list[str], comm: MPI.Comm) -> None:
             said = [line.partition("ERROR: ")[2].strip() for line in words if "ERROR: " in line and "---" not in line]
             reason = ", ".join(itertools.takewhile(lambda line: not line.startswith("See "), said))
             failure = InputError(f"PETSc cannot start with its options: {reason or error}")
-        else:
-            failure = None
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)

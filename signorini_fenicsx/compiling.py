@@ -2,9 +2,9 @@
 
 In DOLFINx's cache a file `<form>.c` says that somebody compiles the form, `<form>.c.cached` that it is ready. A process
 that is killed in between leaves the first one, and all later runs wait for the second one in vain. Here each process
-that compiles holds a shared lock on a file of the cache, which the system lifts when the process dies, on all nodes that
-see the cache. A file that has not changed for a while is taken for left behind, and removed, only while nobody holds
-that lock; the while is for programs that do not know of the lock, and for a compiler that has survived its parent.
+that compiles holds a shared lock on a file of the cache, which the system lifts when the process dies, for all nodes
+that see the cache. A file that has not changed for a while is taken for left behind, and removed, only while nobody
+holds that lock; the while is for programs that do not know of it, and for a compiler that has survived its parent.
 """
 
 import contextlib

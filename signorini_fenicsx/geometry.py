@@ -166,7 +166,8 @@ def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array]
         triangles = [(a, b, c), (a, c, d)]
     else:
         triangles = [(a, b, d), (b, c, d)]
-    return points, np.concatenate([np.stack(t, axis=1) for t in triangles])
+    used, cells = np.unique(np.concatenate([np.stack(t, axis=1) for t in triangles]), return_inverse=True)
+    return points[used], cells
 
 
 def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:

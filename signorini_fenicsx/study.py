@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from signorini_fenicsx import __version__
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, Solve, complaint, load_case, read_toml
-from signorini_fenicsx.convergence import Vary
+from signorini_fenicsx.convergence import Vary, level_values
 from signorini_fenicsx.discretisation import rough_cells
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.shipped import data_folder, study_names
@@ -38,7 +38,9 @@ class Convergence(_Section):
     reference: Level = 8
 
     @model_validator(mode="after")
-    def _reference_is_finer(self) -> Self:
+    def _levels_get_finer(self) -> Self:
+        if any(one >= other for one, other in itertools.pairwise(self.levels)):
+            raise ValueError(f"levels must ascend, not {self.levels}")
         if self.vary is not Vary.EPS and max(self.levels) >= self.reference:
             raise ValueError(f"reference = {self.reference} must be finer than the last level, {max(self.levels)}")
         return self
@@ -121,6 +123,8 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
     else:
         raise InputError(f"unknown study '{text}'; use one of {', '.join(study_names())} or the path of a .toml file")
     tree = read_toml(path)
+    if "name" in tree:
+        raise InputError(f"{path}: unknown key 'name'; a study is called as its file")
     try:
         study = Study.model_validate(tree | {"name": path.stem})
         return study, expanded(study, path.parent)
@@ -188,6 +192,8 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     if task is not None and task.vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
         penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
+    for level in () if task is None else task.levels:
+        case.with_values(level_values(task.vary, level))  # now, not when other runs have been done
     return make_run(case, task, fields=study.fields, plot=study.plot)
 
 
