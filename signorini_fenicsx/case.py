@@ -2,7 +2,9 @@
 
 import difflib
 import os
+import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
@@ -28,11 +30,12 @@ from signorini_fenicsx.geometry import SHAPES, Shape
 from signorini_fenicsx.mesh_files import is_geometry
 from signorini_fenicsx.shipped import case_names, data_folder
 
-
 MAX_BYTES = 2**23
 """Of a TOML file; Python reads about a million a second."""
 MAX_BITS = 1000
 """Of an integer."""
+MAX_DOTS = 500
+"""Of a dotted key, which takes Python a time that grows with the square of them."""
 
 
 def _number(value: object) -> object:
@@ -147,8 +150,7 @@ class Boundary(_Section):
 
     @model_validator(mode="after")
     def _no_repetition(self) -> Self:
-        parts = self.listed()
-        repeated = sorted({part for part in parts if parts.count(part) > 1})
+        repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
         if repeated:
             raise ValueError(f"'{repeated[0]}' is listed twice")
         return self
@@ -339,7 +341,10 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path}: has more than {MAX_BYTES} bytes, as no case or study has")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
+            raise InputError(f"{path}: a key is nested too deeply")
+        return tomllib.loads(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
     except (ValueError, RecursionError) as error:

@@ -1,5 +1,6 @@
 """The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
+import errno
 import gc
 import io
 import itertools
@@ -491,9 +492,10 @@ def _run(command: Callable[[], object]) -> int:
     except NumericalFailure as failure:
         _complain("failed", str(failure))
         return EXIT_FAILED
-    except OSError as error:  # a full disk, a folder that vanished
-        _complain("failed", f"{error.filename or 'file system'}: {error.strerror or error}")
-        return EXIT_FAILED
+    except OSError as error:  # a full disk, a folder that vanished; a path that no system takes
+        is_input = error.errno == errno.ENAMETOOLONG
+        _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
+        return EXIT_BAD_INPUT if is_input else EXIT_FAILED
     except RuntimeError as error:
         from signorini_fenicsx.backend import refuse_options
 
