@@ -511,7 +511,7 @@ def _run(command: Callable[[], object]) -> int:
 
 
 def _complain(kind: str, message: str) -> None:
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"{kind}:", style="bold red", end=" ")
     console.print(" ".join(message.split()), markup=False)
 

@@ -205,6 +205,7 @@ BAD_INPUT = [
     (["adapt", "example2", "--max-cells", "1000", "--theta", "1.5"], "at most 1"),
     (["adapt", "example2", "--max-cells", "10"], "more than the 10 allowed"),
     (["convergence", "example1", "--levels", "5:2"], "FIRST:LAST"),
+    (["convergence", "example1", "--levels", "a:b"], "--levels a:b: must be"),
     (["convergence", "example1", "--levels", "2:4", "--reference", "4"], "finer"),
     (["convergence", "example1", "--vary", "rho"], "must be one of"),
     (["convergence", "example1", "--levels", "2:" + "9" * 5000], "FIRST:LAST"),
