@@ -286,10 +286,12 @@ def estimated_cells(shape_name: str, h: float) -> float:
     """
     shape, edge = SHAPES[shape_name], 0.65 * h
     cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
+    return _allowed(cells, h, shape_name)
+
+
+def _allowed(cells: float, h: float, name: str) -> float:
     if cells > MAX_CELLS:
-        raise InputError(
-            f"h = {h:g} asks for about {cells:.1e} cells of {shape_name}; at most {MAX_CELLS:.0e} are made"
-        )
+        raise InputError(f"h = {h:g} asks for about {cells:.1e} cells of {name}; at most {MAX_CELLS:.0e} are made")
     return cells
 
 
