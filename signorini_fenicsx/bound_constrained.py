@@ -10,7 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.active_set import Outcome, Recorder, Step
-from signorini_fenicsx.backend import Iterate, petsc_reason, set_direct, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, petsc_reason, refuse_options, set_direct, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.facet_system import FacetSystem
 
@@ -69,6 +69,7 @@ def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
     try:
         snes.solve(None, x)
     except PETSc.Error as error:
+        refuse_options(error)
         return f"PETSc: {petsc_reason(error)}"
     reason = snes.getConvergedReason()
     return None if reason > 0 else f"SNESVI stopped with PETSc's reason {reason}"

@@ -1,10 +1,13 @@
 """The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
+import errno
 import gc
 import io
+import itertools
 import math
 import os
 import sys
+import tempfile
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +19,7 @@ from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.parallel import abort_all_on_exception, on_root
+from signorini_fenicsx.parallel import abort, abort_all_on_exception, on_root, refuse_lone_copies
 from signorini_fenicsx.shipped import case_names, study_names
 
 if TYPE_CHECKING:
@@ -78,7 +81,7 @@ def _toml_value(text: str) -> object:
     """A value as TOML writes it, such as ["top", "left"], or else the text itself."""
     try:
         tree = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return text
     return tree["value"] if len(tree) == 1 else text
 
@@ -489,16 +492,26 @@ def _run(command: Callable[[], object]) -> int:
     except NumericalFailure as failure:
         _complain("failed", str(failure))
         return EXIT_FAILED
-    except OSError as error:  # a full disk, a folder that vanished
-        _complain("failed", f"{error.filename or 'file system'}: {error.strerror or error}")
-        return EXIT_FAILED
+    except OSError as error:  # a full disk, a folder that vanished; a path that no system takes
+        is_input = error.errno == errno.ENAMETOOLONG
+        _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
+        return EXIT_BAD_INPUT if is_input else EXIT_FAILED
+    except RuntimeError as error:
+        from signorini_fenicsx.backend import refuse_options
+
+        try:
+            refuse_options(error)
+        except InputError as refusal:
+            _complain("error", str(refusal))
+            return EXIT_BAD_INPUT
+        raise
     except SystemExit as request:  # typer: usage errors and --help
         return request.code if isinstance(request.code, int) else EXIT_BAD_INPUT
     return 0
 
 
 def _complain(kind: str, message: str) -> None:
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"{kind}:", style="bold red", end=" ")
     console.print(" ".join(message.split()), markup=False)
 
@@ -509,7 +522,6 @@ def main() -> None:
     if "--" in arguments:
         split = arguments.index("--")
         arguments, petsc_options = arguments[:split], arguments[split + 1 :]
-    petsc4py.init([sys.argv[0], *petsc_options])
     comm = MPI.COMM_WORLD
     abort_all_on_exception(comm)
     gc.disable()  # see `parallel.collect_garbage`
@@ -519,4 +531,39 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Unicode is no reason to fail
     command = typer.main.get_command(app)  # calling app itself would replace sys.excepthook
-    sys.exit(_run(lambda: command(args=arguments, prog_name="signorini")))
+
+    def run() -> None:
+        refuse_lone_copies(comm)
+        _start_petsc(petsc_options, comm)
+        command(args=arguments, prog_name="signorini")
+
+    sys.exit(_run(run))
+
+
+def _start_petsc(options: list[str], comm: MPI.Comm) -> None:
+    """Give PETSc the options; what it prints of an error is kept for the sentence.
+
+    Some errors are met by rank 0 alone, which then ends all.
+
+    Raises:
+        InputError: If it cannot start with them.
+    """
+    failure: InputError | None = None
+    with tempfile.TemporaryFile("w+", errors="replace") as words:
+        stderr = os.dup(2)
+        os.dup2(words.fileno(), 2)
+        try:
+            petsc4py.init([sys.argv[0], *options])
+        except RuntimeError as error:
+            words.seek(0)
+            said = [line.partition("ERROR: ")[2].strip() for line in words if "ERROR: " in line and "---" not in line]
+            reason = ", ".join(itertools.takewhile(lambda line: not line.startswith("See "), said))
+            failure = InputError(f"PETSc cannot start with its options: {reason or error}")
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+    if failure is not None and comm.size > 1:
+        _complain("error", str(failure))
+        abort(comm, EXIT_BAD_INPUT)
+    if failure is not None:
+        raise failure

@@ -8,7 +8,7 @@ from signorini_fenicsx.data import Data, check_finite, project_data
 from signorini_fenicsx.domain import Domain
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.geometry import SHAPES, build_domain, estimated_cells, expected_cells, own_domain
+from signorini_fenicsx.geometry import build_domain, estimated_cells, expected_cells, own_domain
 from signorini_fenicsx.sampling import curve_gap
 from signorini_fenicsx.spaces import Spaces
 
@@ -44,11 +44,11 @@ def rough_cells(case: Case) -> float:
     """About how many cells the mesh of a case has, without making it; a file is read (rank 0).
 
     Raises:
-        InputError: If the file or its mesh cannot be used.
+        InputError: If the file or its mesh cannot be used, or there are too many.
     """
     geometry = case.geometry
     if geometry.shape is not None:
-        return estimated_cells(SHAPES[geometry.shape], case.solve.h)
+        return estimated_cells(geometry.shape, case.solve.h)
     return expected_cells(geometry.file or "", case.file_h)
 
 

@@ -108,12 +108,19 @@ class StudyFolder:
         return Status.RUNNING if (self.claims / run.name).exists() else Status.TODO
 
     def record(self, run: Run) -> Record:
-        """Read what a finished run has left."""
+        """Read what a finished run has left.
+
+        Raises:
+            InputError: If it has been damaged since.
+        """
         status = self.status(run)
         folder = self.place(run) if status is Status.DONE else failed_place(self.place(run))
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        own = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        return Record(status, summary, own["seconds"], own["ranks"])
+        try:
+            summary = dict(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+            own = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+            return Record(status, summary, float(own["seconds"]), int(own["ranks"]))
+        except (OSError, ValueError, TypeError, LookupError, RecursionError):
+            raise InputError(f"{folder}: is damaged; delete it, and the run will be done again") from None
 
     def forget_failures(self, runs: Sequence[Run]) -> None:
         """Let failed runs be tried again (rank 0)."""
