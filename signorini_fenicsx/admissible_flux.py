@@ -17,7 +17,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.mixed import flux_product
-from forms.norms import l2
 from signorini_fenicsx.algorithms import Penalty
 from signorini_fenicsx.backend import LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
@@ -25,32 +24,32 @@ from signorini_fenicsx.data import Data
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.samples import CellMetric
 from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.spaces import Spaces, assembled, cell_measures
+from signorini_fenicsx.spaces import Spaces, assembled
 
 type Array = npt.NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""A mass balance violated by less than this, relative to the norm of σ, is taken for rounding: L‖c‖/√κ counts for it."""
+"""L‖c‖/√κ of less than this part of ‖σ_h‖ is taken for rounding, and added to the bound as it is."""
 CORRECTIONS = 4
 """Solves after which c has to be rounding; one is enough but for linear solvers that stop early."""
 
 
 def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Function, float]:
-    """y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S, and at most how far it is from σ_h (collective).
+    """The flux y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
     Returns:
-        y, and ‖y − σ_h‖ with what rounding may add; infinite if c cannot be mended.
+        It, and ‖y − σ_h‖ with what rounding may add; infinite if c cannot be mended.
     """
     spaces, data = solution.spaces, solution.data
-    kappa_min = spaces.mesh.comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
-    constant = spaces.length() / np.sqrt(kappa_min)
+    comm, volume = spaces.mesh.comm, metric.volume
+    kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
+    constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
     y = _with_enough_flux(spaces, data, _without_penalty(solution))
     rounding = ROUNDING * np.sqrt(spaces.integrate(flux_product(y, y, data.kappa_h)))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
-        imbalance.x.array[:] = assembled((ufl.div(y) + data.f_h) * ufl.TestFunction(spaces.Q) * ufl.dx)
-        imbalance.x.array[:] /= cell_measures(spaces.Q)
-        left = constant * np.sqrt(spaces.integrate(l2(imbalance, ufl.dx)))
+        imbalance.x.array[:] = assembled((ufl.div(y) + data.f_h) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
+        left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
             return y, float(left + _distance(spaces, data, metric, y, solution.sigma))
         try:
@@ -62,9 +61,7 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
     return y, np.inf
 
 
-def _distance(
-    spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, sigma: fem.Function
-) -> float:
+def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
     """‖y − σ_h‖ ≤ ‖(low κ_h)^-½ (y − σ_h)‖ (collective)."""
     if y is sigma:
         return 0.0
@@ -84,7 +81,7 @@ def _without_penalty(solution: Solution) -> fem.Function:
 
 
 def _with_enough_flux(spaces: Spaces, data: Data, y: fem.Function) -> fem.Function:
-    """y with y·n raised to q_Sh where it is less (collective)."""
+    """The same flux with y·n raised to q_Sh where it is less (collective)."""
     negative = spaces.normal_flux(y) < data.q_Sh
     if not spaces.mesh.comm.allreduce(bool(negative.any()), MPI.LOR):
         return y
@@ -96,7 +93,7 @@ def _with_enough_flux(spaces: Spaces, data: Data, y: fem.Function) -> fem.Functi
 
 
 def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function) -> fem.Function:
-    """z of the module (collective).
+    """The flux z of the module (collective).
 
     Raises:
         LinearSolveFailure: If the solve fails.

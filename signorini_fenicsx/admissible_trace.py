@@ -26,10 +26,10 @@ from ufl.core.expr import Expr
 
 from forms.certificate import cut_off, reconstruction, second_moment
 from signorini_fenicsx.data import Data, is_constant
-from signorini_fenicsx.relaxation import Edges, Obstacle, all_edges, relax
-from signorini_fenicsx.samples import cell_values, facet_lattice, quadratic_nodes
+from signorini_fenicsx.relaxation import Obstacle, all_edges, relax
+from signorini_fenicsx.samples import CellMetric, cell_values, facet_lattice, quadratic_nodes
 from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, centroids
+from signorini_fenicsx.spaces import Spaces, assembled, centroids
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
@@ -62,12 +62,12 @@ class Trace:
     feasible: bool
 
 
-def admissible_trace(solution: Solution, y: fem.Function) -> Trace:
+def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) -> Trace:
     """The reconstruction, made continuous and admissible, with a small gap to y (collective)."""
     spaces, data = solution.spaces, solution.data
     mesh = spaces.mesh
     facet_dim = mesh.topology.dim - 1
-    v = _averaged(solution)
+    v = _averaged(solution, metric)
     space = v.function_space
     edges = all_edges(space)
     on_signorini = fem.locate_dofs_topological(space, facet_dim, spaces.facets)
@@ -86,7 +86,7 @@ def admissible_trace(solution: Solution, y: fem.Function) -> Trace:
         edges.to_bernstein(function.x.array)
     obstacle = Obstacle(edges, np.setdiff1d(on_signorini, on_dirichlet), mesh.topology.dim)
     obstacle.project(w.x.array)
-    relax(w, psi, y, spaces, data, on_dirichlet, obstacle)
+    relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
     v.x.array[:] = w.x.array + psi.x.array
     if is_constant(data.u_D) and is_constant(data.psi):
         return Trace(v, v, w, np.empty(0, dtype=np.int32), feasible)
@@ -94,7 +94,14 @@ def admissible_trace(solution: Solution, y: fem.Function) -> Trace:
 
 
 def _with_exact_data(
-    spaces: Spaces, data: Data, v: fem.Function, w: fem.Function, w_D: fem.Function, psi: fem.Function, *, feasible: bool
+    spaces: Spaces,
+    data: Data,
+    v: fem.Function,
+    w: fem.Function,
+    w_D: fem.Function,
+    psi: fem.Function,
+    *,
+    feasible: bool,
 ) -> Trace:
     """u_D and ψ themselves in the places of their interpolants (collective)."""
     mesh = spaces.mesh
@@ -129,6 +136,16 @@ def _with_exact_data(
     return Trace(v, bound + above, above, cells, feasible)
 
 
+def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:
+    """∫ (y·n − q_Sh) φ per node of this rank, the same for all nodes of a facet (collective)."""
+    nodes = facet_nodes(space, spaces)
+    per_node = spaces.facet_measure * (spaces.normal_flux(y) - data.q_Sh) / nodes.shape[1]
+    excess = fem.Function(space)
+    np.add.at(excess.x.array, nodes.ravel(), np.repeat(per_node, nodes.shape[1]))
+    excess.x.scatter_reverse(la.InsertMode.add)
+    return excess.x.array
+
+
 def facet_nodes(space: fem.FunctionSpace, spaces: Spaces) -> Indices:
     """Nodes of each Γ_S facet, shape (facets, nodes of a facet)."""
     points = facet_lattice(spaces.mesh, spaces.facets, 1)
@@ -158,7 +175,7 @@ def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
     return function
 
 
-def _averaged(solution: Solution) -> fem.Function:
+def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """The reconstruction, averaged over the cells around each node with weights κ_h: values, not yet coefficients.
 
     Collective.
@@ -168,9 +185,8 @@ def _averaged(solution: Solution) -> fem.Function:
     x = ufl.SpatialCoordinate(mesh)
     centroid = centroids(mesh)
     moment = fem.Function(spaces.Q)
-    moment.x.array[:] = assembled(
-        second_moment(centroid, x, kappa) * ufl.TestFunction(spaces.Q) * ufl.dx
-    ) / cell_measures(spaces.Q)
+    moment.x.array[:] = assembled(second_moment(centroid, x, kappa) * ufl.TestFunction(spaces.Q) * ufl.dx)
+    moment.x.array[:] /= metric.volume  # no ghost cells
     quadratic = reconstruction(solution.u, solution.sigma, centroid, moment, x, kappa)
 
     element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.data import Data, is_constant, quadrature
-from signorini_fenicsx.local_fluxes import FacetLoad, Projection, load_norms, projected
+from signorini_fenicsx.local_fluxes import OF_LOAD, FacetLoad, Projection, load_norms, projected
 from signorini_fenicsx.samples import CellMetric, FacetPoints, cell_values, facet_quadrature
 from signorini_fenicsx.spaces import Spaces
 
@@ -49,7 +49,7 @@ class ContactExcess:
 
 
 def water_filled(s: Array, weights: Array) -> Array:
-    """r of the module, for s of mean ≤ 0 in the points of a quadrature, shape (facets, points).
+    """The load r of the module, for s of mean ≤ 0 in the points of a quadrature, shape (facets, points).
 
     c is the largest of the numbers for which r would have mean 0 if it were −c in the k lowest points, as the largest
     of these means is that of r.
@@ -86,16 +86,17 @@ def load_oscillation(spaces: Spaces, data: Data, metric: CellMetric, flux: Array
 
 
 def _load(spaces: Spaces, data: Data) -> Projection | None:
-    """f − f_h on the owned cells, None if f is a number (collective)."""
+    """The load f − f_h on the owned cells, None if f is a number (collective)."""
     if is_constant(data.f):
         return None
     cell = spaces.mesh.basix_cell()
-    points, weights = basix.make_quadrature(cell, _degree(data.f**2))
+    positive = basix.QuadratureType.xiao_gimbutas  # weights: those of Keast's rules, the default, are not
+    points, weights = basix.make_quadrature(cell, _degree(data.f**2), positive)
     parts = [
-        projected(values - data.f_h.x.array[cells, None], cell, points, weights)
+        projected(values - data.f_h.x.array[cells, None], cell, OF_LOAD, points, weights)
         for cells, values in cell_values(spaces.mesh, data.f, points)
     ]
-    empty = projected(np.empty((0, len(points))), cell, points, weights)
+    empty = projected(np.empty((0, len(points))), cell, OF_LOAD, points, weights)
     coefficients, rests = zip(*((part.coefficients, part.rest) for part in [empty, *parts]), strict=True)
     return Projection(np.concatenate(coefficients), np.concatenate(rests))
 

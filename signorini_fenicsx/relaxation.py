@@ -1,9 +1,9 @@
 """Lowering the gap of v: a quadratic function of Bernstein's coefficients under lower bounds on Γ_S.
 
-A quadratic on an edge with the end values a, b ≥ 0 and Bernstein's coefficient m in between is a(1−t)² + 2mt(1−t) + bt²,
-which is ≥ 0 for 0 ≤ t ≤ 1 if and only if m ≥ −√(ab). On a triangle it is ≥ 0 if m ≥ −½√(ab) on each of the edges: in
-the variables √a λ_a its matrix, 1 on the diagonal and ≥ −½ elsewhere, is the sum of one with entries ≥ 0 and one that is
-positive semidefinite, 3/2 I − ½ 11ᵀ.
+A quadratic on an edge with the end values a, b ≥ 0 and Bernstein's coefficient m in between is a(1−t)² + 2mt(1−t) +
+bt², which is ≥ 0 for 0 ≤ t ≤ 1 if and only if m ≥ −√(ab). On a triangle it is ≥ 0 if m ≥ −½√(ab) on each of the edges:
+in the variables √a λ_a its matrix, 1 on the diagonal and ≥ −½ elsewhere, is the sum of one with entries ≥ 0 and of
+3/2 I − ½ 11ᵀ, which is positive semidefinite. (If a = 0, then m ≥ 0.)
 """
 
 from __future__ import annotations
@@ -16,21 +16,19 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
-from petsc4py import PETSc
+from ufl.core.expr import Expr
 
 from forms.crouzeix_raviart import stiffness
 from forms.mixed import flux_product
-from signorini_fenicsx.data import Data
-from signorini_fenicsx.spaces import Spaces, assembled
+from signorini_fenicsx.spaces import assembled
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
-STEPS = 5
-"""Of CG in the first round; each further one has twice as many as that before."""
-ROUNDS = 5
+STEPS, MOST_STEPS = 5, 80
+"""Of CG in the first round and in the last one; each has twice as many as that before."""
 WORTH = 0.05
-"""A round that gains less than this part of the gap is the last one."""
+"""There is a further round if it may gain this part of the gap: by steps like the last one, or what projection took."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Obstacle:
 
 
 def relax(
-    w: fem.Function, psi: fem.Function, y: fem.Function, spaces: Spaces, data: Data, fixed: Indices, obstacle: Obstacle
+    w: fem.Function, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array, fixed: Indices, obstacle: Obstacle
 ) -> None:
     """Lower ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
 
@@ -94,27 +92,30 @@ def relax(
         w: Bernstein's coefficients, within their bounds; changed in place.
         psi: I_hψ.
         y: In RT0.
-        spaces: The discrete spaces.
-        data: For κ_h and q_Sh.
+        kappa: κ_h.
+        excess: ∫ (y·n − q_Sh) φ per node φ of this rank.
         fixed: Nodes on Γ_D.
         obstacle: What holds on Γ_S.
     """
-    gap = _Gap(w.function_space, psi, y, spaces, data)
+    gap = _Gap(w.function_space, psi, y, kappa, excess)
     best = w.x.array.copy()
-    lowest, descent = gap.at(w)
-    for number in range(ROUNDS):
+    present, descent = gap.at(w)
+    lowest, steps = present, STEPS
+    while steps <= MOST_STEPS:
         size = len(descent)
         free = (w.x.array > obstacle.lower(w.x.array))[:size] | (descent > 0)
         free[fixed[fixed < size]] = False
-        w.x.array[:size] += gap.lowered(np.where(free, descent, 0.0), free, STEPS * 2**number)
+        change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
+        w.x.array[:size] += change
         w.x.scatter_forward()
         obstacle.project(w.x.array)
-        reached, descent = gap.at(w)
-        if reached < lowest:
-            best[:] = w.x.array
-        if not reached < (1 - WORTH) * lowest:
+        before, (present, descent) = present, gap.at(w)
+        if present < lowest:
+            best[:], lowest = w.x.array, present
+        taken_back = present - (before - gained)
+        steps *= 2
+        if taken_back + steps * last < WORTH * present:
             break
-        lowest = reached
     w.x.array[:] = best
     gap.destroy()
 
@@ -122,43 +123,47 @@ def relax(
 class _Gap:
     """The quadratic function of w, in the owned nodes."""
 
-    def __init__(self, space: fem.FunctionSpace, psi: fem.Function, y: fem.Function, spaces: Spaces, data: Data):
+    def __init__(self, space: fem.FunctionSpace, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-        self._matrix = assemble_matrix(fem.form(stiffness(trial, test, data.kappa_h)))
+        self._matrix = assemble_matrix(fem.form(stiffness(trial, test, kappa)))
         self._matrix.assemble()
         self._in, self._out = self._matrix.createVecs()
         self._diagonal = self._matrix.getDiagonal()
-        size = self._in.getLocalSize()
-        self._psi = psi.x.array[:size]
-        flux = ufl.inner(y, ufl.grad(test)) * ufl.dx
-        excess = ufl.dot(y - data.sigma_lift, spaces.n) * test * spaces.ds
-        self._of_flux, self._of_excess = assembled(flux)[:size], assembled(excess)[:size]
-        self._constant = spaces.integrate(flux_product(y, y, data.kappa_h)) / 2
         self._comm = space.mesh.comm
+        size = self._in.getLocalSize()
+        self._psi, self._excess = psi.x.array[:size], excess[:size]
+        self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
+        self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, kappa)))) / 2
 
     def at(self, w: fem.Function) -> tuple[float, Array]:
         """The gap, and how it falls with each node (collective)."""
         above = w.x.array[: len(self._psi)]
         v = above + self._psi
         stiff = self._times(v)
-        value = self._comm.allreduce(v @ (stiff / 2 - self._of_flux) + self._of_excess @ above)
-        return value + self._constant, self._of_flux - self._of_excess - stiff
+        value = self._comm.allreduce(v @ (stiff / 2 - self._flux) + self._excess @ above)
+        return value + self._constant, self._flux - self._excess - stiff
 
-    def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> Array:
-        """A change of the free nodes by some steps of CG, preconditioned by the diagonal (collective)."""
-        change = np.zeros_like(residual)
-        direction, size = np.zeros_like(residual), np.inf
+    def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> tuple[Array, float, float]:
+        """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).
+
+        Returns:
+            The change, by how much it lowers the gap, and by how much its last step does.
+        """
+        change, direction = np.zeros_like(residual), np.zeros_like(residual)
+        gained, last, size = 0.0, 0.0, np.inf
         for _ in range(steps):
             scaled = residual / self._diagonal.array_r
-            last, size = size, self._comm.allreduce(residual @ scaled)
+            earlier, size = size, self._comm.allreduce(residual @ scaled)
             if size == 0:
                 break
-            direction = scaled + size / last * direction
+            direction = scaled + size / earlier * direction
             image = np.where(free, self._times(direction), 0.0)
             length = size / self._comm.allreduce(direction @ image)
             change += length * direction
             residual = residual - length * image
-        return change
+            last = length * size / 2
+            gained += last
+        return change, gained, last
 
     def _times(self, values: Array) -> Array:
         """The matrix times values (collective)."""

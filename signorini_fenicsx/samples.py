@@ -114,9 +114,7 @@ def facet_lattice(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], parts:
     return _facet_points(mesh, facets, points, np.empty(0))
 
 
-def _facet_points(
-    mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], points: Array, weights: Array
-) -> FacetPoints:
+def _facet_points(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], points: Array, weights: Array) -> FacetPoints:
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
     mesh.topology.create_connectivity(dim, dim - 1)
@@ -155,27 +153,25 @@ def cell_metric(mesh: dolfinx.mesh.Mesh, data: Data) -> CellMetric:
     x = corners(mesh)[:number]
     jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
     kappa_h = _matrices(data.kappa_h, number, dim)
-    inverse = np.linalg.inv(kappa_h)
-    squares = [
-        np.einsum("ci,cij,cj->c", x[:, a] - x[:, b], inverse, x[:, a] - x[:, b])
-        for a in range(dim + 1)
-        for b in range(a)
-    ]
+    inverse = np.broadcast_to(np.linalg.inv(kappa_h), (number, dim, dim))
+    first, second = np.triu_indices(dim + 1, 1)
+    edges = x[:, first] - x[:, second]
+    squares = ((edges @ inverse) * edges).sum(axis=2)
     low = _lowest_ratio(mesh, data.kappa, inverse)
     return CellMetric(
         jacobian=jacobian,
         volume=np.abs(np.linalg.det(jacobian)) / math.factorial(dim),
         inverse=inverse,
-        diameter=np.sqrt(np.max(squares, axis=0)),
+        diameter=np.sqrt(squares.max(axis=1, initial=0.0)),
         low=low,
         kappa_min=low * np.linalg.eigvalsh(kappa_h)[:, 0],
     )
 
 
 def _matrices(kappa_h: Expr, number: int, dim: int) -> Array:
-    """κ_h as matrices, shape (cells, dim, dim)."""
+    """κ_h as matrices, shape (cells, dim, dim), or (1, dim, dim) if it is a number."""
     if is_constant(kappa_h):
-        return np.broadcast_to(float(kappa_h) * np.eye(dim), (number, dim, dim))
+        return float(kappa_h) * np.eye(dim)[None]
     entries = kappa_h.x.array.reshape(-1, *(kappa_h.ufl_shape or (1, 1)))[:number]
     return entries if kappa_h.ufl_shape else entries * np.eye(dim)
 
