@@ -143,7 +143,7 @@ def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpac
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), np.repeat(per_node, nodes.shape[1]))
     excess.x.scatter_reverse(la.InsertMode.add)
-    return excess.x.array
+    return np.asarray(excess.x.array, dtype=np.float64)
 
 
 def facet_nodes(space: fem.FunctionSpace, spaces: Spaces) -> Indices:
@@ -160,7 +160,7 @@ def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> 
     vector = largest.x.petsc_vec
     vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
     largest.x.scatter_forward()
-    return largest.x.array
+    return np.asarray(largest.x.array, dtype=np.float64)
 
 
 def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:

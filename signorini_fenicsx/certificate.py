@@ -1,17 +1,27 @@
 """A guaranteed bound of the energy error of a solution, computed from that solution alone.
 
-y = σ_h and a continuous v made of u_h and σ_h are admissible in the gap identity (see `forms.certificate`), but for
-what the data and the linear solver leave. All norms are those of the energy: ‖σ‖² = (κ⁻¹σ, σ), |∇w|² = (κ∇w, ∇w). With
-ũ the solution for the load −∇·y and the means of g_N and q_S, the identity gives |∇(v − ũ)| and ‖y − κ∇ũ‖ ≤ √(2 gap).
-g_N and q_S are loads like f: the variational inequality is (κ∇u, ∇(w − u)) ≥ (f, w − u) + (g_N, w − u) on Γ_N + (q_S, w
-− u) on Γ_S for all w ≥ ψ. So those of u and ũ, each tested with the other's solution, give |∇(u − ũ)| ≤ sup (r, w)/|∇w|
-over w = 0 on Γ_D with r the difference of the loads. As f + ∇·y = (f − f_h) + c with c constant on cells, that is at
-most osc + C_F‖c‖. Hence
+y ∈ RT0, σ_h or near it, and a continuous v made of u_h and σ_h are admissible in the gap identity of
+`forms.certificate`, but for the load that RT0 does not see. All norms are those of the energy: ‖σ‖² = (κ⁻¹σ, σ),
+|∇w|² = (κ∇w, ∇w).
 
-    |∇(v − u)| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + C_F‖c‖ + ‖y − σ_h‖ = bound.
+1. `admissible_flux`: ∇·y = −f_h, y·n = g_h on Γ_N, y·n at least the mean of q_S on each facet of Γ_S; remainder ≥
+   ‖y − σ_h‖.
+2. `oscillation`: r ≥ q_S − y·n on Γ_S, and osc with R(w) ≤ osc |∇w| for w = 0 on Γ_D, where R(w) = (f − f_h, w) +
+   ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S.
+3. `admissible_trace`: v = u_D on Γ_D, v ≥ ψ on Γ_S.
 
-With r ≠ 0 the identity itself has (r, u − v) ≤ (osc + C_F‖c‖)|∇(v − u)| on its right side too, and Young's
-inequality puts √(2 gap + osc²) in the place of √(2 gap) + osc for ‖σ − σ_h‖ alone.
+Let ũ be the solution for the loads −∇·y, y·n on Γ_N and q_S − r on Γ_S. For it v and y are admissible, with
+
+    gap = ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S,
+
+so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational inequality is (κ∇u, ∇(w − u)) ≥ (f, w − u) + ⟨g_N, w − u⟩ on
+Γ_N + ⟨q_S, w − u⟩ on Γ_S for all w ≥ ψ. That of u and that of ũ, each tested with the other's solution, give |∇(u − ũ)|
+≤ sup R(w)/|∇w| ≤ osc. Hence
+
+    |∇(v − u)| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder = bound.
+
+The identity itself has R(u − v) ≤ osc |∇(v − u)| on its right side if loads are those of u, and Young's inequality puts
+√(2 gap + osc²) in the place of √(2 gap) + osc for ‖σ − σ_h‖ alone.
 
 u is the solution of the Signorini problem itself, also if a penalty method was used, on the domain that the mesh
 covers: where the boundary is curved, on the polygon or polyhedron.
@@ -49,9 +59,9 @@ class Certificate:
     Attributes:
         bound: √(2 gap) + oscillation + remainder, for either error.
         sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
-        gap: ½‖κ∇v − y‖² + ⟨y·n − q_S, v − ψ⟩ on Γ_S.
-        oscillation: osc, see `forms.certificate`; of f in cells, of g_N and q_S on facets.
-        remainder: C_F‖c‖ + ‖y − σ_h‖, which the linear solver or a penalty leaves.
+        gap: ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S.
+        oscillation: osc; of f in cells, of g_N and q_S on facets.
+        remainder: ‖y − σ_h‖, which the linear solver or a penalty leaves, and what may be rounding.
         relative: bound/‖σ_h‖.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
         v: The continuous v in P2, before Dirichlet data that are not quadratic have been made exact.
@@ -97,7 +107,8 @@ def certify(solution: Solution) -> Certificate:
 
     total_gap, total_oscillation = comm.allreduce(np.array([twice_the_gap.sum() / 2, (oscillation**2).sum()])).tolist()
     bound = sigma_bound = np.inf
-    if trace.feasible and np.isfinite(total_gap):
+    if trace.feasible and np.isfinite(total_gap + total_oscillation):
+        total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
     size = np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, data.kappa_h)))

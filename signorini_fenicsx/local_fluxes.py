@@ -171,10 +171,7 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
         rest += points.per_cell(constant * np.sqrt(scale * projection.rest), number)
         at_facets[cells] = True
     norms = np.zeros(number)
-    for cells, kind in (
-        (np.flatnonzero(~at_facets), _reference(cell, at_facets=False)),
-        (np.flatnonzero(at_facets), reference),
-    ):
-        for some in np.array_split(cells, len(cells) // AT_ONCE + 1):
+    for chosen, kind in ((~at_facets, _reference(cell, at_facets=False)), (at_facets, reference)):
+        for some in np.array_split(np.flatnonzero(chosen), np.count_nonzero(chosen) // AT_ONCE + 1):
             norms[some] = _local_norms(kind, metric, some, moments[some, : kind.moments])
     return (norms + rest) / np.sqrt(metric.low)

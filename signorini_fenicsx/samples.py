@@ -42,7 +42,7 @@ def cell_values(mesh: dolfinx.mesh.Mesh, value: Expr, points: Array) -> Iterator
     expression = fem.Expression(_on_mesh(mesh, value), points)
     for first in range(0, number, AT_ONCE):
         cells = np.arange(first, min(first + AT_ONCE, number), dtype=np.int32)
-        values = expression.eval(mesh, cells)
+        values = np.asarray(expression.eval(mesh, cells), dtype=np.float64)
         yield slice(first, first + len(cells)), values.reshape(len(cells), len(points), *value.ufl_shape)
 
 
@@ -78,7 +78,8 @@ class FacetPoints:
             return np.full(shape, float(value))
         expression = fem.Expression(_on_mesh(self.mesh, value), self.points)
         entities = np.stack([self.cells, self.local], axis=1).astype(np.int32)
-        return expression.eval(self.mesh, entities).reshape(shape) if len(self.facets) > 0 else np.empty(shape)
+        values = expression.eval(self.mesh, entities) if len(self.facets) > 0 else np.empty(shape)
+        return np.asarray(values, dtype=np.float64).reshape(shape)
 
     @cached_property
     def scale(self) -> Array:
