@@ -72,14 +72,21 @@ class FacetPoints:
     weights: Array
 
     def values(self, value: Expr) -> Array:
-        """Shape (facets, points) (collective)."""
+        """Shape (facets, points) (collective).
+
+        As points of the cells: where DOLFINx has the points of a facet depends on the numbers of its vertices.
+        """
         shape = (len(self.facets), len(self.points))
         if is_constant(value):
             return np.full(shape, float(value))
-        expression = fem.Expression(_on_mesh(self.mesh, value), self.points)
-        entities = np.stack([self.cells, self.local], axis=1).astype(np.int32)
-        values = expression.eval(self.mesh, entities) if len(self.facets) > 0 else np.empty(shape)
-        return np.asarray(values, dtype=np.float64).reshape(shape)
+        cell = self.mesh.basix_cell()
+        reference = [basix.geometry(cell)[vertices] for vertices in basix.topology(cell)[-2]]
+        in_cell = np.stack([x[0] + self.points @ (x[1:] - x[0]) for x in reference])
+        expression = fem.Expression(_on_mesh(self.mesh, value), in_cell.reshape(-1, in_cell.shape[2]))
+        if len(self.facets) == 0:
+            return np.empty(shape)
+        values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
+        return values.reshape(len(self.facets), len(reference), -1)[np.arange(len(self.facets)), self.local]
 
     @cached_property
     def scale(self) -> Array:
