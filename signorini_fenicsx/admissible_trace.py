@@ -36,7 +36,8 @@ type Indices = npt.NDArray[np.int32]
 
 FAR_BELOW = 20.0
 """A quadratic function on a cell that is ≥ 0 on Γ_S falls from there by less than this times its largest nodal value:
-its Lebesgue constant is at most 2, and Markov's inequality allows a slope of 8 times its maximum."""
+its Lebesgue constant is at most 2, and Markov's inequality allows a slope of 8 times its maximum. The maximum in the
+module must not touch v there, nor on Γ_D, where u_D − ψ may fall faster: it is sampled."""
 SAMPLES = 12
 """Parts into which edges of facets are cut to find how far v is below ψ."""
 ROOM = 1.001, 2.0
@@ -111,8 +112,6 @@ def _with_exact_data(
     on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
     near_dirichlet.x.array[on_dirichlet] = 1.0
     near_signorini.x.array[fem.locate_dofs_topological(linear, facet_dim, spaces.facets)] = 1.0
-    largest = mesh.comm.allreduce(np.abs(w.x.array).max(initial=0.0), MPI.MAX)
-    floor.x.array[:] = -FAR_BELOW * largest * (1 - near_signorini.x.array)
 
     missed = ufl.as_ufl(0.0) if is_constant(data.psi) else data.psi - psi
     near, corners = near_dirichlet.x.array.copy(), facet_nodes(linear, spaces)
@@ -125,13 +124,18 @@ def _with_exact_data(
     above += cut_off(near_dirichlet, data.u_D - psi - kept - w_D)
     if not is_constant(data.psi):
         lacking = np.maximum(-facet_lattice(mesh, spaces.facets, SAMPLES).values(above).min(axis=1, initial=0.0), 0.0)
-        at_seam = np.isin(corners, on_dirichlet).any(axis=1)
+        fixed = np.isin(corners, on_dirichlet).any(axis=1)
         raised = fem.Function(linear)
-        raised.x.array[:] = _largest_around(linear, corners, np.where(at_seam, *ROOM[::-1]) * lacking)
+        raised.x.array[:] = _largest_around(linear, corners, np.where(fixed, *ROOM[::-1]) * lacking)
         raised.x.array[on_dirichlet] = 0.0
         above += raised
     cells = np.flatnonzero(near[linear.dofmap.list].any(axis=1)).astype(np.int32)
     bound = psi + cut_off(near_signorini, missed)
+    at_seam = near_signorini.x.array[linear.dofmap.list].any(axis=1)
+    on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
+    lowest = on_wall.among(at_seam).values(above).min(initial=0.0)
+    depth = mesh.comm.allreduce(max(FAR_BELOW * np.abs(w.x.array).max(initial=0.0), -2 * SAMPLES * lowest), MPI.MAX)
+    floor.x.array[:] = -depth * (1 - near_signorini.x.array)
     above = ufl.max_value(above, floor)
     return Trace(v, bound + above, above, cells, feasible)
 

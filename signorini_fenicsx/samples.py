@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import basix
@@ -87,6 +87,11 @@ class FacetPoints:
             return np.empty(shape)
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
         return values.reshape(len(self.facets), len(reference), -1)[np.arange(len(self.facets)), self.local]
+
+    def among(self, cells: npt.NDArray[np.bool_]) -> FacetPoints:
+        """Those of the facets that lie in some of the cells."""
+        chosen = cells[self.cells]
+        return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
     @cached_property
     def scale(self) -> Array:
