@@ -43,6 +43,13 @@ def rotated(ratio: float, degrees: float) -> list[list[str]]:
     return [[repr(float(entry)) for entry in row] for row in matrix]
 
 
+def spoilt(solution: Solution) -> Solution:
+    """The same with a flux that misses the balance by a thousandth."""
+    sigma = solution.sigma.copy()
+    sigma.x.array[:] *= 1 + 1e-3
+    return dataclasses.replace(solution, sigma=sigma)
+
+
 @pytest.mark.parametrize(
     ("n", "values", "sharp"),
     [
@@ -62,9 +69,7 @@ def test_near_the_error(n: int, values: dict[str, object], sharp: float):
 def test_without_dirichlet_part():
     """A flux that misses the balance by more than rounding is mended, also where nothing holds u but contact."""
     solution = solve(make(8, EVERYWHERE))
-    spoilt = solution.sigma.copy()
-    spoilt.x.array[:] *= 1 + 1e-3
-    exact, other = certify(solution), certify(dataclasses.replace(solution, sigma=spoilt))
+    exact, other = certify(solution), certify(spoilt(solution))
     assert exact.remainder < 1e-9 * exact.bound
     size = math.sqrt(solution.spaces.integrate(flux_product(solution.sigma, solution.sigma)))
     assert 0.5e-3 * size < other.remainder < 3e-3 * size
@@ -120,6 +125,6 @@ def test_ranks_do_not_matter():
     """Also for facets of other ranks at a vertex of Γ_S, loads on facets, and a solve that mends the balance."""
     general = {"problem__psi": "0.2*sin(40*x)*cos(30*y) - 0.1", "problem__u_D": "1", "boundary__neumann": ["top"]}
     general |= {"problem__q_S": "cos(20*x)", "problem__g_N": "sin(20*x)", "problem__kappa": rotated(100, 20)}
-    for case in (make(8, ["bottom", "left"], **general), make(8, EVERYWHERE, solve__algorithm="uzawa")):
-        together, alone = certify(solve(case, COMM)), certify(solve(case, MPI.COMM_SELF))
+    for case in (make(8, ["bottom", "left"], **general), make(8, EVERYWHERE)):
+        together, alone = (certify(spoilt(solve(case, comm))) for comm in (COMM, MPI.COMM_SELF))
         assert together.summary() == pytest.approx(alone.summary(), rel=1e-10, abs=1e-12)
