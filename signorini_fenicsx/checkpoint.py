@@ -25,6 +25,7 @@ from signorini_fenicsx.conditions import FacetConditions
 from signorini_fenicsx.discretisation import discrete_data
 from signorini_fenicsx.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.exchange import repair
 from signorini_fenicsx.gather import FacetTable, Fields
 from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.kkt import kkt_residuals
@@ -83,6 +84,7 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     everything: list[Arrays] = []
 
     def read() -> tuple[dict[str, Any], Arrays, int, float]:
+        repair(folder)
         about, arrays = _read(path)
         everything.append(arrays)
         facets = {key: arrays[key] for key in arrays if key.startswith("facet_")}

@@ -1,12 +1,14 @@
 """What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
 
 import gc
+import os
 import resource
 import sys
 import time
 import traceback
 from collections.abc import Callable
 from types import TracebackType
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -56,14 +58,21 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
         return
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
-            text = "".join(traceback.format_exception(kind, error, trace))
-            sys.__stderr__.write(f"error on rank {comm.rank}:\n{text}")
-            sys.__stderr__.flush()
-            time.sleep(FORWARDING)
-        comm.Abort(1)
+        text = "".join(traceback.format_exception(kind, error, trace))
+        end_all(comm, f"error on rank {comm.rank}:\n{text}")
 
     sys.excepthook = hook
+
+
+def end_all(comm: MPI.Comm, last_words: str) -> NoReturn:
+    """End all ranks with status 1 from the one that calls, whatever the others are doing."""
+    if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
+        sys.__stderr__.write(last_words)
+        sys.__stderr__.flush()
+    if comm.size > 1:
+        time.sleep(FORWARDING)
+        comm.Abort(1)
+    os._exit(1)
 
 
 class Stopwatch:
