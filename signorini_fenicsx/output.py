@@ -197,8 +197,8 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
     on_root(comm, lambda: _check_room(folder, sizes))
     try:
         _write_fields(solution, folder, certificate)
-    except RuntimeError as error:
-        raise WriteFailure(f"fields for ParaView: {error}") from None
+    except RuntimeError as error:  # as its cause it keeps the open file alive, whose end would abort the program
+        raise WriteFailure("the fields for ParaView cannot be written") from error
     on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
 
 
@@ -248,20 +248,26 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     u = fem.Function(linear, name="u")
     u.interpolate(solution.u)
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
-    with io.VTXWriter(comm, folder / "solution.bp", [sigma, u, magnitude]) as file:
-        file.write(0.0)
+    _write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.conditions.kind, "condition")
-    with io.VTXWriter(comm, folder / "multiplier.bp", [solution.p, flux, condition]) as file:
-        file.write(0.0)
+    _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition])
 
     sigma = centroid_flux(solution)
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
-    with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
-        file.write_mesh(mesh)
-        for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
-            file.write_function(function)
+    file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
+    file.write_mesh(mesh)
+    for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
+        file.write_function(function)
+    file.close()
+
+
+def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
+    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective)."""
+    file = io.VTXWriter(comm, path, functions)
+    file.write(0.0)
+    file.close()
 
 
 def _join_grids(path: Path) -> None:

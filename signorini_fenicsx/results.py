@@ -76,6 +76,8 @@ class ResultsFolder:
         if self._area is not None:
             if isinstance(error, OSError):
                 error.strerror = f"{error.strerror or error}{self._state_saved()}"
+                if Path(error.filename or self.path).is_relative_to(self.path):
+                    error.filename = str(self.target)  # the staging area is nothing that the user knows
             self._area.close()
 
     def publish(self, *, add: bool = False) -> None:

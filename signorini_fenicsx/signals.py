@@ -54,6 +54,13 @@ def listening() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def listen_again() -> None:
+    """Put the handlers that Python knows of back, when Gmsh has replaced them."""
+    with contextlib.suppress(ValueError):  # not in the main thread, where no handler is set
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPIPE):
+            signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)
+
+
 def _take(number: int, frame: FrameType | None) -> None:
     now = time.monotonic()
     if _Request.number == 0:
