@@ -87,6 +87,12 @@ def end_if_told(comm: MPI.Comm) -> None:
         raise LoopInterruption(number)
 
 
+def pass_on(error: Exception) -> None:
+    """Raise the interruption that is behind a library's error, if there is one: it came in a function it called."""
+    if isinstance(error.__cause__, Interruption):
+        raise error.__cause__
+
+
 @contextlib.contextmanager
 def postponed() -> Iterator[None]:
     """Let signals wait until the context ends."""
