@@ -12,8 +12,9 @@ than ever, and one at a time else (Júdice and Pires, Computers & Operations Res
 does from the first repetition on.
 """
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ from signorini_fenicsx.algorithms import Algorithm
 from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
+from signorini_fenicsx.signals import LoopInterruption
 from signorini_fenicsx.spaces import Spaces
 
 TIE = 1e-11
@@ -168,7 +170,20 @@ class Recorder(History):
             local = np.array([fem.assemble_scalar(form) for form in self._norms])
             sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
         self._last = iterate
-        self.append(conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped)
+        with reached(lambda: iterate, conditions, self.steps):
+            self.append(
+                conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped
+            )
+
+
+@contextlib.contextmanager
+def reached(iterate: Callable[[], Iterate], conditions: FacetConditions, history: list[Step]) -> Iterator[None]:
+    """Tell an interruption that comes with a step what the loop has reached (collective)."""
+    try:
+        yield
+    except LoopInterruption as interruption:
+        interruption.state = (iterate(), conditions, history)
+        raise
 
 
 class FluxClip:

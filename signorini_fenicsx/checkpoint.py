@@ -24,6 +24,7 @@ from signorini_fenicsx.data import Data
 from signorini_fenicsx.discretisation import discrete_data
 from signorini_fenicsx.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.exchange import repair
 from signorini_fenicsx.gather import FacetTable, Fields
 from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.kkt import TOLERANCE, KKTResiduals, kkt_residuals
@@ -87,6 +88,7 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     everything: list[Arrays] = []
 
     def read() -> tuple[About, Case, Arrays, int]:
+        repair(folder)
         found = read_checkpoint(path)
         everything.append(found.arrays)
         facets = {key: array for key, array in found.arrays.items() if key.startswith("facet_")}

@@ -17,6 +17,7 @@ from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.mesh_checks import FileMesh, check_boundary, diameters
 from signorini_fenicsx.mesh_files import MAX_CELLS, read_mesh_file
 from signorini_fenicsx.parallel import on_root
+from signorini_fenicsx.signals import listen_again
 
 BEND = 1.0
 """No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
@@ -405,6 +406,7 @@ def _longest_axis(points: Array) -> int:
 def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
     """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only)."""
     gmsh.initialize(readConfigFiles=False, interruptible=False)
+    listen_again()
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)

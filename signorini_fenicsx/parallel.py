@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Callable
 from types import TracebackType
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -79,21 +80,21 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
         return
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
-            text = "".join(traceback.format_exception(kind, error, trace))
-            sys.__stderr__.write(f"error on rank {comm.rank}:\n{text}")
-        abort(comm, 1)
+        text = "".join(traceback.format_exception(kind, error, trace))
+        end_all(comm, f"error on rank {comm.rank}:\n{text}")
 
     sys.excepthook = hook
 
 
-def abort(comm: MPI.Comm, status: int) -> None:
-    """End all ranks at once, once mpirun has passed on what this one said last."""
-    for stream in (sys.stderr, sys.__stderr__):
-        if stream is not None:
-            stream.flush()
-    time.sleep(FORWARDING)
-    comm.Abort(status)
+def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
+    """End all ranks from the one that calls, whatever the others are doing, once mpirun has passed on what it said."""
+    if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
+        sys.__stderr__.write(last_words)
+        sys.__stderr__.flush()
+    if comm.size > 1:
+        time.sleep(FORWARDING)
+        comm.Abort(status)
+    os._exit(status)
 
 
 class Stopwatch:

@@ -32,6 +32,7 @@ from signorini_fenicsx.prediction import (
     transferred,
     worth_predicting,
 )
+from signorini_fenicsx.signals import LoopInterruption
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, build_spaces
 
@@ -86,7 +87,10 @@ def solve(
     elif own_mesh and domain.mesh.topology.dim == 2 and worth_predicting(case, run.algorithm, spaces):
         contact = predicted_sets(case, run.algorithm, comm)  # in 3D so coarse a mesh sees too little for what it costs
     watch.lap("prediction")
-    outcome = run.outcome(contact, watch, on_step)
+    try:
+        outcome = run.outcome(contact, watch, on_step)
+    except LoopInterruption as interruption:
+        outcome = Outcome(*interruption.state, str(interruption), False, case.solve.backend, 0, "interrupted")
     watch.lap("solve")
 
     kkt = run.residuals(outcome)
