@@ -562,12 +562,12 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Unicode is no reason to fail
-    outlive_readers()
     command = typer.main.get_command(app)  # calling app itself would replace sys.excepthook
 
     def run() -> None:
         refuse_lone_copies(comm)
         _start_petsc(petsc_options, comm)
+        outlive_readers()
         command(args=arguments, prog_name="signorini")
 
     with listening():

@@ -1,6 +1,7 @@
 """From a case to what is solved: its mesh, its spaces and its data on them."""
 
 import numpy as np
+import ufl
 from mpi4py import MPI
 
 from signorini_fenicsx.case import Case

@@ -5,13 +5,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from mpi4py import MPI
-from test_cli import run, signorini
 
 from signorini_fenicsx import exchange
 from signorini_fenicsx.errors import InputError
@@ -68,7 +66,9 @@ def test_only_what_the_program_wrote_is_replaced(tmp_path: Path):
 
 def test_a_folder_of_an_earlier_version_has_no_list(tmp_path: Path):
     mine = {"photo.png": "mine", "run.json": "mine", "my.csv": "mine", "raw.bp/data.0": "mine"}
-    put(tmp_path / "x", mine | {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.idx": "1"})
+    put(
+        tmp_path / "x", mine | {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.idx": "1"}
+    )
     publish(tmp_path / "x", SECOND)
     assert found(tmp_path / "x") == mine | SECOND
 
@@ -170,7 +170,10 @@ def test_many_publishes_at_once_lose_nothing(tmp_path: Path):
         (lambda x: (x / "multiplier.bp").symlink_to(x.parent), "multiplier.bp: is in the way"),
         (lambda x: put(x, {"facets.csv/mine": "mine"}), "facets.csv: is in the way"),
         (lambda x: put(x, {exchange.MANIFEST: '["../photo.png"]'}), "is not the list"),
-        (lambda x: put(x, {exchange.MANIFEST: json.dumps({"written_by": "signorini_fenicsx", "files": ["../y"]})}), "list"),
+        (
+            lambda x: put(x, {exchange.MANIFEST: json.dumps({"written_by": "signorini_fenicsx", "files": ["../y"]})}),
+            "list",
+        ),
         (lambda x: put(x, {exchange.MANIFEST: "[" * 100000}), "is not the list"),
         (lambda x: x.with_name("x.failed").symlink_to(x), "is a link"),
     ],
