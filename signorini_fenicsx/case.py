@@ -347,8 +347,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not a TOML file: {error}") from None
+    except ValueError:  # Python reads no more than 4300 digits
+        raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None
 
 
 def load_case(name_or_path: str | Path) -> Case:
