@@ -167,7 +167,7 @@ BAD_INPUT = [
     (["solve", "example1", "--output", "full"], "is not empty"),
     (["solve", "example1", "--output", "/proc/signorini"], "cannot be written"),
     (["solve", "example1", "--output", "/"], "mount point"),
-    (["solve", "example1", "--output", "."], "current folder"),
+    (["solve", "example1", "--output", "."], "is not empty"),
     (["solve", "example1", "--output", "loop"], "loop"),
     (["solve", "full.toml"], "is a folder"),
     (["solve", "example1", "--set", "solve=1"], "must be a section"),
