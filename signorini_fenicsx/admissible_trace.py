@@ -173,7 +173,7 @@ def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
     if is_constant(value):
         function.x.array[:] = float(value)
         return function
-    for cells, values in cell_values(space.mesh, value, quadratic_nodes(space.mesh)):
+    for cells, values in cell_values(space.mesh, value, quadratic_nodes(space.mesh.basix_cell())):
         function.x.array[space.dofmap.list[cells]] = values
     function.x.scatter_forward()
     return function
@@ -198,7 +198,7 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
     of_cells = _weights(solution.data)
-    for cells, values in cell_values(mesh, quadratic, quadratic_nodes(mesh)):
+    for cells, values in cell_values(mesh, quadratic, quadratic_nodes(mesh.basix_cell())):
         weights = np.broadcast_to(of_cells[cells, None], values.shape)
         for function, summands in ((v, weights * values), (total, weights)):
             function.x.array[:] += np.bincount(nodes[cells].ravel(), summands.ravel(), len(function.x.array))
