@@ -1,4 +1,4 @@
-"""Gradients by the forward mode, over any algebra: NumPy's arrays or intervals."""
+"""Gradients by the forward mode, over any algebra: NumPy's arrays, intervals, or this one again for second derivatives."""
 
 from __future__ import annotations
 
@@ -66,6 +66,9 @@ class Differentiated:
         self._names = names
         self._places = len(next(iter(names.values())).values)
 
+    def constant(self, value: float) -> Dual:
+        return Dual((self._base.constant(value),) * self._places, {})
+
     def number(self, number: Number) -> Dual:
         return Dual((self._base.number(number),) * self._places, {})
 
@@ -111,6 +114,11 @@ class Differentiated:
     def choose(self, condition: tuple[Any, ...], then: Dual, otherwise: Dual) -> Dual:
         choices = zip(condition, then.values, otherwise.values, strict=True)
         values = tuple(self._base.choose(*choice) for choice in choices)
+        return Dual(values, self._chosen(self._base.jump, condition[0], then.gradient, otherwise.gradient))
+
+    def jump(self, condition: tuple[Any, ...], then: Dual, otherwise: Dual) -> Dual:
+        choices = zip(condition, then.values, otherwise.values, strict=True)
+        values = tuple(self._base.jump(*choice) for choice in choices)
         return Dual(values, self._chosen(self._base.jump, condition[0], then.gradient, otherwise.gradient))
 
     def _chosen(self, choose: Callable[..., Any], condition: Any, then: Gradient, otherwise: Gradient) -> Gradient:

@@ -64,10 +64,16 @@ FUNCTIONS: dict[str, Function] = {
     "sin": Function(1, 1, math.sin, ufl.sin, np.sin, intervals.sin, lambda m, a: (m.call("cos", [a]),)),
     "cos": Function(1, 1, math.cos, ufl.cos, np.cos, intervals.cos, lambda m, a: (-m.call("sin", [a]),)),
     "tan": Function(
-        1, 1, math.tan, ufl.tan, np.tan, intervals.tan, lambda m, a: (1.0 + _square(m, m.call("tan", [a])),)
+        1, 1, math.tan, ufl.tan, np.tan, intervals.tan, lambda m, a: (m.constant(1.0) + _square(m, m.call("tan", [a])),)
     ),
     "tanh": Function(
-        1, 1, math.tanh, ufl.tanh, np.tanh, intervals.tanh, lambda m, a: (1.0 - _square(m, m.call("tanh", [a])),)
+        1,
+        1,
+        math.tanh,
+        ufl.tanh,
+        np.tanh,
+        intervals.tanh,
+        lambda m, a: (m.constant(1.0) - _square(m, m.call("tanh", [a])),),
     ),
     # the angle in (−π, π], π where y = 0 and x < 0: −0 counts as 0 in every evaluation
     "atan2": Function(
@@ -80,8 +86,10 @@ FUNCTIONS: dict[str, Function] = {
         _angle_partials,
     ),
     "exp": Function(1, 1, math.exp, ufl.exp, np.exp, intervals.exp, lambda m, a: (m.call("exp", [a]),)),
-    "log": Function(1, 1, math.log, ufl.ln, np.log, intervals.log, lambda m, a: (1.0 / a,)),
-    "sqrt": Function(1, 1, math.sqrt, ufl.sqrt, np.sqrt, intervals.sqrt, lambda m, a: (0.5 / m.call("sqrt", [a]),)),
+    "log": Function(1, 1, math.log, ufl.ln, np.log, intervals.log, lambda m, a: (m.constant(1.0) / a,)),
+    "sqrt": Function(
+        1, 1, math.sqrt, ufl.sqrt, np.sqrt, intervals.sqrt, lambda m, a: (m.constant(0.5) / m.call("sqrt", [a]),)
+    ),
     "abs": Function(1, 1, abs, abs, np.abs, _exact(intervals.absolute)),
     "min": Function(2, 10, min, ufl.min_value, np.minimum, _exact(intervals.smaller)),
     "max": Function(2, 10, max, ufl.max_value, np.maximum, _exact(intervals.larger)),

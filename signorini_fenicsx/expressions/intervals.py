@@ -109,6 +109,11 @@ class Interval:
         """Bound of the absolute value, infinite where nothing is known."""
         return np.nan_to_num(np.maximum(-self.lo, self.hi), nan=np.inf, posinf=np.inf)
 
+    @property
+    def smallest(self) -> Array:
+        """Lower bound of the absolute value, 0 where nothing is known."""
+        return np.fmax(np.fmax(self.lo, -self.hi), 0.0) * ~np.isnan(self.lo + self.hi)
+
     def hull(self, other: Interval) -> Interval:
         """The smallest interval that contains both."""
         return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
