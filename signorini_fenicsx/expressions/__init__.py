@@ -7,10 +7,12 @@ function of the language is one row of the table in `functions`.
 from signorini_fenicsx.expressions.evaluation import interval, interval_and_gradient, values, values_and_gradient
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.symbolic import to_ufl
-from signorini_fenicsx.expressions.tree import Tree
+from signorini_fenicsx.expressions.tree import TREES, Tree, exactly
 
 __all__ = [
+    "TREES",
     "Tree",
+    "exactly",
     "interval",
     "interval_and_gradient",
     "parse_expression",

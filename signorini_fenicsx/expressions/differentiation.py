@@ -1,4 +1,4 @@
-"""Gradients by the forward mode, over any algebra: NumPy's arrays, intervals, or this one again for second derivatives."""
+"""Gradients by the forward mode, over any algebra: arrays, intervals, or this one again for second derivatives."""
 
 from __future__ import annotations
 

@@ -82,6 +82,8 @@ class Intervals(_Logic):
         return enclosing(value)
 
     def number(self, number: Number) -> Interval:
+        if number.below == number.above:
+            return enclosing(number.value)
         return Interval(np.asarray(number.below), np.asarray(number.above))
 
     def coordinate(self, name: str) -> Interval:

@@ -9,6 +9,7 @@ NaN at an end says that nothing is known: the expression may be undefined there.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -42,6 +43,10 @@ def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
     return total, (a - (total - part)) + (b - part)
 
 
+def _extremes(candidates: list[Array]) -> tuple[Array, Array]:
+    return functools.reduce(np.minimum, candidates), functools.reduce(np.maximum, candidates)
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """All numbers from lo to hi, arrays of one shape; ±inf where unbounded, NaN where nothing is known."""
@@ -67,16 +72,14 @@ class Interval:
         if other is self:
             return _size_power(absolute(self), 2)
         other = enclosing(other)
-        products = [a * b for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
-        lowest, highest = np.minimum.reduce(products), np.maximum.reduce(products)
+        lowest, highest = _extremes([a * b for a in self._ends for b in other._ends])
         exact = self.is_zero | other.is_zero
         return Interval(np.where(exact, lowest, _down(lowest)), np.where(exact, highest, _up(highest)))
 
     def __truediv__(self, other: Interval | float) -> Interval:
         other = enclosing(other)
-        quotients = [a / b for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
+        lowest, highest = _extremes([a / b for a in self._ends for b in other._ends])
         unknown = np.where(~((other.lo > 0) | (other.hi < 0)), np.nan, 0.0)
-        lowest, highest = np.minimum.reduce(quotients), np.maximum.reduce(quotients)
         exact = self.is_zero
         return Interval(
             np.where(exact, lowest, _down(lowest)) + unknown, np.where(exact, highest, _up(highest)) + unknown
@@ -93,6 +96,10 @@ class Interval:
 
     def __rtruediv__(self, other: float) -> Interval:
         return enclosing(other) / self
+
+    @property
+    def _ends(self) -> tuple[Array, ...]:
+        return (self.lo,) if self.lo is self.hi else (self.lo, self.hi)
 
     @property
     def is_zero(self) -> Mask:

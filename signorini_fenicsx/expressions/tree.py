@@ -92,6 +92,15 @@ type Tree = Number | Coordinate | Negative | Binary | Call | Conditional
 type Condition = Comparison | And | Or | Not
 
 
+TREES = Number | Coordinate | Negative | Binary | Call | Conditional
+"""For isinstance."""
+
+
+def exactly(value: float) -> Number:
+    """The number that a float is."""
+    return Number(float(value), float(value), float(value))
+
+
 class Algebra(Protocol):
     """What a tree is evaluated in. Its values have + − * / and the unary −.
 
