@@ -18,15 +18,17 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.data import Problem
+from signorini_fenicsx.data import Given, Problem
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import parse_expression, parse_number
+from signorini_fenicsx.expressions import Tree, parse_expression, parse_number, read
 from signorini_fenicsx.geometry import SHAPES, Shape
 from signorini_fenicsx.mesh_files import is_geometry
 from signorini_fenicsx.shipped import case_names, data_folder
+
+MAX_BITS = 1023
+"""Of an integer: larger ones are no floats."""
 
 
 def _number(value: object) -> object:
@@ -186,21 +188,22 @@ class ProblemTexts(_Section):
             found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
         return found
 
-    def on(self, x: ufl.SpatialCoordinate) -> Problem:
-        """The data in these coordinates.
+    def read(self, dim: int) -> Problem:
+        """The data in this dimension.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        f, u_D, g_N, psi, q_S = (parse_expression(getattr(self, key), x) for key in ("f", "u_D", "g_N", "psi", "q_S"))
+        names = "xyz"[:dim]
+        f, u_D, g_N, psi, q_S = (read(getattr(self, key), names) for key in ("f", "u_D", "g_N", "psi", "q_S"))
 
-        def conductivity(text: str | list[list[str]]) -> Expr:
-            if isinstance(text, str):
-                return parse_expression(text, x)
-            return ufl.as_matrix([[parse_expression(entry, x) for entry in row] for row in text])
+        def conductivity(text: str | list[list[str]]) -> Tree | list[list[Tree]]:
+            return (
+                read(text, names) if isinstance(text, str) else [[read(entry, names) for entry in row] for row in text]
+            )
 
         if isinstance(self.kappa, dict):
-            kappa: Expr | dict[str, Expr] = {region: conductivity(text) for region, text in self.kappa.items()}
+            kappa: Given | dict[str, Given] = {region: conductivity(text) for region, text in self.kappa.items()}
         else:
             kappa = conductivity(self.kappa)
         return Problem(f=f, kappa=kappa, u_D=u_D, g_N=g_N, psi=psi, q_S=q_S)
@@ -322,11 +325,26 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: If it cannot be read.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        _check_integers(tree, [])
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not a TOML file: {error}") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
+    except OverflowError as error:
+        raise InputError(f"{path}: {error}; numbers are at most 1e308") from None
+    except ValueError:  # Python reads no more than 4300 digits
+        raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None
+    return tree
+
+
+def _check_integers(value: object, keys: list[str]) -> None:
+    """Refuse integers that are no floats: 0xfff… may be of any length."""
+    if isinstance(value, dict | list):
+        for key, entry in value.items() if isinstance(value, dict) else enumerate(value, 1):
+            _check_integers(entry, [*keys, str(key)])
+    elif isinstance(value, int) and value.bit_length() > MAX_BITS:
+        raise OverflowError(f"{_shown('.'.join(keys))}: an integer of {value.bit_length()} bits")
 
 
 def load_case(name_or_path: str | Path) -> Case:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import basix
 import basix.ufl
@@ -16,11 +17,14 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, cells_and_dofs
 
 type Array = npt.NDArray[np.float64]
-type Given = float | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; a UFL expression on the mesh, also a `fem.Function`; or a function of points of shape (3, n)."""
+type Rows = Sequence[Sequence[Tree]]
+type Given = float | Tree | Rows | Expr | Callable[[Array], npt.ArrayLike]
+"""A number; an expression that was read, or a matrix of them; a UFL expression on the mesh, also a `fem.Function`; or a
+function of points of shape (3, n)."""
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
@@ -71,6 +75,8 @@ class Data:
         q_Sh: Mean of q_S per Γ_S facet of this rank.
         stiffness: Mean of κ over L, so the σ·n that goes with p = 1.
         total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
+        trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
+            regions has names such as "kappa.core".
     """
 
     f: Expr
@@ -87,6 +93,7 @@ class Data:
     q_Sh: Array
     stiffness: float
     total_load: float
+    trees: Mapping[str, Tree | Rows]
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
@@ -135,7 +142,18 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         q_Sh=q_Sh,
         stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
         total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
+        trees=_trees(problem),
     )
+
+
+def _trees(problem: Problem) -> dict[str, Tree | Rows]:
+    given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S")}
+    if isinstance(problem.kappa, Mapping):
+        given |= {f"kappa.{region}": value for region, value in problem.kappa.items()}
+    else:
+        given["kappa"] = problem.kappa
+    trees = {name: exactly(value) if isinstance(value, int | float) else value for name, value in given.items()}
+    return {name: value for name, value in trees.items() if isinstance(value, TREES | tuple | list)}
 
 
 def quadrature(value: Expr) -> dict[str, int]:
@@ -164,8 +182,13 @@ def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = T
     """UFL of what was given; functions of points become piecewise quadratic, those that may jump by inner points."""
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
+    x = ufl.SpatialCoordinate(spaces.mesh)
     if isinstance(given, Expr):
         value = given
+    elif isinstance(given, TREES):
+        value = to_ufl(given, x)
+    elif isinstance(given, tuple | list):
+        value = ufl.as_matrix([[to_ufl(entry, x) for entry in row] for row in given])
     elif callable(given):
         probe = np.asarray(given(np.zeros((3, 1))))
         variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre

@@ -1,7 +1,6 @@
 """From a case to what is solved: its mesh, its spaces and its data on them."""
 
 import numpy as np
-import ufl
 from mpi4py import MPI
 
 from signorini_fenicsx.case import Case
@@ -19,7 +18,7 @@ def discrete_data(case: Case, spaces: Spaces) -> Data:
     Raises:
         InputError: If one of them cannot be used, see `project_data`.
     """
-    return project_data(spaces, case.problem.on(ufl.SpatialCoordinate(spaces.mesh)))
+    return project_data(spaces, case.problem.read(spaces.mesh.geometry.dim))
 
 
 def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
