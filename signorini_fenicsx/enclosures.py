@@ -41,7 +41,7 @@ CHUNK = 20000
 def cell_vertices(mesh: Mesh) -> Array:
     """Vertices of the owned cells, shape (cells, d + 1, d)."""
     dim = mesh.geometry.dim
-    cells = mesh.geometry.dofmap[: mesh.topology.index_map(dim).size_local]
+    cells = mesh.geometry.dofmaps[0][: mesh.topology.index_map(dim).size_local]
     return np.array(mesh.geometry.x[cells, :dim])
 
 

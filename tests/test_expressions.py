@@ -15,6 +15,7 @@ from signorini_fenicsx.expressions import (
     interval_and_gradient,
     parse_expression,
     parse_number,
+    polynomial_degree,
     read,
     values,
     values_and_gradient,
@@ -187,6 +188,7 @@ BOX = {"x": Interval(np.array([0.25]), np.array([0.5])), "y": Interval(np.array(
         ("atan2(0*x, -x)", math.pi, math.pi),
         ("5 if x <= 0.5 else 7", 5.0, 5.0),
         ("5 if x == 0.3 else 7", 5.0, 7.0),
+        ("5 if sqrt(x - 0.3) < 2 else 7", 5.0, 7.0),
         ("5 if x != 0.7 else 7", 5.0, 5.0),
         ("5 if not x < 0.3 or y > 9 else 7", 5.0, 7.0),
     ],
@@ -223,3 +225,17 @@ def test_gradients():
     assert [(g.lo[0], g.hi[0]) for g in kink] == [(0, 0), (-1, 1)]
     jump = interval_and_gradient(read("1 if y > 0 else 2", "xy"), BOX)[1]
     assert [(g.lo[0], g.hi[0]) for g in jump] == [(-np.inf, np.inf)] * 2
+
+
+def test_polynomials():
+    degrees = {
+        "2^(1/2)*pi": 0,
+        "-x*(y + 1/3)^3/sin(2)": 4,
+        "x^2 + x*y*2^x": None,
+        "1/x": None,
+        "x^0.5": None,
+        "abs(y)": None,
+    }
+    degrees |= {"x^-2": None, "1 if x > 0 else 1": None, "(x^2)^3": 6, "max(1, 2)": 0}
+    for text, degree in degrees.items():
+        assert polynomial_degree(read(text, "xy")) == degree, text

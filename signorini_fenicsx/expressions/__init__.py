@@ -7,7 +7,7 @@ function of the language is one row of the table in `functions`.
 from signorini_fenicsx.expressions.evaluation import interval, interval_and_gradient, values, values_and_gradient
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.symbolic import to_ufl
-from signorini_fenicsx.expressions.tree import TREES, Tree, exactly
+from signorini_fenicsx.expressions.tree import TREES, Tree, exactly, polynomial_degree
 
 __all__ = [
     "TREES",
@@ -17,6 +17,7 @@ __all__ = [
     "interval_and_gradient",
     "parse_expression",
     "parse_number",
+    "polynomial_degree",
     "read",
     "to_ufl",
     "values",

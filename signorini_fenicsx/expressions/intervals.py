@@ -222,7 +222,8 @@ def tanh(elementary: Elementary, a: Interval) -> Interval:
 def sqrt(_: Elementary, a: Interval) -> Interval:
     """The square root; nothing is known where a may be negative."""
     lo, hi = np.sqrt(a.lo), np.sqrt(a.hi)
-    return Interval(np.where(lo == 0, 0.0, _down(lo)), np.where(hi == 0, 0.0, _up(hi)))
+    roots = Interval(np.where(lo == 0, 0.0, _down(lo)), np.where(hi == 0, 0.0, _up(hi)))
+    return UNKNOWN.where(a.lo < 0, roots)
 
 
 def absolute(a: Interval) -> Interval:

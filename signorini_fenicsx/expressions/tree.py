@@ -162,3 +162,29 @@ def _holds(condition: Condition, algebra: Algebra) -> Any:
             return functools.reduce(join, (_holds(operand, algebra) for operand in operands))
         case Not(operand=operand):
             return algebra.opposite(_holds(operand, algebra))
+
+
+def polynomial_degree(tree: Tree) -> int | None:
+    """The degree of what is a polynomial by its look; None for anything else."""
+    match tree:
+        case Number():
+            return 0
+        case Coordinate():
+            return 1
+        case Negative(operand=operand):
+            return polynomial_degree(operand)
+        case Binary(sign=sign, left=left, right=right):
+            a, b = polynomial_degree(left), polynomial_degree(right)
+            if a is None or b is None:
+                return None
+            if sign == "^" and isinstance(right, Number) and right.value.is_integer():
+                return a * int(right.value)
+            if sign == "*":
+                return a + b
+            if sign in "+-":
+                return max(a, b)
+            return a if sign == "/" and b == 0 else 0 if a == b == 0 else None
+        case Call(arguments=arguments):
+            return 0 if all(polynomial_degree(argument) == 0 for argument in arguments) else None
+        case Conditional():
+            return None
