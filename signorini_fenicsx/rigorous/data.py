@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal, Self
 
 import numpy as np
 
-from signorini_fenicsx.enclosures import CAP, Quadratic, constant, edges, enclose, quadratic
+from mpi4py import MPI
+
+from signorini_fenicsx.data import Rows
+from signorini_fenicsx.enclosures import enclose
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval, values
 from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, enclosing
+from signorini_fenicsx.expressions.quadratics import Quadratic, constant, edges, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
@@ -24,12 +29,8 @@ from signorini_fenicsx.rigorous.simplices import (
     with_midpoints,
 )
 
-FINE = 1e-9
-"""What is left of the data below this share of their size is not worth more boxes."""
-SLOPE = 1e-3
-"""The same for gradients."""
-SLOPE_CAP = 64
-"""Parts of a cell at Γ_D: the gradient of smooth data needs few."""
+FINE = {"mean": 1e-5, "norm": 1e-9, "tilt": 1e-3}
+"""What is left of the data below this share of their size, or of their slope, is not worth more boxes."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +40,28 @@ class Deviation:
     Attributes:
         nodes: p in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
         mean: Mean of e − p.
+        norm: Upper bound of the root mean square of e − p.
         largest: Upper bound of |e − p|.
         slope: Upper bound of |∇(e − p)|.
+        tilt: Upper bound of the root mean square of |∇(e − p)|.
     """
 
     nodes: Interval
     mean: Interval
+    norm: Array
     largest: Array
     slope: Array
+    tilt: Array
 
 
 def deviation(
-    tree: Tree, vertices: Array, elementary: Elementary, *, degree: int = 2, wanted: Array | None = None
+    tree: Tree,
+    vertices: Array,
+    elementary: Elementary,
+    *,
+    by: Literal["mean", "norm", "tilt"] = "norm",
+    degree: int = 2,
+    wanted: Array | None = None,
 ) -> Deviation:
     """Enclose an expression on simplices, shape (n, k + 1, d).
 
@@ -58,9 +69,9 @@ def deviation(
         tree: The expression.
         vertices: Of the simplices.
         elementary: Proven bounds of exp, sin, ….
+        by: What is bisected for.
         degree: Of p, 1 or 2.
-        wanted: Values that p should have in the nodes of P2, NaN where it takes those of the expression; then the
-            gradient is what is bisected for.
+        wanted: Values that p should have in the nodes of P2, NaN where it takes those of the expression.
     """
     dim = vertices.shape[1] - 1
     corners = enclosing(vertices)
@@ -73,12 +84,10 @@ def deviation(
         sampled[:, dim + 1 :] = (sampled[:, ends[0]] + sampled[:, ends[1]]) / 2
     p = _polynomial(vertices, sampled, linear=degree == 1)
     size = float(np.nan_to_num(np.abs(sampled)).max(initial=0.0))
-    by_slope = wanted is not None
     extent = float(np.ptp(vertices.reshape(-1, vertices.shape[-1]), axis=0).max()) if vertices.size else 1.0
-    tolerance = np.full(len(vertices), SLOPE * size / extent if by_slope else FINE * size)
-    cap = SLOPE_CAP if by_slope else CAP
-    found = enclose(tree, vertices, p, tolerance, scale=0.0, by_slope=by_slope, cap=cap, elementary=elementary)
-    return Deviation(_in_nodes(p, vertices, x), found.mean, found.sup, found.slope)
+    tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
+    found = enclose(tree, vertices, p, tolerance, MPI.COMM_SELF, scale=0.0, by=by, elementary=elementary)
+    return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt)
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
@@ -88,7 +97,8 @@ def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
         lowest = interval(tree, point, elementary).lo
     else:
         p = constant(np.zeros(len(vertices)), vertices.shape[2])
-        lowest = enclose(tree, vertices, p, np.zeros(len(vertices)), scale=0.0, elementary=elementary).range.lo
+        none = np.zeros(len(vertices))
+        lowest = enclose(tree, vertices, p, none, MPI.COMM_SELF, scale=0.0, elementary=elementary).range.lo
     return np.where(np.isnan(lowest), -np.inf, lowest)
 
 
@@ -117,7 +127,8 @@ class Given:
 
     Attributes:
         f, u_D, g_N, psi, q_S: As `data.Problem` has them.
-        kappa: κ as a matrix of trees, one row and column for a scalar; by region, or under "" for all of Ω.
+        kappa: κ as a matrix of trees, one row and column for a scalar; by region, or under "" for all of Ω. What is below
+            the diagonal is not looked at: it is taken for what is above.
         elementary: Proven bounds of exp, sin, ….
     """
 
@@ -126,8 +137,26 @@ class Given:
     g_N: Tree
     psi: Tree
     q_S: Tree
-    kappa: Mapping[str, Sequence[Sequence[Tree]]]
+    kappa: Mapping[str, Rows]
     elementary: Elementary
+
+    @classmethod
+    def of(cls, trees: Mapping[str, Tree | Rows], elementary: Elementary) -> Self:
+        """What `data.Data.trees` has.
+
+        Raises:
+            InputError: If something is no expression.
+        """
+        names = ("f", "u_D", "g_N", "psi", "q_S")
+        kappa = {
+            name.removeprefix("kappa").removeprefix("."): value if isinstance(value, tuple | list) else [[value]]
+            for name, value in trees.items()
+            if name.startswith("kappa")
+        }
+        missing = [name for name in names if name not in trees] + ["kappa"] * (not kappa)
+        if missing:
+            raise InputError(f"no rigorous bound: {', '.join(missing)} must be an expression, as in a case file")
+        return cls(**{name: trees[name] for name in names}, kappa=kappa, elementary=elementary)  # type: ignore[arg-type]
 
     def conductivity(self, cells: Simplices, discrete: Discrete) -> Conductivity:
         """κ on all cells.
@@ -137,18 +166,23 @@ class Given:
         """
         names, inside = discrete.regions
         count, size = len(cells.vertices), max(len(rows) for rows in self.kappa.values())
-        corners = Interval(np.zeros((count, cells.dim + 1, size, size)), np.zeros((count, cells.dim + 1, size, size)))
+        corners = Interval(*np.zeros((2, count, cells.dim + 1, size, size)))
         deviations = np.zeros((count, size, size))
+        known = np.zeros(count, dtype=bool)
         for region, rows in self.kappa.items():
             chosen = np.arange(count) if region == "" else np.flatnonzero(inside[:, names.index(region)])
-            for i in range(size):
-                for j in range(size):
-                    if len(rows) == 1 < size and i != j:
-                        continue
-                    found = deviation(rows[i % len(rows)][j % len(rows)], cells.vertices[chosen], self.elementary, degree=1)
-                    corners.lo[chosen, :, i, j] = found.nodes.lo[:, : cells.dim + 1]
-                    corners.hi[chosen, :, i, j] = found.nodes.hi[:, : cells.dim + 1]
-                    deviations[chosen, i, j] = found.largest
+            known[chosen] = True
+            for i, j in itertools.combinations_with_replacement(range(size), 2):
+                if len(rows) == 1 < size and i != j:
+                    continue
+                tree = rows[i % len(rows)][j % len(rows)]
+                found = deviation(tree, cells.vertices[chosen], self.elementary, degree=1)
+                for k, m in ((i, j), (j, i)):
+                    corners.lo[chosen, :, k, m] = found.nodes.lo[:, : cells.dim + 1]
+                    corners.hi[chosen, :, k, m] = found.nodes.hi[:, : cells.dim + 1]
+                    deviations[chosen, k, m] = found.largest
+        if not known.all():
+            raise InputError("no rigorous bound: kappa must be an expression in all regions, as in a case file")
         return Conductivity(cells, corners, root(total(total(squared(enclosing(deviations))))).hi)
 
 
@@ -170,10 +204,11 @@ class Conductivity:
         """
         self._corners, self._deviation = corners, deviation
         size = corners.lo.shape[-1]
-        try:
-            lower = np.linalg.inv(np.linalg.cholesky(corners.lo.mean(axis=1)))
-        except np.linalg.LinAlgError:
-            raise InputError("no rigorous bound: kappa is not positive definite") from None
+        middle = corners.lo.mean(axis=1)
+        smallest = np.linalg.eigvalsh(middle).min(axis=1)
+        if not (smallest > 0).all():
+            raise InputError(f"no rigorous bound: kappa is not positive {_near(cells.vertices, smallest)}")
+        lower = np.linalg.inv(np.linalg.cholesky(middle))
         self._half = enclosing(np.swapaxes(lower, -1, -2))
         self._half_size = total(total(squared(self._half)))
         scaled = _product(_product(enclosing(lower[:, None]), corners), at(self._half, np.s_[:, None]))
@@ -183,8 +218,8 @@ class Conductivity:
             least = (1.0 - root(total(total(squared(scaled - np.eye(size))))).hi).min(axis=1)
         self.theta = enclosing(least) - self._half_size * deviation
         if not (self.theta.lo > 0).all():
-            where = ", ".join(f"{x:.4g}" for x in cells.vertices[np.argmin(self.theta.lo)].mean(axis=0))
-            raise InputError(f"no rigorous bound: kappa varies too much within the cell at ({where}); choose a smaller h")
+            where = _near(cells.vertices, self.theta.lo)
+            raise InputError(f"no rigorous bound: kappa varies too much within a cell {where}; choose a smaller h")
         largest = root(total(total(squared(corners)))).hi.max(axis=1)
         self.root_largest = root(enclosing(largest) + deviation)
         self._cells = cells
@@ -208,6 +243,11 @@ class Conductivity:
         pairs = itertools.combinations(range(self._cells.dim + 1), 2)
         squares = [total(squared(at(x, np.s_[:, i]) - at(x, np.s_[:, j]))) for i, j in pairs]
         return root(Interval(np.max([a.lo for a in squares], axis=0), np.max([a.hi for a in squares], axis=0)))
+
+
+def _near(vertices: Array, values: Array) -> str:
+    """Words for the simplex whose value is smallest or NaN."""
+    return f"near ({', '.join(f'{x:.4g}' for x in vertices[np.argmin(values)].mean(axis=0))})"
 
 
 def _product(a: Interval, b: Interval) -> Interval:

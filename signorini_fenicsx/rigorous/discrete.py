@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -84,7 +85,12 @@ def boundary(discrete: Discrete, kind: int) -> Facets:
 
 
 def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
-    """A solution and a function in P2 on rank 0, cells in the order in which the mesh was made; None elsewhere (collective)."""
+    """A solution and a function in P2 on rank 0, None elsewhere; cells in the order in which the mesh was made (collective).
+
+    Args:
+        solution: The solution.
+        v: By Bernstein's coefficients, as `certificate.Certificate` has it.
+    """
     spaces, mesh = solution.spaces, solution.spaces.mesh
     comm, dim = mesh.comm, mesh.topology.dim
     cells = mesh.topology.index_map(dim).size_local
@@ -106,15 +112,32 @@ def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
     numbers = whole["corners"]
     facets = np.stack([np.sort(np.delete(numbers, i, axis=1), axis=1) for i in range(dim + 1)], axis=1)
     _, facet = np.unique(facets.reshape(-1, dim), axis=0, return_inverse=True)
+    facet = facet.reshape(-1, dim + 1)
     return Discrete(
-        vertices=whole["vertices"].reshape(-1, dim + 1, dim),
+        vertices=_alike(numbers, whole["vertices"].reshape(-1, dim + 1, dim)),
         corners=numbers,
-        facets=facet.reshape(-1, dim + 1),
+        facets=facet,
         kinds=whole["kinds"],
-        fluxes=whole["fluxes"],
-        v=whole["v"],
+        fluxes=np.sign(whole["fluxes"]) * _alike(facet, np.abs(whole["fluxes"])),
+        v=_nodal(numbers, whole["v"]),
         regions=(tuple(spaces.domain.regions), whole["inside"].astype(bool)),
     )
+
+
+def _alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The first of the values of each number, for all: ranks might have floats that differ by rounding."""
+    _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
+    return values.reshape(-1, *values.shape[2:])[first][own.reshape(numbers.shape)]
+
+
+def _nodal(corners: Indices, coefficients: Array) -> Array:
+    """Values in the nodes of P2, those of two cells the same floats, from Bernstein's coefficients."""
+    dim = corners.shape[1] - 1
+    ends = np.array(EDGES[dim]).T
+    vertices = _alike(corners, coefficients[:, : dim + 1])
+    pairs = np.sort(corners[:, ends], axis=1)
+    of_edges = _alike(pairs[:, 0] << 32 | pairs[:, 1], coefficients[:, dim + 1 :])
+    return np.column_stack([vertices, of_edges / 2 + (vertices[:, ends[0]] + vertices[:, ends[1]]) / 4])
 
 
 def _outward_fluxes(solution: Solution, cells: int) -> Array:

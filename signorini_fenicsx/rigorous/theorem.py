@@ -13,7 +13,7 @@ How. `certificate` has the argument; here each of its ingredients is exact.
 - *κ.* With L in floats and LᵀκL ≥ θ > 0 on T, ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) + (κ − κ̃)∇v with κ̃ the
   linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: so Poincaré's
   constant for energy norms is ĥ/(π√θ), and the trace constant of `forms.certificate` takes ĥ/√θ for h_T/√κ_T.
-- *Data.* Enclosures over parts of cells and facets give means, and sup |e − p| with p linear or quadratic.
+- *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
 """
 
 from __future__ import annotations
@@ -99,12 +99,12 @@ def prove(discrete: Discrete, given: Given) -> Proven:
 
 
 def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval, Interval]:
-    """∫_T f, and a bound of constant ‖f − its mean‖_T: ‖f − c‖ ≤ ‖p − c‖ + sup|f − p| √|T| for any number c."""
-    f = deviation(given.f, cells.vertices, given.elementary)
+    """∫_T f, and a bound of constant ‖f − its mean‖_T: ‖f − c‖ ≤ ‖p − c‖ + ‖f − p‖ for any number c."""
+    f = deviation(given.f, cells.vertices, given.elementary, by="mean")
     nodes = f.nodes
     middle = mean(nodes, cells.dim)
     spread = root(square_norm(cells, nodes - at(middle, np.s_[:, None])))
-    return cells.measure * (middle + f.mean), constant * (spread + root(cells.measure) * f.largest)
+    return cells.measure * (middle + f.mean), constant * (spread + root(cells.measure) * f.norm)
 
 
 def _boundary_fluxes(
@@ -121,7 +121,7 @@ def _boundary_fluxes(
         facets = boundary(discrete, kind)
         if len(facets.cells) == 0:
             continue
-        g = deviation(tree, facets.corners, given.elementary)
+        g = deviation(tree, facets.corners, given.elementary, by="mean")
         dim = discrete.dim - 1
         wanted = facets.measure * (mean(g.nodes, dim) + g.mean)
         place = (facets.cells, facets.local)
@@ -132,7 +132,7 @@ def _boundary_fluxes(
             wanted = enclosing(discrete.fluxes[place]).where(kept, wanted)
         lo[place], hi[place] = wanted.lo, wanted.hi
         coefficients = bernstein(g.nodes, dim)
-        spread = (enclosing(coefficients.hi.max(axis=1)) - coefficients.lo.min(axis=1)) / 2.0 + g.largest
+        spread = (enclosing(coefficients.hi.max(axis=1)) - coefficients.lo.min(axis=1)) / 2.0 + g.norm
         np.add.at(oscillation, facets.cells, (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi)
         oscillation[facets.cells] = np.nextafter(oscillation[facets.cells], np.inf)
     return Interval(lo, hi), excess, enclosing(oscillation)

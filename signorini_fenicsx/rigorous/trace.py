@@ -36,9 +36,11 @@ from signorini_fenicsx.rigorous.simplices import (
     gradient_in_vertices,
     mean,
     root,
+    square_norm,
     squared,
     stacked,
     total,
+    with_midpoints,
 )
 
 type Mask = npt.NDArray[np.bool_]
@@ -114,7 +116,7 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
     near = np.flatnonzero(on_dirichlet[:, : dim + 1].any(axis=1))
     if len(near) > 0:
         kept = np.where(on_dirichlet[near], discrete.v[near], np.nan)
-        found = deviation(given.u_D, discrete.vertices[near], given.elementary, wanted=kept)
+        found = deviation(given.u_D, discrete.vertices[near], given.elementary, by="tilt", wanted=kept)
         missed = enclosing(np.where(np.isnan(kept), 0.0, kept)) - found.nodes.where(~np.isnan(kept), enclosing(0.0))
         chi = on_dirichlet[near, : dim + 1]
         hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
@@ -122,9 +124,13 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
         steep = Interval(steep.lo, np.where(chi.all(axis=1), 0.0, steep.hi))  # there χ = 1
         near_cells = cells.some(near)
         sup = (enclosing(found.largest) + bernstein(missed, dim).largest.max(axis=1)).hi
-        tilt = root(total(squared(gradient_in_vertices(near_cells, missed)))).hi.max(axis=1)
-        size[near], slope[near] = sup, (enclosing(found.slope) + tilt).hi
-        extra[near] = (root(near_cells.measure) * (enclosing(slope[near]) + steep * sup)).hi
+        gradient = gradient_in_vertices(near_cells, missed)
+        steepest = root(total(squared(gradient))).hi.max(axis=1)
+        size[near], slope[near] = sup, (enclosing(found.slope) + steepest).hi
+        bent = root(square_norm(near_cells, with_midpoints(gradient)))
+        flat = root(square_norm(near_cells, missed))
+        whole = root(near_cells.measure)
+        extra[near] = (bent + whole * found.tilt + steep * (flat + whole * found.norm)).hi
     return _Correction(extra, size, slope)
 
 
