@@ -9,6 +9,10 @@ by the mean value theorem, both as hulls over the vertices; what the box itself 
 G = G_m ± δ and V = Σ_v (x_v − c)(x_v − c)ᵀ/((k + 1)(k + 2)), the covariance of x on a simplex of dimension k, the mean
 of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its root mean square at most √(d(c)² + G_m·V G_m) +
 Σ δ_i √V_ii. Where a condition is undecided, ∇e is unknown, and d is in the hull of both branches.
+
+With proven bounds of elementary functions all this is proven, rounding included: intervals are rounded outward, the
+other sums of products have a slack that refers to the sum of absolute values, and `Places` tells by how much c and x_v are
+off the exact ones. That c is not the centroid, by e, adds G·e, and that V is of stored vertices less than 3 |G|·pad.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from mpi4py import MPI
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.intervals import WHOLE, Array, Elementary, FromNumPy, Interval, Mask, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic
-from signorini_fenicsx.expressions.simplices import ROUNDING, Parts, all_changes, evaluated, stacked
+from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, evaluated, slack, stacked
 
 CAP = 1000
 """Boxes that one simplex may cost."""
@@ -61,6 +65,7 @@ class Enclosure:
         norm: Upper bound of the root mean square of d, which is ‖d‖/|T|^½ in L².
         sup: Upper bound of |d|.
         slope: Upper bound of |∇d|, along T and across it.
+        tilt: Upper bound of the root mean square of |∇d|.
         range: All values of e lie in it.
         resolved: Where the bisection came to an end before its cap.
         place: Centroid of the part of a simplex that adds most to the upper bound of ‖d‖, shape (n, d).
@@ -71,6 +76,7 @@ class Enclosure:
     norm: Array
     sup: Array
     slope: Array
+    tilt: Array
     range: Interval
     resolved: Mask
     place: Array
@@ -85,14 +91,14 @@ def enclose(
     comm: MPI.Comm,
     *,
     scale: float,
-    by: Literal["norm", "sup", "slope"] = "norm",
+    by: Literal["norm", "sup", "slope", "mean", "tilt"] = "norm",
     elementary: Elementary | None = None,
 ) -> Enclosure:
     """Enclose an expression less a quadratic on simplices, each by itself (collective).
 
-    A simplex is resolved where the upper bound of the root mean square of d is below the tolerance, or not much above a
-    lower bound; or that of |d| or |∇d| is below the tolerance. What was reached elsewhere is valid too. Nothing depends
-    on the number of ranks.
+    A simplex is resolved where the upper bound of the root mean square of d, or of |∇d|, is below the tolerance, or not
+    much above a lower bound; or that of |d| or |∇d|, or the width of the mean, is below the tolerance. What was reached
+    elsewhere is valid too. Nothing depends on the number of ranks.
 
     Args:
         tree: The expression, in x, y and, in 3D, z.
@@ -101,7 +107,7 @@ def enclose(
         tolerance: For each simplex, shape (n,).
         comm: The ranks.
         scale: Size of the whole domain: decides what is rounding in the place of a discontinuity; 0: nothing is.
-        by: What the tolerance is for: `Enclosure.norm`, `sup` or `slope`.
+        by: What the tolerance is for: `Enclosure.norm`, `sup`, `slope`, `tilt` or the width of `mean`.
         elementary: Bounds of sin, exp, …; by default those of NumPy.
     """
     algebra = elementary or FromNumPy()
@@ -130,8 +136,9 @@ def enclose(
             parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
 
 
-MEAN_LO, MEAN_HI, SQUARE, LEAST, SUP, SLOPE, LO, HI = range(8)
-"""Columns of what is known of a part: d's mean, mean square from above and below, |d|, |∇d|; e's range."""
+MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, LO, HI = range(11)
+"""Columns of what is known of a part: d's mean and its absolute value, the mean square of d and of |∇d| from above and
+below, |d|, |∇d|; e's range."""
 
 
 class _Bisection:
@@ -141,8 +148,9 @@ class _Bisection:
         n = len(vertices)
         self._tolerance = tolerance
         self._bounded = {"sup": SUP, "slope": SLOPE}.get(by)
+        self._above, self._below = {"mean": (MEAN_HI, MEAN_LO), "tilt": (STEEP, FLAT)}.get(by, (SQUARE, LEAST))
         self._cost = np.ones(n, dtype=np.int64)
-        self._sums = np.zeros((n, 3))
+        self._sums = np.zeros((n, 5))
         self._most = np.zeros((n, 2))
         self._range = np.tile([np.inf, -np.inf], (n, 1))
         self._resolved = np.ones(n, dtype=bool)
@@ -156,10 +164,13 @@ class _Bisection:
             gap = np.where(bound <= self._tolerance[own], 0.0, bound)
             needy = np.bincount(own, gap > 0, n) > 0
         else:
-            gap = parts.share * (known[:, SQUARE] - known[:, LEAST])
-            upper = np.bincount(own, parts.share * known[:, SQUARE], n)
-            close = np.isfinite(upper) & (np.bincount(own, gap, n) <= CLOSE * upper)
-            needy = ~(close | (upper <= self._tolerance**2))
+            gap = parts.share * (known[:, self._above] - known[:, self._below])
+            left = np.bincount(own, gap, n)
+            if self._above == MEAN_HI:
+                needy = ~(left <= self._tolerance)
+            else:
+                upper = np.bincount(own, parts.share * known[:, self._above], n)
+                needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= self._tolerance**2))
         largest = np.zeros(n)
         np.maximum.at(largest, own, gap)
         cut = needy[own] & (gap >= WORST * largest[own])
@@ -174,7 +185,7 @@ class _Bisection:
         """Sum up all parts of simplices that are done."""
         own, n = parts.own, len(self._cost)
         self._resolved[own[unresolved]] = False
-        for column, name in enumerate((MEAN_LO, MEAN_HI, SQUARE)):
+        for column, name in enumerate((MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)):
             self._sums[:, column] += np.bincount(own, parts.share * known[:, name], n)
         for column, name in enumerate((SUP, SLOPE)):
             np.maximum.at(self._most[:, column], own, known[:, name])
@@ -184,14 +195,16 @@ class _Bisection:
         self._place[own[order]] = parts.vertices[order].mean(axis=1)
 
     def result(self) -> Enclosure:
-        """The sums, inflated by their rounding."""
-        norm = np.sqrt(self._sums[:, 2]) * (1 + ROUNDING)
-        rounding = ROUNDING * np.abs(self._sums[:, :2]).max(axis=1)
+        """The sums, inflated by their rounding: boxes are not fewer than the additions."""
+        rounding = self._cost * 2.0**-52
+        mean_lo, mean_hi, mean, *squares = self._sums.T
+        norm, tilt = (np.sqrt(square) * (1 + rounding) for square in squares)
         return Enclosure(
-            mean=Interval(self._sums[:, 0] - rounding, self._sums[:, 1] + rounding),
+            mean=Interval(mean_lo - rounding * mean, mean_hi + rounding * mean),
             norm=norm,
             sup=self._most[:, 0],
             slope=self._most[:, 1],
+            tilt=tilt,
             range=Interval(self._range[:, 0], self._range[:, 1]),
             resolved=self._resolved & np.isfinite(norm),
             place=self._place,
@@ -201,54 +214,73 @@ class _Bisection:
 
 def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, scale: float, elementary: Elementary) -> Array:
     """What one box each says of the parts of simplices."""
-    centre, arms = parts.centred()
-    e = evaluated(tree, parts, scale, elementary)
+    places = parts.within(simplices)
+    e = evaluated(tree, places, scale, elementary)
 
     # p in the centres, and how it changes from there
-    offset = centre - simplices[parts.own].mean(axis=1)
-    hessian = p.hessian[parts.own]
+    gradient, hessian = p.gradient[parts.own], p.hessian[parts.own]
+    steepness, curvature = np.abs(gradient), np.abs(hessian)
+    offset = places.centre - simplices[parts.own].mean(axis=1)
     bend = np.einsum("nij,nj->ni", hessian, offset)
-    slope = p.gradient[parts.own] + bend
-    rise = ((p.gradient[parts.own] + bend / 2) * offset).sum(axis=1)
-    value = p.value[parts.own] + rise
-    noise = ROUNDING * (np.abs(p.value[parts.own]) + np.abs(rise))
-    turn = np.einsum("nij,nvj->nvi", hessian, arms)
-    reach = np.abs(arms).max(axis=1)
-    arch = np.einsum("ni,nij,nj->n", reach, np.abs(hessian), reach) / 2
+    value = p.value[parts.own] + ((gradient + bend / 2) * offset).sum(axis=1)
+    distance = np.abs(offset)
+    bent = np.einsum("nij,nj->ni", curvature, distance)
+    size = np.abs(p.value[parts.own]) + ((steepness + bent) * distance).sum(axis=1)
+    p_here = _around(value, slack(size, size > 0))
+    reach = np.abs(places.arms).max(axis=1)
+    turned = np.einsum("nij,nj->ni", curvature, reach)
+    slope = _around(gradient + bend, slack(steepness + bent, steepness + curvature.sum(axis=2) > 0))
+    turns = np.einsum("nij,nvj->nvi", hessian, places.arms)
+    blur = slack(turned, turned > 0) + (1 + ROUNDING) * curvature.sum(axis=2) * places.pad
+    turn = Interval(turns.min(axis=1) - blur, turns.max(axis=1) + blur)
+    arch = (turned + 3 * curvature.sum(axis=2) * places.pad) * (reach + 3 * places.pad)
+    arch = (1 + ROUNDING) * arch.sum(axis=1) / 2
 
     # ∇d, d(c) and d
-    curved = stacked([all_changes(h - enclosing(hessian[:, i]), arms) for i, h in enumerate(e.hessian)])
-    over_box = Interval(e.gradient.lo - slope - turn.max(axis=1), e.gradient.hi - slope - turn.min(axis=1))
-    G = over_box.meet(e.middle_gradient - enclosing(slope) + curved)
-    at_centre = e.middle - enclosing(value) + Interval(-noise, noise)
-    change_of_p = all_changes(enclosing(slope), arms) + Interval(-arch, arch)
-    d = (e.value - enclosing(value) - change_of_p + Interval(-noise, noise)).meet(at_centre + all_changes(G, arms))
-    return _summary(d, at_centre, G, arms, e.value.meet(e.middle + all_changes(e.gradient, arms)))
+    curved = stacked([places.all_changes(h - enclosing(hessian[:, i])) for i, h in enumerate(e.hessian)])
+    G = (e.gradient - slope - turn).meet(e.middle_gradient - slope + curved)
+    at_centre = e.middle - p_here
+    d = (e.value - p_here - places.all_changes(slope) - Interval(-arch, arch)).meet(at_centre + places.all_changes(G))
+    return _summary(d, at_centre, G, places, e.value.meet(e.middle + places.all_changes(e.gradient)))
 
 
-def _summary(d: Interval, at_centre: Interval, G: Interval, arms: Array, every: Interval) -> Array:
+def _around(value: Array, radius: Array) -> Interval:
+    return Interval(value - radius, value + radius)
+
+
+def _summary(d: Interval, at_centre: Interval, G: Interval, places: Places, every: Interval) -> Array:
     """The columns, from d and d(c), ∇d and e."""
+    arms, reach = places.arms, np.abs(places.arms).max(axis=1)
     corners = arms.shape[1]
-    covariance = np.einsum("nvi,nvj->nij", arms, arms) / (corners * (corners + 1))
-    deviation = np.sqrt(np.einsum("nii->ni", covariance))
+    count = corners * (corners + 1)
+    deviation = np.sqrt((arms**2).sum(axis=1) / count)
     half = (G.hi + G.lo) / 2
     radius = np.maximum(G.hi - half, half - G.lo)
-    rest = (radius * deviation).sum(axis=1) * (1 + ROUNDING)
-    tilt = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", half, covariance, half), 0.0))
+    rest = (radius * deviation + G.largest * (4 * places.pad + ROUNDING * reach)).sum(axis=1) * (1 + ROUNDING)
+    rest += np.where((G.largest > 0).any(axis=1), TINY, 0.0)
+    tilt = np.sqrt((np.einsum("nvi,ni->nv", arms, half) ** 2).sum(axis=1) / count)
     mean = d.meet(at_centre + Interval(-rest, rest))
     norm = np.fmin(d.largest, np.hypot(at_centre.largest, tilt) + rest) * (1 + ROUNDING)
     least = np.fmax(mean.smallest, np.hypot(at_centre.smallest, tilt) - rest)
     mean = mean.where(~np.isnan(mean.lo + mean.hi), WHOLE)
     every = every.where(~np.isnan(every.lo + every.hi), WHOLE)
-    slope = np.sqrt((G.largest**2).sum(axis=1)) * (1 + ROUNDING)
+    steep = _square(G.largest).sum(axis=1) * (1 + ROUNDING)
     columns = [
         mean.lo,
         mean.hi,
-        norm**2,
+        mean.largest,
+        _square(norm),
         np.minimum(np.fmax(least, 0.0), norm) ** 2,
+        steep,
+        (G.smallest**2).sum(axis=1),
         d.largest,
-        slope,
+        np.sqrt(steep) * (1 + ROUNDING),
         every.lo,
         every.hi,
     ]
     return np.stack(columns, axis=1)
+
+
+def _square(a: Array) -> Array:
+    """a², more than 0 where a is."""
+    return np.maximum(a * a * (1 + ROUNDING), np.where(a > 0, TINY, 0.0))

@@ -17,7 +17,9 @@ from signorini_fenicsx.expressions.tree import Tree, evaluate
 NEAR = 1e-12
 """Distance, relative to the size of the domain, at which a mesh fits a discontinuity of the data."""
 ROUNDING = 1e-13
-"""Relative size of what the arithmetic outside of the intervals leaves."""
+"""What sums of up to 100 products may leave by rounding, relative to the sum of their absolute values: 450 times 2⁻⁵²."""
+TINY = 1e-300
+"""More than what underflow leaves of such a sum that is not 0."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,15 @@ class Parts:
     own: np.ndarray[tuple[int], np.dtype[np.int64]]
     share: Array
 
-    def centred(self) -> tuple[Array, Array]:
-        """Centroids, and the vertices as seen from there."""
-        centre = self.vertices.mean(axis=1)
-        return centre, self.vertices - centre[:, None]
+    def within(self, simplices: Array) -> Places:
+        """Where they are; the vertices are those of all simplices."""
+        whole = simplices[self.own]
+        generations = -np.log2(self.share)
+        pad = ((generations + 4) * np.spacing(np.abs(whole).max(axis=(1, 2))))[:, None]
+        lo = np.maximum(self.vertices.min(axis=1) - pad, whole.min(axis=1))
+        hi = np.minimum(self.vertices.max(axis=1) + pad, whole.max(axis=1))
+        centre = np.clip(self.vertices.mean(axis=1), lo, hi)
+        return Places(centre, self.vertices - centre[:, None], pad, Interval(lo, hi))
 
     def take(self, which: slice | Mask) -> Parts:
         """Some of them."""
@@ -57,12 +64,41 @@ class Parts:
         return Parts(np.concatenate([first, second]), own, share)
 
 
+@dataclass(frozen=True)
+class Places:
+    """Where parts are, whose exact vertices are bisection's of the floats that are those of the simplex.
+
+    Rounding of a midpoint adds at most a unit in the last place M of the simplex's largest coordinate, so what is stored
+    is off by at most one M per generation. pad has four more for rounding of the centroid. The exact part lies in the
+    box, that of the stored vertices with the pad, but not more than that of the simplex.
+
+    Attributes:
+        centre: A float in the box, off the exact centroid by at most the pad, shape (n, d).
+        arms: Vertices as seen from there, off by at most the pad and a relative rounding, shape (n, k + 1, d).
+        pad: Shape (n, 1).
+        box: Shape (n, d).
+    """
+
+    centre: Array
+    arms: Array
+    pad: Array
+    box: Interval
+
+    def changes(self, slope: Interval) -> Interval:
+        """slope·arm for each exact arm, shape (n, k + 1)."""
+        return _changes(slope, self.arms, self.pad)
+
+    def all_changes(self, slope: Interval) -> Interval:
+        """All values of slope·(x − c) on the exact parts."""
+        return _hull(self.changes(slope))
+
+
 class _OnSimplices(Differentiated):
     """Values, gradients and Hessians over boxes, values and gradients in centres; conditions by the mean value form."""
 
-    def __init__(self, inner: Differentiated, names: Mapping[str, Dual], arms: Array, near: Array):
+    def __init__(self, inner: Differentiated, names: Mapping[str, Dual], places: Places, near: Array):
         super().__init__(inner, names)
-        self._arms = arms
+        self._where = places
         self._near = near
 
     def compare(self, sign: str, left: Dual, right: Dual) -> tuple[Any, ...]:
@@ -71,11 +107,11 @@ class _OnSimplices(Differentiated):
         difference = left - right
         if not difference.gradient:
             return over_box, at_centre
-        shape = (len(self._arms),)
+        shape = (len(self._where.pad),)
         box, centre = (value.values[0].on(shape) for value in difference.values)
         slopes = [difference.gradient[name].values[0].on(shape) for name in difference.gradient]
         axes = [list(self._names).index(name) for name in difference.gradient]
-        changes = _changes(stacked(slopes), self._arms[:, :, axes])
+        changes = _changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
         all_values = box.meet(centre + _hull(changes))
         change = np.fmax.reduce(np.maximum(changes.lo, -changes.hi), axis=1)
         varies = change > 0
@@ -98,21 +134,22 @@ def stacked(columns: Sequence[Interval]) -> Interval:
     return Interval(np.stack([a.lo for a in columns], axis=1), np.stack([a.hi for a in columns], axis=1))
 
 
-def _changes(slope: Interval, arms: Array) -> Interval:
-    """slope·arm for each arm, shape (n, arms)."""
+def _changes(slope: Interval, arms: Array, pad: Array) -> Interval:
     ends = [end[:, None, :] * arms for end in (slope.lo, slope.hi)]
     lo, hi = np.minimum(*ends), np.maximum(*ends)
-    rounding = ROUNDING * np.maximum(np.abs(lo), np.abs(hi)).sum(axis=2)
-    return Interval(lo.sum(axis=2) - rounding, hi.sum(axis=2) + rounding)
+    steepness = np.maximum(np.abs(slope.lo), np.abs(slope.hi))[:, None, :]
+    left = slack((steepness * np.abs(arms)).sum(axis=2), steepness.sum(axis=2) > 0)
+    left = left + (1 + ROUNDING) * (steepness * pad[:, None]).sum(axis=2)
+    return Interval(lo.sum(axis=2) - left, hi.sum(axis=2) + left)
+
+
+def slack(size: Array, some: Mask) -> Array:
+    """What rounding and underflow leave of sums of products whose absolute values sum up to this, some of them not 0."""
+    return np.asarray(ROUNDING * size + np.where(some, TINY, 0.0))
 
 
 def _hull(changes: Interval) -> Interval:
     return Interval(changes.lo.min(axis=1), changes.hi.max(axis=1))
-
-
-def all_changes(slope: Interval, arms: Array) -> Interval:
-    """All values of slope·(x − c) on the simplices."""
-    return _hull(_changes(slope, arms))
 
 
 @dataclass(frozen=True)
@@ -141,19 +178,17 @@ class Local:
         )
 
 
-def evaluated(tree: Tree, parts: Parts, scale: float, elementary: Elementary) -> Local:
+def evaluated(tree: Tree, places: Places, scale: float, elementary: Elementary) -> Local:
     """A tree over boxes with first and second derivatives, and in centres with first ones."""
-    centre, arms = parts.centred()
-    pad = 4 * np.spacing(np.abs(parts.vertices).max(axis=(1, 2)))[:, None]  # midpoints are rounded
-    lo, hi = parts.vertices.min(axis=1) - pad, parts.vertices.max(axis=1) + pad
+    centre, lo, hi = places.centre, places.box.lo, places.box.hi
     names = "xyz"[: centre.shape[1]]
     near = NEAR * scale / np.maximum((hi - lo).max(axis=1), 1e-300)
     one = enclosing(1.0)
-    places = {name: (Interval(lo[:, i], hi[:, i]), enclosing(centre[:, i])) for i, name in enumerate(names)}
-    inner = Differentiated(Intervals({}, elementary), {name: Dual((box,), {}) for name, (box, _) in places.items()})
+    both_of = {name: (Interval(lo[:, i], hi[:, i]), enclosing(centre[:, i])) for i, name in enumerate(names)}
+    inner = Differentiated(Intervals({}, elementary), {name: Dual((box,), {}) for name, (box, _) in both_of.items()})
     variables = {
         name: Dual(tuple(Dual((a,), {name: one}) for a in both), {name: Dual((one,), {})})
-        for name, both in places.items()
+        for name, both in both_of.items()
     }
-    found: Dual = evaluate(tree, _OnSimplices(inner, variables, arms, near))
+    found: Dual = evaluate(tree, _OnSimplices(inner, variables, places, near))
     return Local.of(found, len(centre), names)
