@@ -46,7 +46,7 @@ from signorini_fenicsx.admissible_trace import Trace, admissible_trace
 from signorini_fenicsx.data import Data, is_constant, quadrature, scalar_conductivity
 from signorini_fenicsx.oscillation import ContactExcess, load_oscillation
 from signorini_fenicsx.parallel import Stopwatch
-from signorini_fenicsx.resolution import Resolution
+from signorini_fenicsx.resolution import SEEN, Resolution
 from signorini_fenicsx.samples import CellMetric, cell_metric
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, assembled
@@ -55,12 +55,6 @@ type Array = npt.NDArray[np.float64]
 
 FAR, NEAR = 1, 2
 """Cells away from Γ_D and cells that touch it."""
-
-
-SEEN = 0.25
-"""What is not quadratic in u_D and ψ is left to quadrature where it makes at most this part of the bound."""
-MISSED = 0.5
-"""If more than this part of the bound is what quadrature missed of the data, they count as not resolved."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +69,7 @@ class Certificate:
         remainder: ‖y − σ_h‖, which the linear solver or a penalty leaves, and what the means of the loads miss.
         relative: bound/‖σ_h‖.
         guaranteed: Whether all data are enclosed and resolved.
-        by_quadrature: The data that are not enclosed, as they were given in Python.
+        by_quadrature: The data that are not enclosed: given in Python, or loads without Γ_D.
         unresolved: Data that are not resolved, and a place each; the same on all ranks.
         coarse: The owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
@@ -127,13 +121,14 @@ def certify(solution: Solution) -> Certificate:
     trace = admissible_trace(solution, metric, y)
     mismatch, contact = _twice_the_gap(spaces, data, trace, y, excess)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
-    beside = resolution.near_boundary(trace.cells, metric)
+    beside = resolution.near_boundary(trace, metric)
     seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
     near, known = comm.allreduce(seen).tolist()
     if near > SEEN**2 * known:
         mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + beside) ** 2
         resolution.missed += beside**2
-    remainder += load_left(spaces, data, metric, resolution.load)
+    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load))
+    remainder += left
 
     indicator = fem.Function(spaces.Q, name="indicator")
     squares = mismatch + contact + oscillation**2
@@ -145,7 +140,7 @@ def certify(solution: Solution) -> Certificate:
         total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    unresolved = resolution.account(missed + remainder**2 > (MISSED * bound) ** 2)
+    unresolved = resolution.account((np.sqrt(missed) + left) / bound if 0 < bound < np.inf else 0.0)
     PETSc.garbage_cleanup(comm)
     watch.lap("certificate")
     return Certificate(

@@ -104,7 +104,7 @@ def _reservation(certificate: Certificate) -> str:
         where = ", ".join(f"{x:.4g}" for x in place)
         return f"; not guaranteed: {name} is not resolved near ({where})"
     if certificate.by_quadrature:
-        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature, as given in Python"
+        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature"
     return ""
 
 

@@ -11,7 +11,7 @@ them the certificate works with a polynomial p, and d = e − p is what is left 
 
 - *κ*, with P2 interpolant κ̃ and S = sup |κ − κ̃| on T: ‖κ^½∇v − κ^-½y‖ ≤ ρ^½‖κ̃^½∇v − κ̃^-½y‖ + S‖y‖/(κ_min^½ κ̃_min),
   ρ = 1 + S/κ̃_min, since κ^½∇v − κ^-½y = κ^½κ̃⁻¹(κ̃∇v − y) + κ^-½(κ − κ̃)κ̃⁻¹y.
-- *u_D and ψ* near Γ_D and Γ_S, where v takes them as they are: ‖κ^½∇(χd)‖_T ≤ κ_max^½ |T|^½ (sup|∇d| + |∇χ| sup|d|)
+- *u_D and ψ* near Γ_D and Γ_S, where v takes them as they are: ‖κ^½∇(χd)‖_T ≤ κ_max^½ (‖∇d‖ + |T|^½ |∇χ| sup|d|)
   with d what P2 does not see of them. Integrals over these cells see d in the points of a quadrature. Where all of it
   together is not small beside the error, that is not relied on, and the bound takes it by the triangle inequality.
 
@@ -20,7 +20,7 @@ Polynomials are integrated exactly. Data given in Python have no trees: there th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -29,8 +29,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.admissible_trace import Trace
 from signorini_fenicsx.data import Data, is_constant
-from signorini_fenicsx.enclosures import Enclosure, cell_vertices, enclose
+from signorini_fenicsx.enclosures import Enclosure, cell_vertices, enclose, facet_vertices
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, values
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, edges, interpolated, quadratic
@@ -44,9 +45,13 @@ type Indices = npt.NDArray[np.int32]
 EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly: quadrature goes twice as far."""
 LOADS = ("f", "g_N", "q_S")
+SEEN = 0.25
+"""What is not quadratic in u_D and ψ is left to quadrature where it makes at most this part of the bound."""
+LITTLE, MUCH = 0.1, 0.5
+"""Parts of the bound."""
 PLACES = 10
 """Unresolved places that are kept."""
-SHARE = 0.01
+SHARE = 0.05
 """Enclosures stop where what they leave is about this share of the error."""
 
 
@@ -59,11 +64,12 @@ class Resolution:
         data: The data.
         error: About the error in the energy norm.
         volume: |Ω|.
-        by_quadrature: Data that nothing is certain of, as they were given in Python.
+        by_quadrature: Data that nothing is certain of: they were given in Python, or there is no Γ_D to hold their means.
         unresolved: Data with a place each where the cap on boxes was hit, of this rank.
         coarse: The owned cells where that is.
         load: c, the means of what was missed of the loads, per owned cell.
         missed: What the enclosures add to the bound but for these means, squared, per owned cell.
+        lost: Data of which the bound does not take account.
     """
 
     spaces: Spaces
@@ -75,6 +81,7 @@ class Resolution:
     coarse: npt.NDArray[np.bool_] = field(init=False)
     load: Interval = field(init=False)
     missed: Array = field(init=False)
+    lost: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         number = self.spaces.Q.dofmap.index_map.size_local
@@ -137,31 +144,46 @@ class Resolution:
         ratios = np.linalg.eigvalsh(root.transpose(0, 1, 3, 2) @ coefficients @ root)[:, :, 0].min(axis=1, initial=1.0)
         low = ratios - np.linalg.norm(metric.inverse, axis=(1, 2)) * deviation
         lost = ~(low > 0)
+        if lost.any():
+            self.lost.add("kappa")
         self._note("kappa", vertices[lost].mean(axis=1), np.flatnonzero(lost))
         low, deviation = np.where(lost, metric.low, low), np.where(lost, 0.0, deviation)
         return replace(metric, low=low, kappa_min=metric.kappa_min / metric.low * low), deviation
 
-    def near_boundary(self, cells: Indices, metric: CellMetric) -> Array:
+    def near_boundary(self, trace: Trace, metric: CellMetric) -> Array:
         """Bound of ‖κ^½∇(χd)‖_T for u_D and ψ together, per owned cell (collective).
 
-        Args:
-            cells: Those in which v is not quadratic.
-            metric: Of the owned cells.
+        v has ψ in it where it touches, and where it would else fall below, which it cannot where it is higher above
+        I_hψ than ψ ever is.
         """
         extra = np.zeros(len(metric.volume))
-        vertices = cell_vertices(self.spaces.mesh)[cells]
-        kappa_max = (2 - metric.low[cells]) / np.linalg.eigvalsh(_of_all(metric.inverse, len(extra))[cells])[:, 0]
-        for name in ("u_D", "psi"):
+        above = self._facets_of_psi(trace)
+        touching = np.union1d(trace.touching, self.spaces.cells[above]).astype(np.int32)
+        for name, cells in (("u_D", trace.at_dirichlet), ("psi", touching)):
             tree = self._tree(name)
             if tree is None:
                 continue
-            steep = SHARE * self.error / np.sqrt(self.volume * kappa_max)
-            found = self._enclosed(
-                name, tree, vertices, _quadratic(vertices, _in_nodes(tree, vertices)), steep, cells, "slope"
-            )
+            vertices, inverse = cell_vertices(self.spaces.mesh)[cells], _of_all(metric.inverse, len(extra))[cells]
+            strip = self.spaces.mesh.comm.allreduce(metric.volume[cells].sum())
+            kappa_max = (2 - metric.low[cells]) / np.linalg.eigvalsh(inverse)[:, 0]
+            steep = SEEN / 2 * self.error / np.sqrt(max(strip, 1e-300) * kappa_max)
+            p = _quadratic(vertices, _in_nodes(tree, vertices))
+            found = self._enclosed(name, tree, vertices, p, steep, cells, "tilt")
             decay = 2 * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
-            extra[cells] += np.sqrt(kappa_max * metric.volume[cells]) * (found.slope + decay * found.sup)
+            extra[cells] += np.sqrt(kappa_max * metric.volume[cells]) * (found.tilt + decay * found.sup)
         return extra
+
+    def _facets_of_psi(self, trace: Trace) -> npt.NDArray[np.bool_]:
+        """The facets of Γ_S where ψ may be above v, which is quadratic there."""
+        tree = self._tree("psi")
+        if tree is None:
+            return np.zeros(len(self.spaces.facets), dtype=bool)
+        vertices = facet_vertices(self.spaces.mesh, self.spaces.facets)
+        p = _quadratic(vertices, _in_nodes(tree, vertices))
+        tolerance = np.maximum(trace.lowest, 0.0)
+        comm, scale = self.spaces.mesh.comm, self._scale()
+        found = enclose(tree, vertices, p, np.where(tolerance > 0, tolerance, np.inf), comm, scale=scale, by="sup")
+        return np.asarray(found.sup > tolerance)
 
     def _flux(self, metric: CellMetric) -> Array:
         """About a flux on each cell that is no more than a share of the error."""
@@ -203,14 +225,15 @@ class Resolution:
         p: Quadratic,
         tolerance: Array,
         cells: npt.NDArray[np.integer],
-        by: Literal["norm", "sup", "slope"] = "norm",
+        by: Literal["mean", "sup", "tilt"] = "mean",
     ) -> Enclosure:
         assert tree is not None
-        comm = self.spaces.mesh.comm
-        scale = float(np.ptp(self.spaces.domain.box(), axis=0).max())
-        found = enclose(tree, vertices, p, tolerance, comm, scale=scale, by=by)
+        found = enclose(tree, vertices, p, tolerance, self.spaces.mesh.comm, scale=self._scale(), by=by)
         self._note(name, found.place[~found.resolved], cells[~found.resolved])
         return found
+
+    def _scale(self) -> float:
+        return float(np.ptp(self.spaces.domain.box(), axis=0).max())
 
     def _note(self, name: str, places: Array, cells: npt.NDArray[np.integer]) -> None:
         self.unresolved += [(name, tuple(place)) for place in places.tolist()]
@@ -219,21 +242,36 @@ class Resolution:
     def _cells(self) -> Indices:
         return np.arange(len(self.coarse), dtype=np.int32)
 
-    def account(self, missed: bool) -> tuple[tuple[str, tuple[float, ...]], ...]:
-        """Unresolved data with a place each, the same on all ranks (collective).
+    def load_left(self, measure: Callable[[Interval], float]) -> float:
+        """What the means of the loads add to the bound, as they are measured; without Γ_D they rest on quadrature."""
+        if self.spaces.has_dirichlet:
+            return measure(self.load)
+        self.by_quadrature |= {name for name in LOADS if self.encloses(name)}
+        return 0.0
+
+    def account(self, share: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """Data that are not resolved with a place each, the same on all ranks (collective).
+
+        Where the cap on boxes was hit, the enclosures are valid all the same: that matters if they add much to the
+        bound. If they make most of it, the places where they do so are not resolved, cap or not.
 
         Args:
-            missed: Whether so much was missed that data count as not resolved even if they are enclosed.
+            share: Part of the bound that the enclosures make.
         """
         comm = self.spaces.mesh.comm
-        if missed:
+        if share <= LITTLE:
+            self._forget()
+        if not share <= MUCH:
             size = self.missed + np.maximum(np.abs(self.load.lo), np.abs(self.load.hi))
             worst = size >= comm.allreduce(size.max(initial=0.0), MPI.MAX) / 4
-            places = cell_vertices(self.spaces.mesh)[worst].mean(axis=1)
-            names = ", ".join(sorted({name for name in LOADS if self.encloses(name)})) or "u_D"
-            self._note(names, places, np.flatnonzero(worst))
+            names = ", ".join(name for name in LOADS if self.encloses(name)) or "u_D"
+            self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
         everything = sorted(entry for entries in comm.allgather(self.unresolved[:PLACES]) for entry in entries)
         return tuple(everything[:PLACES])
+
+    def _forget(self) -> None:
+        self.unresolved = [entry for entry in self.unresolved if entry[0] in self.lost]
+        self.coarse[:] &= bool(self.lost)
 
 
 def _of_all(matrices: Array, number: int) -> Array:

@@ -156,6 +156,10 @@ def _kinds(spaces: Spaces) -> npt.NDArray[np.int8]:
     topology = spaces.mesh.topology
     index_map = topology.index_map(topology.dim - 1)
     kinds = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int8)
-    for kind, facets in ((SIGNORINI, spaces.facets), (DIRICHLET, spaces.dirichlet_facets), (NEUMANN, spaces.neumann_facets)):
+    for kind, facets in (
+        (SIGNORINI, spaces.facets),
+        (DIRICHLET, spaces.dirichlet_facets),
+        (NEUMANN, spaces.neumann_facets),
+    ):
         kinds[facets] = kind
     return kinds

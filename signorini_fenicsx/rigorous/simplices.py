@@ -158,7 +158,9 @@ def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
     found = []
     for k in range(cells.dim + 1):
         arms = at(x, np.s_[:, k, None, :]) - x
-        found.append(total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None]))
+        found.append(
+            total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None])
+        )
     return stacked(found, axis=1)
 
 
@@ -172,7 +174,9 @@ def _mass(dim: int) -> npt.NDArray[np.float64]:
     for a, edge in enumerate(edges):
         for k in range(dim + 1):
             at_edge = k in edge
-            mass[dim + 1 + a, k] = mass[k, dim + 1 + a] = (0 if at_edge else -4) if dim == 2 else (-4 if at_edge else -6)
+            mass[dim + 1 + a, k] = mass[k, dim + 1 + a] = (
+                (0 if at_edge else -4) if dim == 2 else (-4 if at_edge else -6)
+            )
         for b, second in enumerate(edges):
             shared = len(set(edge) & set(second))
             mass[dim + 1 + a, dim + 1 + b] = {2: 32, 1: 16, 0: 8}[shared]
@@ -180,9 +184,7 @@ def _mass(dim: int) -> npt.NDArray[np.float64]:
 
 
 def square_norm(cells: Simplices, nodes: Interval) -> Interval:
-    """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2.
-
-    """
+    """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2."""
     if nodes.lo.ndim == 2:
         nodes = at(nodes, np.s_[..., None])
     mass, scale = _mass(cells.dim), {2: 180.0, 3: 420.0}[cells.dim]

@@ -80,7 +80,9 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     lift = stacked([*rise, *((rise[i] + rise[j]) / 2.0 for i, j in EDGES[discrete.dim])])
     above = q + at(lift, (facets.cells[:, None], facets.nodes))
     height = mean(above, dim) - psi.mean + np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
-    return Trace(enclosing(discrete.v) + lift, enclosing(correction.extra), Interval(height.lo, np.maximum(height.hi, 0.0)))
+    return Trace(
+        enclosing(discrete.v) + lift, enclosing(correction.extra), Interval(height.lo, np.maximum(height.hi, 0.0))
+    )
 
 
 @dataclass(frozen=True)
@@ -170,9 +172,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
 
     def moved(k: int, m: int) -> Interval:
         """The coefficient of q(s)."""
-        terms = [
-            of_pair[min(i, j), max(i, j)] * (to[k][i] * to[m][j]) for i in range(dim + 1) for j in range(dim + 1)
-        ]
+        terms = [of_pair[min(i, j), max(i, j)] * (to[k][i] * to[m][j]) for i in range(dim + 1) for j in range(dim + 1)]
         return sum(terms[1:], terms[0])
 
     h = root(
