@@ -84,13 +84,9 @@ class Places:
     pad: Array
     box: Interval
 
-    def changes(self, slope: Interval) -> Interval:
-        """slope·arm for each exact arm, shape (n, k + 1)."""
-        return _changes(slope, self.arms, self.pad)
-
     def all_changes(self, slope: Interval) -> Interval:
         """All values of slope·(x − c) on the exact parts."""
-        return _hull(self.changes(slope))
+        return _hull(changes(slope, self.arms, self.pad))
 
 
 class _OnSimplices(Differentiated):
@@ -111,9 +107,9 @@ class _OnSimplices(Differentiated):
         box, centre = (value.values[0].on(shape) for value in difference.values)
         slopes = [difference.gradient[name].values[0].on(shape) for name in difference.gradient]
         axes = [list(self._names).index(name) for name in difference.gradient]
-        changes = _changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
-        all_values = box.meet(centre + _hull(changes))
-        change = np.fmax.reduce(np.maximum(changes.lo, -changes.hi), axis=1)
+        along = changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
+        all_values = box.meet(centre + _hull(along))
+        change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
         varies = change > 0
         slack = np.where(varies, self._near * change, 0.0)
         below, above = varies & (all_values.hi <= slack), varies & (all_values.lo >= -slack)
@@ -134,7 +130,8 @@ def stacked(columns: Sequence[Interval]) -> Interval:
     return Interval(np.stack([a.lo for a in columns], axis=1), np.stack([a.hi for a in columns], axis=1))
 
 
-def _changes(slope: Interval, arms: Array, pad: Array) -> Interval:
+def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
+    """slope·arm for each exact arm, shape (n, arms); entries are off by at most the pad and a relative rounding."""
     ends = [end[:, None, :] * arms for end in (slope.lo, slope.hi)]
     lo, hi = np.minimum(*ends), np.maximum(*ends)
     steepness = np.maximum(np.abs(slope.lo), np.abs(slope.hi))[:, None, :]
@@ -148,8 +145,8 @@ def slack(size: Array, some: Mask) -> Array:
     return np.asarray(ROUNDING * size + np.where(some, TINY, 0.0))
 
 
-def _hull(changes: Interval) -> Interval:
-    return Interval(changes.lo.min(axis=1), changes.hi.max(axis=1))
+def _hull(columns: Interval) -> Interval:
+    return Interval(columns.lo.min(axis=1), columns.hi.max(axis=1))
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,10 @@ from signorini_fenicsx.rigorous.simplices import (
     with_midpoints,
 )
 
-FINE = {"mean": 1e-5, "norm": 1e-9, "tilt": 1e-3}
+FINE = {"norm": 1e-9, "tilt": 1e-3, "mean": 1e-9}
 """What is left of the data below this share of their size, or of their slope, is not worth more boxes."""
+IN_MEANS = 1e-2
+"""So much of the variation on a simplex, times h over the size of the domain: what is left of means adds up on the tree."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class Deviation:
         largest: Upper bound of |e − p|.
         slope: Upper bound of |∇(e − p)|.
         tilt: Upper bound of the root mean square of |∇(e − p)|.
+        rise: Upper bound of |∇(e − p)·s| for all edges s.
     """
 
     nodes: Interval
@@ -52,6 +55,7 @@ class Deviation:
     largest: Array
     slope: Array
     tilt: Array
+    rise: Array
 
 
 def deviation(
@@ -86,8 +90,10 @@ def deviation(
     size = float(np.nan_to_num(np.abs(sampled)).max(initial=0.0))
     extent = float(np.ptp(vertices.reshape(-1, vertices.shape[-1]), axis=0).max()) if vertices.size else 1.0
     tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
+    if by == "mean" and len(vertices):
+        tolerance += IN_MEANS * len(vertices) ** (-1 / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
     found = enclose(tree, vertices, p, tolerance, MPI.COMM_SELF, scale=0.0, by=by, elementary=elementary)
-    return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt)
+    return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:

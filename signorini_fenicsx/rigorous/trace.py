@@ -4,14 +4,14 @@ With P the P2 function that has v's values in the nodes on Γ_D and rounded ones
 hat functions of the vertices on Γ_D, v + χ(u_D − P) is u_D on Γ_D. Hat functions of other vertices on Γ_S, times ρ ≥ 0,
 lift it until it is at least ψ on Γ_S. On a facet let q = v − Pψ, with Pψ a quadratic near ψ, and ‖·‖ be largest values.
 
-- Where no vertex is on Γ_D, χ = 0 and it is enough that all Bernstein coefficients of q + Σρλ are ≥ ‖ψ − Pψ‖.
+- Where no vertex is on Γ_D, χ = 0 and it is enough that q + Σρλ ≥ ‖ψ − Pψ‖.
 - Else u_D ≥ ψ where χ = 1 is what the data must satisfy. Let s(x) be x with each barycentric coordinate of a vertex off
   Γ_D spread over those on it, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Then, with d = u_D − P, what is above ψ in x less what
   is in s, where it is u_D − ψ, is at least
 
-      q(x) − q(s) + Σρλ − (1 − χ)(χ h‖∇d‖ + ‖d‖ + h‖∇(ψ − Pψ)‖),
+      q(x) − q(s) + Σρλ − (1 − χ)(χ h‖∇d‖ + ‖d‖ + max_e ‖∇(ψ − Pψ)·e‖),
 
-  a quadratic whose Bernstein coefficients must be ≥ 0.
+  with edges e, a quadratic that must be ≥ 0. See `_lifts` for how Bernstein coefficients tell.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
         )
     )  # not less than the longest edge
     steep = h * correction.slope[facets.cells]
-    flat = h * psi.slope + correction.size[facets.cells]
+    flat = enclosing(psi.rise) + correction.size[facets.cells]
     seam = fixed.any(axis=1)
     spare = []
     for k, m in [(k, k) for k in range(dim + 1)] + list(pairs):
@@ -196,15 +196,19 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
 def _lifts(vertices: Indices, fixed: Mask, spare: Interval, corners: Indices) -> Array:
     """ρ of each vertex: what the coefficients of all facets lack, 0 for those on Γ_D.
 
-    A lift adds itself to the coefficient of its vertex, and half of itself to those of the edges there.
+    Σ a_i λ_i² + 2 Σ c_ij λ_i λ_j ≥ 0 if a_i ≥ 0 and c_ij ≥ −√(a_i a_j), for triangles half of that: with t_i = √a_i λ_i
+    it is at least (t_1 − t_2)², or Σ (t_i − t_j)²/2. A lift adds itself to a_i, and half of itself to all c_ij.
     """
     dim = fixed.shape[1] - 1
+    part = 1.0 if dim == 1 else 0.5
     lack = np.maximum(-spare.lo, 0.0)
     lifts = np.zeros(int(corners.max()) + 1)
     for k in range(dim + 1):
         np.maximum.at(lifts, vertices[:, k], np.where(fixed[:, k], 0.0, lack[:, k]))
     for number, (i, j) in enumerate(EDGES[dim]):
+        ends = (enclosing(np.maximum(spare.lo[:, k], 0.0)) for k in (i, j))
+        lacking = np.maximum((-at(spare, np.s_[:, dim + 1 + number]) - part * root(next(ends) * next(ends))).hi, 0.0)
         for k, other in ((i, j), (j, i)):
-            needed = lack[:, dim + 1 + number] * np.where(fixed[:, other], 2.0, 1.0)
+            needed = lacking * np.where(fixed[:, other], 2.0, 1.0)
             np.maximum.at(lifts, vertices[:, k], np.where(fixed[:, k], 0.0, needed))
     return lifts
