@@ -10,9 +10,9 @@ G = G_m ± δ and V = Σ_v (x_v − c)(x_v − c)ᵀ/((k + 1)(k + 2)), the covar
 of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its root mean square at most √(d(c)² + G_m·V G_m) +
 Σ δ_i √V_ii. Where a condition is undecided, ∇e is unknown, and d is in the hull of both branches.
 
-With proven bounds of elementary functions all this is proven, rounding included: intervals are rounded outward, the
-other sums of products have a slack that refers to the sum of absolute values, and `Places` tells by how much c and x_v are
-off the exact ones. That c is not the centroid, by e, adds G·e, and that V is of stored vertices less than 3 |G|·pad.
+With proven bounds of elementary functions all this is proven, rounding included. Intervals are rounded outward, other
+sums of products have a slack that refers to the sum of absolute values. `Places` tells by how much c and x_v are off the
+exact ones: that c is off the centroid by e adds G·e, and that V is that of stored vertices less than 3 |G|·pad.
 """
 
 from __future__ import annotations
@@ -253,9 +253,7 @@ def _around(value: Array, radius: Array) -> Interval:
     return Interval(value - radius, value + radius)
 
 
-def _summary(
-    d: Interval, at_centre: Interval, G: Interval, rise: Interval, places: Places, every: Interval
-) -> Array:
+def _summary(d: Interval, at_centre: Interval, G: Interval, rise: Interval, places: Places, every: Interval) -> Array:
     """The columns, from d and d(c), ∇d, ∇d·e and e."""
     arms, reach = places.arms, np.abs(places.arms).max(axis=1)
     corners = arms.shape[1]

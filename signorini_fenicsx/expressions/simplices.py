@@ -17,7 +17,7 @@ from signorini_fenicsx.expressions.tree import Tree, evaluate
 NEAR = 1e-12
 """Distance, relative to the size of the domain, at which a mesh fits a discontinuity of the data."""
 ROUNDING = 1e-13
-"""What sums of up to 100 products may leave by rounding, relative to the sum of their absolute values: 450 times 2⁻⁵²."""
+"""What rounding may leave of sums of up to 100 products, relative to that of absolute values: 450 times 2⁻⁵²."""
 TINY = 1e-300
 """More than what underflow leaves of such a sum that is not 0."""
 
@@ -68,8 +68,8 @@ class Parts:
 class Places:
     """Where parts are, whose exact vertices are bisection's of the floats that are those of the simplex.
 
-    Rounding of a midpoint adds at most a unit in the last place M of the simplex's largest coordinate, so what is stored
-    is off by at most one M per generation. pad has four more for rounding of the centroid. The exact part lies in the
+    Rounding of a midpoint adds at most a unit in the last place of the simplex's largest coordinate, so what is stored
+    is off by at most one per generation. pad has four more for rounding of the centroid. The exact part lies in the
     box, that of the stored vertices with the pad, but not more than that of the simplex.
 
     Attributes:
@@ -141,7 +141,7 @@ def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
 
 
 def slack(size: Array, some: Mask) -> Array:
-    """What rounding and underflow leave of sums of products whose absolute values sum up to this, some of them not 0."""
+    """What rounding and underflow leave of sums of products whose absolute values sum up to this, if some are not 0."""
     return np.asarray(ROUNDING * size + np.where(some, TINY, 0.0))
 
 

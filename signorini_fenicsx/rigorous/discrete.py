@@ -47,7 +47,7 @@ class Discrete:
 
     @property
     def dim(self) -> int:
-        """d."""
+        """The dimension d."""
         return self.vertices.shape[2]
 
 
@@ -85,7 +85,7 @@ def boundary(discrete: Discrete, kind: int) -> Facets:
 
 
 def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
-    """A solution and a function in P2 on rank 0, None elsewhere; cells in the order in which the mesh was made (collective).
+    """A solution and a function in P2 on rank 0, cells in the order of their making; None elsewhere (collective).
 
     Args:
         solution: The solution.
@@ -156,6 +156,10 @@ def _kinds(spaces: Spaces) -> npt.NDArray[np.int8]:
     topology = spaces.mesh.topology
     index_map = topology.index_map(topology.dim - 1)
     kinds = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int8)
-    for kind, facets in ((SIGNORINI, spaces.facets), (DIRICHLET, spaces.dirichlet_facets), (NEUMANN, spaces.neumann_facets)):
+    for kind, facets in (
+        (SIGNORINI, spaces.facets),
+        (DIRICHLET, spaces.dirichlet_facets),
+        (NEUMANN, spaces.neumann_facets),
+    ):
         kinds[facets] = kind
     return kinds

@@ -29,12 +29,12 @@ class FromArb:
     """Bounds of elementary functions at floats, see `expressions.intervals.Elementary`."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str, ...], tuple[Array, Array]] = {}
+        self._known: dict[tuple[str | bytes, ...], tuple[Array, Array]] = {}
 
     def bounds(self, name: str, *arguments: Array) -> tuple[Array, Array]:
         """Floats below and above; NaN where Arb knows nothing."""
         spread = np.broadcast_arrays(*arguments)
-        key = (name, *(argument.tobytes() for argument in spread))
+        key: tuple[str | bytes, ...] = (name, *(argument.tobytes() for argument in spread))
         if key not in self._known:
             if len(self._known) >= REMEMBERED:
                 del self._known[next(iter(self._known))]

@@ -9,19 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
 
 EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
 """Vertices of each edge of an interval, a triangle and a tetrahedron, as Basix numbers them."""
 
 
-def at(a: Interval, index: object) -> Interval:
+def at(a: Interval, index: Any) -> Interval:
     """Some of the entries."""
-    return Interval(a.lo[index], a.hi[index])  # type: ignore[index]
+    return Interval(a.lo[index], a.hi[index])
 
 
 def total(a: Interval, axis: int = -1) -> Interval:
@@ -74,7 +76,7 @@ class Simplices:
 
     @property
     def dim(self) -> int:
-        """d."""
+        """The dimension d."""
         return self.vertices.shape[2]
 
     def some(self, which: npt.NDArray[np.int64]) -> Simplices:
@@ -86,7 +88,7 @@ def simplices(vertices: Array) -> Simplices:
     """Their geometry.
 
     Raises:
-        ArithmeticError: If a cell is so flat that the sign of its volume is lost in rounding.
+        InputError: If a cell is so flat that the sign of its volume is lost in rounding.
     """
     dim = vertices.shape[2]
     x = enclosing(vertices)
@@ -99,7 +101,7 @@ def simplices(vertices: Array) -> Simplices:
         normals = [_cross(edges[1], edges[2]), _cross(edges[2], edges[0]), _cross(edges[0], edges[1])]
         determinant = total(edges[0] * normals[0])
     if ((determinant.lo <= 0) & (determinant.hi >= 0)).any():
-        raise ArithmeticError("a cell is flat up to rounding")
+        raise InputError("a cell of the mesh is flat up to rounding")
     across = at(determinant, np.s_[:, None])
     gradients = [normal / across for normal in normals]
     size = Interval(np.minimum(abs(determinant.lo), abs(determinant.hi)), determinant.largest)
@@ -150,7 +152,7 @@ def gradient_in_vertices(cells: Simplices, values: Interval) -> Interval:
 
 
 def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
-    """y in the vertices, shape (cells, d + 1, d), of the RT0 field that flows out through facet i, opposite to vertex i.
+    """RT0 fields y in the vertices, shape (cells, d + 1, d), from the fluxes out through facet i, opposite to vertex i.
 
     y(x) = Σ_i Φ_i (x − x_i)/(d|T|): its normal component is constant on facets, and its divergence ΣΦ_i/|T|.
     """
@@ -158,7 +160,9 @@ def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
     found = []
     for k in range(cells.dim + 1):
         arms = at(x, np.s_[:, k, None, :]) - x
-        found.append(total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None]))
+        found.append(
+            total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None])
+        )
     return stacked(found, axis=1)
 
 
@@ -172,7 +176,9 @@ def _mass(dim: int) -> npt.NDArray[np.float64]:
     for a, edge in enumerate(edges):
         for k in range(dim + 1):
             at_edge = k in edge
-            mass[dim + 1 + a, k] = mass[k, dim + 1 + a] = (0 if at_edge else -4) if dim == 2 else (-4 if at_edge else -6)
+            mass[dim + 1 + a, k] = mass[k, dim + 1 + a] = (
+                (0 if at_edge else -4) if dim == 2 else (-4 if at_edge else -6)
+            )
         for b, second in enumerate(edges):
             shared = len(set(edge) & set(second))
             mass[dim + 1 + a, dim + 1 + b] = {2: 32, 1: 16, 0: 8}[shared]
@@ -180,9 +186,7 @@ def _mass(dim: int) -> npt.NDArray[np.float64]:
 
 
 def square_norm(cells: Simplices, nodes: Interval) -> Interval:
-    """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2.
-
-    """
+    """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2."""
     if nodes.lo.ndim == 2:
         nodes = at(nodes, np.s_[..., None])
     mass, scale = _mass(cells.dim), {2: 180.0, 3: 420.0}[cells.dim]

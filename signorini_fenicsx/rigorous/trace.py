@@ -1,13 +1,13 @@
 """A continuous function that is u_D on Γ_D and at least ψ on Γ_S, from the certificate's v.
 
-With P the P2 function that has v's values in the nodes on Γ_D and rounded ones of u_D in all others, and χ the sum of the
+With P the P2 function that has v's values in the nodes on Γ_D and rounded ones of u_D in all others, χ the sum of the
 hat functions of the vertices on Γ_D, v + χ(u_D − P) is u_D on Γ_D. Hat functions of other vertices on Γ_S, times ρ ≥ 0,
 lift it until it is at least ψ on Γ_S. On a facet let q = v − Pψ, with Pψ a quadratic near ψ, and ‖·‖ be largest values.
 
 - Where no vertex is on Γ_D, χ = 0 and it is enough that q + Σρλ ≥ ‖ψ − Pψ‖.
 - Else u_D ≥ ψ where χ = 1 is what the data must satisfy. Let s(x) be x with each barycentric coordinate of a vertex off
-  Γ_D spread over those on it, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Then, with d = u_D − P, what is above ψ in x less what
-  is in s, where it is u_D − ψ, is at least
+  Γ_D spread over those on it, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Then, with d = u_D − P, what is above ψ in x less
+  what is in s, where it is u_D − ψ, is at least
 
       q(x) − q(s) + Σρλ − (1 − χ)(χ h‖∇d‖ + ‖d‖ + max_e ‖∇(ψ − Pψ)·e‖),
 
@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import interval
 from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
 from signorini_fenicsx.expressions.tree import Binary
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, smallest
@@ -70,7 +69,7 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     on_dirichlet = _nodes_on(discrete, DIRICHLET)
     correction = _dirichlet(discrete, cells, given, on_dirichlet)
     facets = boundary(discrete, SIGNORINI)
-    psi = deviation(given.psi, facets.corners, given.elementary)
+    psi = deviation(given.psi, facets.corners, given.elementary, name="psi")
     dim = discrete.dim - 1
     q = enclosing(discrete.v[facets.cells[:, None], facets.nodes]) - psi.nodes
     fixed = on_dirichlet[facets.cells[:, None], facets.nodes[:, : dim + 1]]
@@ -80,7 +79,9 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     lift = stacked([*rise, *((rise[i] + rise[j]) / 2.0 for i, j in EDGES[discrete.dim])])
     above = q + at(lift, (facets.cells[:, None], facets.nodes))
     height = mean(above, dim) - psi.mean + np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
-    return Trace(enclosing(discrete.v) + lift, enclosing(correction.extra), Interval(height.lo, np.maximum(height.hi, 0.0)))
+    return Trace(
+        enclosing(discrete.v) + lift, enclosing(correction.extra), Interval(height.lo, np.maximum(height.hi, 0.0))
+    )
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,8 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
     near = np.flatnonzero(on_dirichlet[:, : dim + 1].any(axis=1))
     if len(near) > 0:
         kept = np.where(on_dirichlet[near], discrete.v[near], np.nan)
-        found = deviation(given.u_D, discrete.vertices[near], given.elementary, by="tilt", wanted=kept)
+        vertices = discrete.vertices[near]
+        found = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=kept)
         missed = enclosing(np.where(np.isnan(kept), 0.0, kept)) - found.nodes.where(~np.isnan(kept), enclosing(0.0))
         chi = on_dirichlet[near, : dim + 1]
         hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
@@ -154,7 +156,7 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
                 )
     if not (found >= 0).all():
         where = ", ".join(f"{x:.4g}" for x in facets.corners[np.argmin(found)].mean(axis=0))
-        raise InputError(f"no rigorous bound: where Γ_D meets Γ_S, u_D ≥ psi is not certain near ({where})")
+        raise InputError(f"where Γ_D meets Γ_S, u_D ≥ psi is not certain near ({where})")
     return found
 
 
@@ -170,9 +172,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
 
     def moved(k: int, m: int) -> Interval:
         """The coefficient of q(s)."""
-        terms = [
-            of_pair[min(i, j), max(i, j)] * (to[k][i] * to[m][j]) for i in range(dim + 1) for j in range(dim + 1)
-        ]
+        terms = [of_pair[min(i, j), max(i, j)] * (to[k][i] * to[m][j]) for i in range(dim + 1) for j in range(dim + 1)]
         return sum(terms[1:], terms[0])
 
     h = root(
