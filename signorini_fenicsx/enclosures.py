@@ -11,7 +11,7 @@ of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its r
 Σ δ_i √V_ii. Where a condition is undecided, ∇e is unknown, and d is in the hull of both branches.
 
 With proven bounds of elementary functions all this is proven, rounding included. Intervals are rounded outward, other
-sums of products have a slack that refers to the sum of absolute values. `Places` tells by how much c and x_v are off the
+sums of products have a slack that refers to the sum of absolute values. `Places` tells how far c and x_v are off the
 exact ones: that c is off the centroid by e adds G·e, and that V is that of stored vertices less than 3 |G|·pad.
 """
 

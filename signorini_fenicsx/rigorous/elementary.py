@@ -50,7 +50,8 @@ def _ends(balls: list[arb]) -> tuple[Array, Array]:
     middle = np.array([float(ball) for ball in balls])
     bits = np.array([min(ball.rel_accuracy_bits(), 2000) for ball in balls], dtype=np.int64)
     radius = np.ldexp(np.abs(middle), -bits)
-    lo, hi = np.nextafter(middle - radius, -np.inf), np.nextafter(middle + radius, np.inf)
+    with np.errstate(invalid="ignore"):
+        lo, hi = np.nextafter(middle - radius, -np.inf), np.nextafter(middle + radius, np.inf)
     ordinary = (np.abs(middle) > 1e-280) & (np.abs(middle) < 1e280) & (bits > PRECISE)
     for i in np.flatnonzero(~ordinary):
         lo[i], hi[i] = _ends_of(balls[i])
