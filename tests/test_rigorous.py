@@ -213,7 +213,7 @@ def shaken(discrete: Discrete, size: float, seed: int) -> Discrete:
     return dataclasses.replace(discrete, fluxes=discrete.fluxes + size * h ** (discrete.dim - 1) * flux, v=v)
 
 
-@pytest.mark.parametrize(("name", "h"), [("transition", 1 / 4), ("singular", 1 / 3)])
+@pytest.mark.parametrize(("name", "h"), [("transition", 1 / 4), ("biactive", 1 / 4)])
 def test_any_flux_and_trace(name: str, h: float):
     """The bound is above the exact error, for the solution sharply, for whatever else too."""
     case = load_case(name).with_values({"solve.h": h})

@@ -60,5 +60,6 @@ def _ends(balls: list[arb]) -> tuple[Array, Array]:
 
 def _ends_of(ball: arb) -> tuple[float, float]:
     """The same for any ball. Its ends have at most 53 bits; the next floats see to those that are no floats."""
-    lo, hi = float(ball.lower()), float(ball.upper())
-    return (lo, hi) if lo == hi == 0 else (math.nextafter(lo, -math.inf), math.nextafter(hi, math.inf))
+    if ball.is_zero():
+        return 0.0, 0.0
+    return math.nextafter(float(ball.lower()), -math.inf), math.nextafter(float(ball.upper()), math.inf)
