@@ -103,6 +103,9 @@ def solve(
     start_from: Annotated[
         Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
     ] = None,
+    rigorous: Annotated[
+        bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
+    ] = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     quiet: Quiet = False,
@@ -114,7 +117,7 @@ def solve(
     Examples:
       signorini solve example1 --plot
       signorini solve dam --algorithm alg2 --output results/seepage
-      signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]'
+      signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
     """
     from signorini_fenicsx import report
@@ -123,6 +126,7 @@ def solve(
     from signorini_fenicsx.checkpoint import load_solution, shared_domain
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
+    from signorini_fenicsx.rigorous.proof import check_size, proof_of
     from signorini_fenicsx.signals import end_if_told
     from signorini_fenicsx.solver import solve as solve_case
 
@@ -136,6 +140,8 @@ def solve(
         end_if_told(comm)
 
     problem = on_root(comm, lambda: load_case(case).with_values(values | cold))
+    if rigorous:
+        on_root(comm, lambda: check_size(problem))
     with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
         report.heading(problem, comm)
         report.iteration_heading(problem)
@@ -149,11 +155,14 @@ def solve(
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
         certificate = certify(solution)
-        write_solution(solution, folder.path, certificate=certificate, plot=plot)
+        proof = proof_of(solution, certificate.v) if rigorous else None
+        write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot)
         folder.publish()
-        report.solution(solution, folder.target, certificate)
+        report.solution(solution, folder.target, certificate, proof)
         if as_json:
             report.summary(folder.target)
+        if proof is not None and proof.proven is None:
+            raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
 
 
 @app.command()

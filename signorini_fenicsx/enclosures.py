@@ -10,9 +10,9 @@ G = G_m ± δ and V = Σ_v (x_v − c)(x_v − c)ᵀ/((k + 1)(k + 2)), the covar
 of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its root mean square at most √(d(c)² + G_m·V G_m) +
 Σ δ_i √V_ii. Where a condition is undecided, ∇e is unknown, and d is in the hull of both branches.
 
-With proven bounds of elementary functions all this is proven, rounding included: intervals are rounded outward, the
-other sums of products have a slack that refers to the sum of absolute values, and `Places` tells by how much c and x_v are
-off the exact ones. That c is not the centroid, by e, adds G·e, and that V is of stored vertices less than 3 |G|·pad.
+With proven bounds of elementary functions all this is proven, rounding included. Intervals are rounded outward, other
+sums of products have a slack that refers to the sum of absolute values. `Places` tells how far c and x_v are off the
+exact ones: that c is off the centroid by e adds G·e, and that V is that of stored vertices less than 3 |G|·pad.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.intervals import WHOLE, Array, Elementary, FromNumPy, Interval, Mask, enclosing
-from signorini_fenicsx.expressions.quadratics import Quadratic
-from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, evaluated, slack, stacked
+from signorini_fenicsx.expressions.quadratics import Quadratic, edges
+from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack, stacked
 
 CAP = 1000
 """Boxes that one simplex may cost."""
@@ -66,6 +66,7 @@ class Enclosure:
         sup: Upper bound of |d|.
         slope: Upper bound of |∇d|, along T and across it.
         tilt: Upper bound of the root mean square of |∇d|.
+        rise: Upper bound of |∇d·e| for all edges e of T.
         range: All values of e lie in it.
         resolved: Where the bisection came to an end before its cap.
         place: Centroid of the part of a simplex that adds most to the upper bound of ‖d‖, shape (n, d).
@@ -77,6 +78,7 @@ class Enclosure:
     sup: Array
     slope: Array
     tilt: Array
+    rise: Array
     range: Interval
     resolved: Mask
     place: Array
@@ -136,9 +138,9 @@ def enclose(
             parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
 
 
-MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, LO, HI = range(11)
+MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, RISE, LO, HI = range(12)
 """Columns of what is known of a part: d's mean and its absolute value, the mean square of d and of |∇d| from above and
-below, |d|, |∇d|; e's range."""
+below, |d|, |∇d|, |∇d·e|; e's range."""
 
 
 class _Bisection:
@@ -151,7 +153,7 @@ class _Bisection:
         self._above, self._below = {"mean": (MEAN_HI, MEAN_LO), "tilt": (STEEP, FLAT)}.get(by, (SQUARE, LEAST))
         self._cost = np.ones(n, dtype=np.int64)
         self._sums = np.zeros((n, 5))
-        self._most = np.zeros((n, 2))
+        self._most = np.zeros((n, 3))
         self._range = np.tile([np.inf, -np.inf], (n, 1))
         self._resolved = np.ones(n, dtype=bool)
         self._place = vertices.mean(axis=1)
@@ -187,7 +189,7 @@ class _Bisection:
         self._resolved[own[unresolved]] = False
         for column, name in enumerate((MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)):
             self._sums[:, column] += np.bincount(own, parts.share * known[:, name], n)
-        for column, name in enumerate((SUP, SLOPE)):
+        for column, name in enumerate((SUP, SLOPE, RISE)):
             np.maximum.at(self._most[:, column], own, known[:, name])
         np.minimum.at(self._range[:, 0], own, known[:, LO])
         np.maximum.at(self._range[:, 1], own, known[:, HI])
@@ -205,6 +207,7 @@ class _Bisection:
             sup=self._most[:, 0],
             slope=self._most[:, 1],
             tilt=tilt,
+            rise=self._most[:, 2],
             range=Interval(self._range[:, 0], self._range[:, 1]),
             resolved=self._resolved & np.isfinite(norm),
             place=self._place,
@@ -241,15 +244,17 @@ def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, scale: floa
     G = (e.gradient - slope - turn).meet(e.middle_gradient - slope + curved)
     at_centre = e.middle - p_here
     d = (e.value - p_here - places.all_changes(slope) - Interval(-arch, arch)).meet(at_centre + places.all_changes(G))
-    return _summary(d, at_centre, G, places, e.value.meet(e.middle + places.all_changes(e.gradient)))
+    ends = np.array(edges(simplices.shape[1])).T
+    rise = changes(G, simplices[:, ends[0]][parts.own] - simplices[:, ends[1]][parts.own], np.zeros_like(places.pad))
+    return _summary(d, at_centre, G, rise, places, e.value.meet(e.middle + places.all_changes(e.gradient)))
 
 
 def _around(value: Array, radius: Array) -> Interval:
     return Interval(value - radius, value + radius)
 
 
-def _summary(d: Interval, at_centre: Interval, G: Interval, places: Places, every: Interval) -> Array:
-    """The columns, from d and d(c), ∇d and e."""
+def _summary(d: Interval, at_centre: Interval, G: Interval, rise: Interval, places: Places, every: Interval) -> Array:
+    """The columns, from d and d(c), ∇d, ∇d·e and e."""
     arms, reach = places.arms, np.abs(places.arms).max(axis=1)
     corners = arms.shape[1]
     count = corners * (corners + 1)
@@ -275,6 +280,7 @@ def _summary(d: Interval, at_centre: Interval, G: Interval, places: Places, ever
         (G.smallest**2).sum(axis=1),
         d.largest,
         np.sqrt(steep) * (1 + ROUNDING),
+        rise.largest.max(axis=1),
         every.lo,
         every.hi,
     ]

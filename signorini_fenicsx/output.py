@@ -31,6 +31,7 @@ from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_t
 from signorini_fenicsx.errors import WriteFailure
 from signorini_fenicsx.gather import FacetTable, centroid_flux, gather_facets, gather_fields, gather_marks
 from signorini_fenicsx.parallel import Stopwatch, on_root
+from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.solution import Solution
 
 
@@ -39,6 +40,7 @@ def write_solution(
     folder: Path | str,
     *,
     certificate: Certificate | None = None,
+    proof: Proof | None = None,
     plot: bool = False,
     fields: bool = True,
 ) -> None:
@@ -48,6 +50,7 @@ def write_solution(
         solution: What to write.
         folder: Where; files of the same names are overwritten.
         certificate: Its error bound, if it has one.
+        proof: What came of the attempt to prove it, if there was one.
         plot: Also draw PNGs.
         fields: Also write the fields for ParaView.
     """
@@ -60,6 +63,8 @@ def write_solution(
     if certificate is not None:
         summary["certificate"] = certificate.summary()
         summary["timings"] |= {"certificate": certificate.seconds}
+    if proof is not None:
+        summary["certificate"] |= proof.summary()
 
     def write() -> None:
         if table is not None and cells is not None:

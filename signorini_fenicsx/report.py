@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Mapping
+from decimal import ROUND_CEILING, Context, Decimal
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from signorini_fenicsx.comparison import Comparison
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.inspection import Expected, is_typical
 from signorini_fenicsx.output import json_text
+from signorini_fenicsx.rigorous.proof import Proof
+from signorini_fenicsx.rigorous.theorem import Proven
 from signorini_fenicsx.solution import Solution
 
 console = Console(highlight=False, soft_wrap=True, emoji=False)
@@ -50,7 +53,7 @@ def step(row: Step) -> None:
     console.print(f"{row.iteration:4d}{counts} {changes}")
 
 
-def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
+def solution(result: Solution, folder: Path, certificate: Certificate, proof: Proof | None = None) -> None:
     """Show the summary of a finished run (collective)."""
     summary = result.summary()
     rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
@@ -72,6 +75,8 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     if summary["details"]:
         lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
     lines["certified"] = bound(certificate)
+    if proof is not None and proof.proven is not None:
+        lines["proved"] = proved(proof.proven, proof.seconds)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
     memory = summary["peak_memory"]
     lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
@@ -106,6 +111,21 @@ def _reservation(certificate: Certificate) -> str:
     if certificate.by_quadrature:
         return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature"
     return ""
+
+
+def proved(bounds: Proven, seconds: float) -> str:
+    """The proven error bound in words, all numbers rounded up."""
+    parts = ", ".join(f"{name} {above(getattr(bounds, name), 2)}" for name in ("gap", "oscillation", "remainder"))
+    return (
+        f"energy error ≤ {above(bounds.bound, 5)}; ‖σ − σ_h‖ ≤ {above(bounds.sigma_bound, 5)} "
+        f"({parts}; {seconds:.1f} s)"
+    )
+
+
+def above(value: float, digits: int) -> str:
+    """A number of so many digits that is not less than the float."""
+    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal(Decimal(value))
+    return f"{float(rounded):.{digits - 1}e}"
 
 
 def expected(case: Case, estimate: Expected) -> None:

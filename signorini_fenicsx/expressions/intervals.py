@@ -59,16 +59,16 @@ class Interval:
     def __neg__(self) -> Interval:
         return Interval(-self.hi, -self.lo)
 
-    def __add__(self, other: Interval | float) -> Interval:
+    def __add__(self, other: Interval | float | Array) -> Interval:
         other = enclosing(other)
         lo, error = _two_sum(self.lo, other.lo)
         hi, error_above = _two_sum(self.hi, other.hi)
         return Interval(np.where(error >= 0, lo, _down(lo)), np.where(error_above <= 0, hi, _up(hi)))
 
-    def __sub__(self, other: Interval | float) -> Interval:
+    def __sub__(self, other: Interval | float | Array) -> Interval:
         return self + -enclosing(other)
 
-    def __mul__(self, other: Interval | float) -> Interval:
+    def __mul__(self, other: Interval | float | Array) -> Interval:
         if other is self:
             return _size_power(absolute(self), 2)
         other = enclosing(other)
@@ -76,7 +76,7 @@ class Interval:
         exact = self.is_zero | other.is_zero
         return Interval(np.where(exact, lowest, _down(lowest)), np.where(exact, highest, _up(highest)))
 
-    def __truediv__(self, other: Interval | float) -> Interval:
+    def __truediv__(self, other: Interval | float | Array) -> Interval:
         other = enclosing(other)
         lowest, highest = _extremes([a / b for a in self._ends for b in other._ends])
         unknown = np.where(~((other.lo > 0) | (other.hi < 0)), np.nan, 0.0)
@@ -85,16 +85,16 @@ class Interval:
             np.where(exact, lowest, _down(lowest)) + unknown, np.where(exact, highest, _up(highest)) + unknown
         )
 
-    def __radd__(self, other: float) -> Interval:
+    def __radd__(self, other: float | Array) -> Interval:
         return self + other
 
-    def __rsub__(self, other: float) -> Interval:
+    def __rsub__(self, other: float | Array) -> Interval:
         return -self + other
 
-    def __rmul__(self, other: float) -> Interval:
+    def __rmul__(self, other: float | Array) -> Interval:
         return self * other
 
-    def __rtruediv__(self, other: float) -> Interval:
+    def __rtruediv__(self, other: float | Array) -> Interval:
         return enclosing(other) / self
 
     @property

@@ -17,7 +17,7 @@ from signorini_fenicsx.expressions.tree import Tree, evaluate
 NEAR = 1e-12
 """Distance, relative to the size of the domain, at which a mesh fits a discontinuity of the data."""
 ROUNDING = 1e-13
-"""What sums of up to 100 products may leave by rounding, relative to the sum of their absolute values: 450 times 2⁻⁵²."""
+"""What rounding may leave of sums of up to 100 products, relative to that of absolute values: 450 times 2⁻⁵²."""
 TINY = 1e-300
 """More than what underflow leaves of such a sum that is not 0."""
 
@@ -68,8 +68,8 @@ class Parts:
 class Places:
     """Where parts are, whose exact vertices are bisection's of the floats that are those of the simplex.
 
-    Rounding of a midpoint adds at most a unit in the last place M of the simplex's largest coordinate, so what is stored
-    is off by at most one M per generation. pad has four more for rounding of the centroid. The exact part lies in the
+    Rounding of a midpoint adds at most a unit in the last place of the simplex's largest coordinate, so what is stored
+    is off by at most one per generation. pad has four more for rounding of the centroid. The exact part lies in the
     box, that of the stored vertices with the pad, but not more than that of the simplex.
 
     Attributes:
@@ -84,13 +84,9 @@ class Places:
     pad: Array
     box: Interval
 
-    def changes(self, slope: Interval) -> Interval:
-        """slope·arm for each exact arm, shape (n, k + 1)."""
-        return _changes(slope, self.arms, self.pad)
-
     def all_changes(self, slope: Interval) -> Interval:
         """All values of slope·(x − c) on the exact parts."""
-        return _hull(self.changes(slope))
+        return _hull(changes(slope, self.arms, self.pad))
 
 
 class _OnSimplices(Differentiated):
@@ -111,9 +107,9 @@ class _OnSimplices(Differentiated):
         box, centre = (value.values[0].on(shape) for value in difference.values)
         slopes = [difference.gradient[name].values[0].on(shape) for name in difference.gradient]
         axes = [list(self._names).index(name) for name in difference.gradient]
-        changes = _changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
-        all_values = box.meet(centre + _hull(changes))
-        change = np.fmax.reduce(np.maximum(changes.lo, -changes.hi), axis=1)
+        along = changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
+        all_values = box.meet(centre + _hull(along))
+        change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
         varies = change > 0
         slack = np.where(varies, self._near * change, 0.0)
         below, above = varies & (all_values.hi <= slack), varies & (all_values.lo >= -slack)
@@ -134,7 +130,8 @@ def stacked(columns: Sequence[Interval]) -> Interval:
     return Interval(np.stack([a.lo for a in columns], axis=1), np.stack([a.hi for a in columns], axis=1))
 
 
-def _changes(slope: Interval, arms: Array, pad: Array) -> Interval:
+def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
+    """slope·arm for each exact arm, shape (n, arms); entries are off by at most the pad and a relative rounding."""
     ends = [end[:, None, :] * arms for end in (slope.lo, slope.hi)]
     lo, hi = np.minimum(*ends), np.maximum(*ends)
     steepness = np.maximum(np.abs(slope.lo), np.abs(slope.hi))[:, None, :]
@@ -144,12 +141,12 @@ def _changes(slope: Interval, arms: Array, pad: Array) -> Interval:
 
 
 def slack(size: Array, some: Mask) -> Array:
-    """What rounding and underflow leave of sums of products whose absolute values sum up to this, some of them not 0."""
+    """What rounding and underflow leave of sums of products whose absolute values sum up to this, if some are not 0."""
     return np.asarray(ROUNDING * size + np.where(some, TINY, 0.0))
 
 
-def _hull(changes: Interval) -> Interval:
-    return Interval(changes.lo.min(axis=1), changes.hi.max(axis=1))
+def _hull(columns: Interval) -> Interval:
+    return Interval(columns.lo.min(axis=1), columns.hi.max(axis=1))
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ type Indices = npt.NDArray[np.int64]
 def balanced(facets: Indices, outlets: npt.NDArray[np.bool_], fluxes: Interval, load: Interval) -> Interval:
     """The fluxes plus a correction with Σ_i Φ_i = −∫_T f in every cell T, as real numbers.
 
-    The correction is 0 but on the facets of a tree that joins every cell with an outlet. What a cell and those behind it
-    leave over flows through one facet, so there is exactly one such correction, and it is enclosed.
+    The correction is 0 but on the facets of a tree that joins every cell with an outlet. What a cell and those behind
+    it leave over flows through one facet, so there is exactly one such correction, and it is enclosed.
 
     Args:
         facets: Number of each facet of each cell, shape (cells, d + 1).
@@ -89,7 +89,7 @@ def _tree(facets: Indices, outlets: npt.NDArray[np.bool_]) -> tuple[Indices, Ind
     visited, parents = breadth_first_order(graph, cells, directed=False)
     if len(visited) <= cells:
         count = connected_components(graph, directed=False)[0] - 1
-        raise InputError(f"no rigorous bound: {count} part(s) of the domain have no facet through which flux may leave")
+        raise InputError(f"{count} part(s) of the domain have no facet through which flux may leave")
     through = np.argmax(outlets, axis=1)
     inner = parents[:cells] != cells
     shared = facets[inner][:, :, None] == facets[parents[:cells][inner]][:, None, :]

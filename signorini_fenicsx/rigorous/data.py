@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
-
 from mpi4py import MPI
 
 from signorini_fenicsx.data import Rows
 from signorini_fenicsx.enclosures import enclose
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval, values
-from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, enclosing, larger
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, edges, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
 from signorini_fenicsx.rigorous.simplices import (
@@ -29,8 +28,10 @@ from signorini_fenicsx.rigorous.simplices import (
     with_midpoints,
 )
 
-FINE = {"mean": 1e-5, "norm": 1e-9, "tilt": 1e-3}
+FINE = {"norm": 1e-9, "tilt": 1e-3, "mean": 1e-9}
 """What is left of the data below this share of their size, or of their slope, is not worth more boxes."""
+IN_MEANS = 1e-2
+"""So much of the variation on a simplex, times h over the size of the domain: means are off together on the tree."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Deviation:
         largest: Upper bound of |e − p|.
         slope: Upper bound of |∇(e − p)|.
         tilt: Upper bound of the root mean square of |∇(e − p)|.
+        rise: Upper bound of |∇(e − p)·s| for all edges s.
     """
 
     nodes: Interval
@@ -52,6 +54,7 @@ class Deviation:
     largest: Array
     slope: Array
     tilt: Array
+    rise: Array
 
 
 def deviation(
@@ -59,6 +62,7 @@ def deviation(
     vertices: Array,
     elementary: Elementary,
     *,
+    name: str,
     by: Literal["mean", "norm", "tilt"] = "norm",
     degree: int = 2,
     wanted: Array | None = None,
@@ -69,9 +73,13 @@ def deviation(
         tree: The expression.
         vertices: Of the simplices.
         elementary: Proven bounds of exp, sin, ….
+        name: What it is called in the case.
         by: What is bisected for.
         degree: Of p, 1 or 2.
         wanted: Values that p should have in the nodes of P2, NaN where it takes those of the expression.
+
+    Raises:
+        InputError: If there are no finite bounds.
     """
     dim = vertices.shape[1] - 1
     corners = enclosing(vertices)
@@ -86,8 +94,14 @@ def deviation(
     size = float(np.nan_to_num(np.abs(sampled)).max(initial=0.0))
     extent = float(np.ptp(vertices.reshape(-1, vertices.shape[-1]), axis=0).max()) if vertices.size else 1.0
     tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
+    if by == "mean" and len(vertices):
+        tolerance += IN_MEANS * len(vertices) ** (-1 / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
     found = enclose(tree, vertices, p, tolerance, MPI.COMM_SELF, scale=0.0, by=by, elementary=elementary)
-    return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt)
+    known = found.norm + (found.tilt if by == "tilt" else 0.0)
+    if not np.isfinite(known).all():
+        what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
+        raise InputError(f"{name} has {what} {_near(found.place[:, None], np.where(np.isfinite(known), 0, -1))}")
+    return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
@@ -127,8 +141,8 @@ class Given:
 
     Attributes:
         f, u_D, g_N, psi, q_S: As `data.Problem` has them.
-        kappa: κ as a matrix of trees, one row and column for a scalar; by region, or under "" for all of Ω. What is below
-            the diagonal is not looked at: it is taken for what is above.
+        kappa: κ as a matrix of trees, one row and column for a scalar; by region, or under "" for all of Ω. What is
+            below the diagonal is not looked at: it is taken for what is above.
         elementary: Proven bounds of exp, sin, ….
     """
 
@@ -155,7 +169,7 @@ class Given:
         }
         missing = [name for name in names if name not in trees] + ["kappa"] * (not kappa)
         if missing:
-            raise InputError(f"no rigorous bound: {', '.join(missing)} must be an expression, as in a case file")
+            raise InputError(f"{', '.join(missing)} must be an expression, as in a case file")
         return cls(**{name: trees[name] for name in names}, kappa=kappa, elementary=elementary)  # type: ignore[arg-type]
 
     def conductivity(self, cells: Simplices, discrete: Discrete) -> Conductivity:
@@ -176,13 +190,13 @@ class Given:
                 if len(rows) == 1 < size and i != j:
                     continue
                 tree = rows[i % len(rows)][j % len(rows)]
-                found = deviation(tree, cells.vertices[chosen], self.elementary, degree=1)
+                found = deviation(tree, cells.vertices[chosen], self.elementary, name="kappa", degree=1)
                 for k, m in ((i, j), (j, i)):
                     corners.lo[chosen, :, k, m] = found.nodes.lo[:, : cells.dim + 1]
                     corners.hi[chosen, :, k, m] = found.nodes.hi[:, : cells.dim + 1]
                     deviations[chosen, k, m] = found.largest
         if not known.all():
-            raise InputError("no rigorous bound: kappa must be an expression in all regions, as in a case file")
+            raise InputError("kappa must be an expression in all regions, as in a case file")
         return Conductivity(cells, corners, root(total(total(squared(enclosing(deviations))))).hi)
 
 
@@ -207,7 +221,7 @@ class Conductivity:
         middle = corners.lo.mean(axis=1)
         smallest = np.linalg.eigvalsh(middle).min(axis=1)
         if not (smallest > 0).all():
-            raise InputError(f"no rigorous bound: kappa is not positive {_near(cells.vertices, smallest)}")
+            raise InputError(f"kappa is not positive {_near(cells.vertices, smallest)}")
         lower = np.linalg.inv(np.linalg.cholesky(middle))
         self._half = enclosing(np.swapaxes(lower, -1, -2))
         self._half_size = total(total(squared(self._half)))
@@ -219,7 +233,7 @@ class Conductivity:
         self.theta = enclosing(least) - self._half_size * deviation
         if not (self.theta.lo > 0).all():
             where = _near(cells.vertices, self.theta.lo)
-            raise InputError(f"no rigorous bound: kappa varies too much within a cell {where}; choose a smaller h")
+            raise InputError(f"kappa varies too much within a cell {where}; choose a smaller h")
         largest = root(total(total(squared(corners)))).hi.max(axis=1)
         self.root_largest = root(enclosing(largest) + deviation)
         self._cells = cells
@@ -242,7 +256,7 @@ class Conductivity:
         x = self.half(enclosing(self._cells.vertices))
         pairs = itertools.combinations(range(self._cells.dim + 1), 2)
         squares = [total(squared(at(x, np.s_[:, i]) - at(x, np.s_[:, j]))) for i, j in pairs]
-        return root(Interval(np.max([a.lo for a in squares], axis=0), np.max([a.hi for a in squares], axis=0)))
+        return root(functools.reduce(larger, squares))
 
 
 def _near(vertices: Array, values: Array) -> str:
@@ -251,7 +265,7 @@ def _near(vertices: Array, values: Array) -> str:
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    """a b, matrices in the last two axes."""
+    """The product of matrices in the last two axes."""
     return total(at(a, np.s_[..., :, :, None]) * at(b, np.s_[..., None, :, :]), axis=-2)
 
 

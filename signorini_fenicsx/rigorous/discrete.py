@@ -47,7 +47,7 @@ class Discrete:
 
     @property
     def dim(self) -> int:
-        """d."""
+        """The dimension d."""
         return self.vertices.shape[2]
 
 
@@ -85,7 +85,7 @@ def boundary(discrete: Discrete, kind: int) -> Facets:
 
 
 def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
-    """A solution and a function in P2 on rank 0, None elsewhere; cells in the order in which the mesh was made (collective).
+    """A solution and a function in P2 on rank 0, cells in the order of their making; None elsewhere (collective).
 
     Args:
         solution: The solution.

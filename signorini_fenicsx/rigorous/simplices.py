@@ -9,19 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
 
 EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
 """Vertices of each edge of an interval, a triangle and a tetrahedron, as Basix numbers them."""
 
 
-def at(a: Interval, index: object) -> Interval:
+def at(a: Interval, index: Any) -> Interval:
     """Some of the entries."""
-    return Interval(a.lo[index], a.hi[index])  # type: ignore[index]
+    return Interval(a.lo[index], a.hi[index])
 
 
 def total(a: Interval, axis: int = -1) -> Interval:
@@ -74,7 +76,7 @@ class Simplices:
 
     @property
     def dim(self) -> int:
-        """d."""
+        """The dimension d."""
         return self.vertices.shape[2]
 
     def some(self, which: npt.NDArray[np.int64]) -> Simplices:
@@ -86,7 +88,7 @@ def simplices(vertices: Array) -> Simplices:
     """Their geometry.
 
     Raises:
-        ArithmeticError: If a cell is so flat that the sign of its volume is lost in rounding.
+        InputError: If a cell is so flat that the sign of its volume is lost in rounding.
     """
     dim = vertices.shape[2]
     x = enclosing(vertices)
@@ -99,7 +101,7 @@ def simplices(vertices: Array) -> Simplices:
         normals = [_cross(edges[1], edges[2]), _cross(edges[2], edges[0]), _cross(edges[0], edges[1])]
         determinant = total(edges[0] * normals[0])
     if ((determinant.lo <= 0) & (determinant.hi >= 0)).any():
-        raise ArithmeticError("a cell is flat up to rounding")
+        raise InputError("a cell of the mesh is flat up to rounding")
     across = at(determinant, np.s_[:, None])
     gradients = [normal / across for normal in normals]
     size = Interval(np.minimum(abs(determinant.lo), abs(determinant.hi)), determinant.largest)
@@ -150,7 +152,7 @@ def gradient_in_vertices(cells: Simplices, values: Interval) -> Interval:
 
 
 def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
-    """y in the vertices, shape (cells, d + 1, d), of the RT0 field that flows out through facet i, opposite to vertex i.
+    """RT0 fields y in the vertices, shape (cells, d + 1, d), from the fluxes out through facet i, opposite to vertex i.
 
     y(x) = Σ_i Φ_i (x − x_i)/(d|T|): its normal component is constant on facets, and its divergence ΣΦ_i/|T|.
     """

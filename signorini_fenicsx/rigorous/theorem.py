@@ -1,17 +1,17 @@
 """The error bound as a theorem: the gap identity with every number in it enclosed.
 
 What is proved. Ω is the union of the simplices whose vertices are the stored floats, Γ_D, Γ_N and Γ_S are its facets as
-marked, f, κ, u_D, g_N, ψ, q_S are the functions that the case file writes, literals and pi exact. u solves the Signorini
+marked, f, κ, u_D, g_N, ψ, q_S are the functions that the case file writes, literals and pi exact. u solves Signorini's
 problem, σ = κ∇u, and σ_h is the RT0 field whose fluxes through facets are the stored floats. Then the numbers found are
 upper bounds of ‖σ − σ_h‖, and of that and |∇(v − u)|, in energy norms. How σ_h and v were computed plays no part.
 
 How. `certificate` has the argument; here each of its ingredients is exact.
 
-- *Flux.* y has the mean of g_N on facets of Γ_N, at least that of q_S on those of Γ_S, and ∇·y + mean of f is 0 in every
-  cell, see `balance`: so there is no C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed.
+- *Flux.* y has the mean of g_N on facets of Γ_N, at least that of q_S on those of Γ_S, and ∇·y + mean of f is 0 in all
+  cells, see `balance`: so there is no C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed. r is q_S less its mean.
 - *Trace.* See `trace`: v = u_D on Γ_D and v ≥ ψ on Γ_S, up to a function whose gradient is bounded.
 - *κ.* With L in floats and LᵀκL ≥ θ > 0 on T, ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) + (κ − κ̃)∇v with κ̃ the
-  linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: so Poincaré's
+  linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: Poincaré's
   constant for energy norms is ĥ/(π√θ), and the trace constant of `forms.certificate` takes ĥ/√θ for h_T/√κ_T.
 - *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
 """
@@ -21,7 +21,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Conductivity, Given, deviation
@@ -38,7 +40,6 @@ from signorini_fenicsx.rigorous.simplices import (
     simplices,
     square_norm,
     squared,
-    total,
     total_above,
     with_midpoints,
 )
@@ -74,8 +75,10 @@ def prove(discrete: Discrete, given: Given) -> Proven:
     kappa = given.conductivity(cells, discrete)
     constant = kappa.diameter / PI
     load, oscillation = _load(cells, constant, given)
-    fluxes, excess, on_facets = _boundary_fluxes(discrete, cells, kappa, given)
-    y = balanced(discrete.facets, discrete.kinds == DIRICHLET, fluxes, load)
+    fluxes, least, on_facets = _boundary_fluxes(discrete, cells, kappa, given)
+    outlets = _outlets(discrete, fluxes, least)
+    y = balanced(discrete.facets, outlets, fluxes, load)
+    excess = _excess(discrete, y, least)
     trace = admissible(discrete, cells, given)
 
     slopes = with_midpoints(gradient_in_vertices(cells, trace.nodes))
@@ -87,6 +90,8 @@ def prove(discrete: Discrete, given: Given) -> Proven:
     oscillation = (oscillation + on_facets) / root(kappa.theta)
     left = root_above(total_above((square_norm(cells, kappa.half(left_nodes)) / kappa.theta).hi))
 
+    if not np.isfinite(total_above(np.concatenate([mismatch.hi, contact.hi, oscillation.hi])) + left):
+        raise InputError("the data have no certain finite bounds, or not finite gradients, near Γ_D or Γ_S")
     twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, contact.hi]))
     square = total_above(squared(oscillation).hi)
     return Proven(
@@ -100,7 +105,7 @@ def prove(discrete: Discrete, given: Given) -> Proven:
 
 def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval, Interval]:
     """∫_T f, and a bound of constant ‖f − its mean‖_T: ‖f − c‖ ≤ ‖p − c‖ + ‖f − p‖ for any number c."""
-    f = deviation(given.f, cells.vertices, given.elementary, by="mean")
+    f = deviation(given.f, cells.vertices, given.elementary, by="mean", name="f")
     nodes = f.nodes
     middle = mean(nodes, cells.dim)
     spread = root(square_norm(cells, nodes - at(middle, np.s_[:, None])))
@@ -110,32 +115,57 @@ def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval,
 def _boundary_fluxes(
     discrete: Discrete, cells: Simplices, kappa: Conductivity, given: Given
 ) -> tuple[Interval, Interval, Interval]:
-    """Fluxes that suit g_N and q_S, what flows more than q_S through each facet of Γ_S, and the oscillation per cell.
+    """Fluxes that suit g_N and q_S, the integrals of q_S on the facets of Γ_S, and the oscillation per cell.
 
     The flux is the integral of g_N on Γ_N; on Γ_S it stays where it is at least the integral of q_S, else it is that.
     """
     lo, hi = discrete.fluxes.copy(), discrete.fluxes.copy()
     oscillation = np.zeros(len(lo))
-    excess = enclosing(0.0)
-    for kind, tree in ((NEUMANN, given.g_N), (SIGNORINI, given.q_S)):
+    least = enclosing(np.empty(0))
+    for kind, name in ((NEUMANN, "g_N"), (SIGNORINI, "q_S")):
         facets = boundary(discrete, kind)
         if len(facets.cells) == 0:
             continue
-        g = deviation(tree, facets.corners, given.elementary, by="mean")
+        g = deviation(getattr(given, name), facets.corners, given.elementary, by="mean", name=name)
         dim = discrete.dim - 1
         wanted = facets.measure * (mean(g.nodes, dim) + g.mean)
         place = (facets.cells, facets.local)
         if kind == SIGNORINI:
-            more = enclosing(discrete.fluxes[place]) - wanted
-            kept = more.lo >= 0
-            excess = more.where(kept, enclosing(0.0))
-            wanted = enclosing(discrete.fluxes[place]).where(kept, wanted)
+            least, flux = wanted, enclosing(discrete.fluxes[place])
+            wanted = flux.where(flux.lo >= least.hi, least)
         lo[place], hi[place] = wanted.lo, wanted.hi
         coefficients = bernstein(g.nodes, dim)
         spread = (enclosing(coefficients.hi.max(axis=1)) - coefficients.lo.min(axis=1)) / 2.0 + g.norm
         np.add.at(oscillation, facets.cells, (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi)
         oscillation[facets.cells] = np.nextafter(oscillation[facets.cells], np.inf)
-    return Interval(lo, hi), excess, enclosing(oscillation)
+    return Interval(lo, hi), least, enclosing(oscillation)
+
+
+def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> npt.NDArray[np.bool_]:
+    """Facets that what is left over may leave through: Γ_D, or else those of Γ_S where much more flows than need be."""
+    outlets = discrete.kinds == DIRICHLET
+    if not outlets.any() and len(least.lo):
+        on_signorini = discrete.kinds == SIGNORINI
+        more = fluxes.lo[on_signorini] - least.hi
+        outlets[on_signorini] = more >= max(more.max() / 2, np.finfo(float).tiny)
+    return outlets
+
+
+def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
+    """What flows through each facet of Γ_S more than the integral of q_S, which must be ≥ 0.
+
+    Raises:
+        InputError: If it may be < 0 by more than the width of that integral.
+    """
+    if len(least.lo) == 0:
+        return enclosing(0.0)
+    place = np.nonzero(discrete.kinds == SIGNORINI)
+    flux = at(y, place)
+    more = flux - least
+    same = (flux.lo == least.lo) & (flux.hi == least.hi)  # the very number
+    if not (same | (more.lo >= 0)).all():
+        raise InputError("the flux cannot be balanced: what rounding leaves is more than what flows out through Γ_S")
+    return enclosing(np.zeros(len(same))).where(same, more)
 
 
 def _trace_constant(cells: Simplices, kappa: Conductivity, facets: Facets) -> Interval:

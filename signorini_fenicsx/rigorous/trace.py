@@ -1,17 +1,17 @@
 """A continuous function that is u_D on Γ_D and at least ψ on Γ_S, from the certificate's v.
 
-With P the P2 function that has v's values in the nodes on Γ_D and rounded ones of u_D in all others, and χ the sum of the
+With P the P2 function that has v's values in the nodes on Γ_D and rounded ones of u_D in all others, χ the sum of the
 hat functions of the vertices on Γ_D, v + χ(u_D − P) is u_D on Γ_D. Hat functions of other vertices on Γ_S, times ρ ≥ 0,
 lift it until it is at least ψ on Γ_S. On a facet let q = v − Pψ, with Pψ a quadratic near ψ, and ‖·‖ be largest values.
 
-- Where no vertex is on Γ_D, χ = 0 and it is enough that all Bernstein coefficients of q + Σρλ are ≥ ‖ψ − Pψ‖.
+- Where no vertex is on Γ_D, χ = 0 and it is enough that q + Σρλ ≥ ‖ψ − Pψ‖.
 - Else u_D ≥ ψ where χ = 1 is what the data must satisfy. Let s(x) be x with each barycentric coordinate of a vertex off
-  Γ_D spread over those on it, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Then, with d = u_D − P, what is above ψ in x less what
-  is in s, where it is u_D − ψ, is at least
+  Γ_D spread over those on it, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Then, with d = u_D − P, what is above ψ in x less
+  what is in s, where it is u_D − ψ, is at least
 
-      q(x) − q(s) + Σρλ − (1 − χ)(χ h‖∇d‖ + ‖d‖ + h‖∇(ψ − Pψ)‖),
+      q(x) − q(s) + Σρλ − (1 − χ)(χ h‖∇d‖ + ‖d‖ + max_e ‖∇(ψ − Pψ)·e‖),
 
-  a quadratic whose Bernstein coefficients must be ≥ 0.
+  with edges e, a quadratic that must be ≥ 0. See `_lifts` for how Bernstein coefficients tell.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import interval
 from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
 from signorini_fenicsx.expressions.tree import Binary
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, smallest
@@ -70,7 +69,7 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     on_dirichlet = _nodes_on(discrete, DIRICHLET)
     correction = _dirichlet(discrete, cells, given, on_dirichlet)
     facets = boundary(discrete, SIGNORINI)
-    psi = deviation(given.psi, facets.corners, given.elementary)
+    psi = deviation(given.psi, facets.corners, given.elementary, name="psi")
     dim = discrete.dim - 1
     q = enclosing(discrete.v[facets.cells[:, None], facets.nodes]) - psi.nodes
     fixed = on_dirichlet[facets.cells[:, None], facets.nodes[:, : dim + 1]]
@@ -118,7 +117,8 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
     near = np.flatnonzero(on_dirichlet[:, : dim + 1].any(axis=1))
     if len(near) > 0:
         kept = np.where(on_dirichlet[near], discrete.v[near], np.nan)
-        found = deviation(given.u_D, discrete.vertices[near], given.elementary, by="tilt", wanted=kept)
+        vertices = discrete.vertices[near]
+        found = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=kept)
         missed = enclosing(np.where(np.isnan(kept), 0.0, kept)) - found.nodes.where(~np.isnan(kept), enclosing(0.0))
         chi = on_dirichlet[near, : dim + 1]
         hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
@@ -156,7 +156,7 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
                 )
     if not (found >= 0).all():
         where = ", ".join(f"{x:.4g}" for x in facets.corners[np.argmin(found)].mean(axis=0))
-        raise InputError(f"no rigorous bound: where Γ_D meets Γ_S, u_D ≥ psi is not certain near ({where})")
+        raise InputError(f"where Γ_D meets Γ_S, u_D ≥ psi is not certain near ({where})")
     return found
 
 
@@ -182,7 +182,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
         )
     )  # not less than the longest edge
     steep = h * correction.slope[facets.cells]
-    flat = h * psi.slope + correction.size[facets.cells]
+    flat = enclosing(psi.rise) + correction.size[facets.cells]
     seam = fixed.any(axis=1)
     spare = []
     for k, m in [(k, k) for k in range(dim + 1)] + list(pairs):
@@ -196,15 +196,19 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
 def _lifts(vertices: Indices, fixed: Mask, spare: Interval, corners: Indices) -> Array:
     """ρ of each vertex: what the coefficients of all facets lack, 0 for those on Γ_D.
 
-    A lift adds itself to the coefficient of its vertex, and half of itself to those of the edges there.
+    Σ a_i λ_i² + 2 Σ c_ij λ_i λ_j ≥ 0 if a_i ≥ 0 and c_ij ≥ −√(a_i a_j), for triangles half of that: with t_i = √a_i λ_i
+    it is at least (t_1 − t_2)², or Σ (t_i − t_j)²/2. A lift adds itself to a_i, and half of itself to all c_ij.
     """
     dim = fixed.shape[1] - 1
+    part = 1.0 if dim == 1 else 0.5
     lack = np.maximum(-spare.lo, 0.0)
     lifts = np.zeros(int(corners.max()) + 1)
     for k in range(dim + 1):
         np.maximum.at(lifts, vertices[:, k], np.where(fixed[:, k], 0.0, lack[:, k]))
     for number, (i, j) in enumerate(EDGES[dim]):
+        ends = (enclosing(np.maximum(spare.lo[:, k], 0.0)) for k in (i, j))
+        lacking = np.maximum((-at(spare, np.s_[:, dim + 1 + number]) - part * root(next(ends) * next(ends))).hi, 0.0)
         for k, other in ((i, j), (j, i)):
-            needed = lack[:, dim + 1 + number] * np.where(fixed[:, other], 2.0, 1.0)
+            needed = lacking * np.where(fixed[:, other], 2.0, 1.0)
             np.maximum.at(lifts, vertices[:, k], np.where(fixed[:, k], 0.0, needed))
     return lifts
