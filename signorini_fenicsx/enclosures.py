@@ -32,7 +32,7 @@ from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Place
 
 CAP = 1000
 """Boxes that one simplex may cost."""
-BUDGET, BUDGET_EACH = 200_000, 10
+BUDGET, BUDGET_EACH = 50_000, 10
 """Boxes that all simplices may cost together: so many, and so many more for each of them: some seconds."""
 WORST = 0.25
 """Parts are cut whose share in what is not known is at least so much of the largest share in their simplex."""

@@ -110,7 +110,8 @@ def _on_facets(
     facet = facet_type(points.mesh.topology.dim)
     projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
     known = [means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in (points.points, quadratic_nodes(facet))]
-    return known[0], resolution.on_facets(name, points, known[1], metric)
+    seen = np.sqrt(projection.rest / points.weights.sum())
+    return known[0], resolution.on_facets(name, points, known[1], seen, metric)
 
 
 def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
@@ -130,7 +131,8 @@ def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution
     if not resolution.encloses("f"):
         return load
     nodes = data.f_h.x.array[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
-    return replace(load, rest=resolution.on_cells("f", nodes, metric) ** 2 * weights.sum())
+    seen = np.sqrt(load.rest / weights.sum())
+    return replace(load, rest=resolution.on_cells("f", nodes, seen, metric) ** 2 * weights.sum())
 
 
 def _degree(value: Expr) -> int:
