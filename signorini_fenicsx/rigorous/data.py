@@ -76,7 +76,7 @@ def deviation(
         name: What it is called in the case.
         by: What is bisected for.
         degree: Of p, 1 or 2.
-        wanted: Values that p should have in the nodes of P2, NaN where it takes those of the expression.
+        wanted: Values that p should have in the nodes of P2, if not those of the expression.
 
     Raises:
         InputError: If there are no finite bounds.
@@ -84,9 +84,9 @@ def deviation(
     dim = vertices.shape[1] - 1
     corners = enclosing(vertices)
     x = with_midpoints(corners)
-    sampled = values(tree, dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False)))
+    sampled = values(tree, places(x))
     if wanted is not None:
-        sampled = np.where(np.isnan(wanted), sampled, wanted)
+        sampled = wanted.copy()
     if degree == 1:
         ends = np.array(EDGES[dim]).T
         sampled[:, dim + 1 :] = (sampled[:, ends[0]] + sampled[:, ends[1]]) / 2
@@ -102,6 +102,11 @@ def deviation(
         what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
         raise InputError(f"{name} has {what} {_near(found.place[:, None], np.where(np.isfinite(known), 0, -1))}")
     return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
+
+
+def places(x: Interval) -> dict[str, Array]:
+    """Coordinates of floats in the middle."""
+    return dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False))
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:

@@ -27,7 +27,7 @@ from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Conductivity, Given, deviation
-from signorini_fenicsx.rigorous.discrete import DIRICHLET, NEUMANN, SIGNORINI, Discrete, Facets, boundary
+from signorini_fenicsx.rigorous.discrete import DIRICHLET, INSIDE, NEUMANN, SIGNORINI, Discrete, Facets, boundary
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     at,
@@ -71,6 +71,8 @@ def prove(discrete: Discrete, given: Given) -> Proven:
     Raises:
         InputError: If the data or the mesh are such that there is no bound by this argument.
     """
+    if (np.bincount(discrete.facets.ravel())[discrete.facets] != np.where(discrete.kinds == INSIDE, 2, 1)).any():
+        raise InputError("conditions are given on facets inside the domain, or facets have three cells")
     cells = simplices(discrete.vertices)
     kappa = given.conductivity(cells, discrete)
     constant = kappa.diameter / PI
