@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import values
-from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing, larger
 from signorini_fenicsx.expressions.tree import Binary
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
 from signorini_fenicsx.rigorous.discrete import (
@@ -63,11 +63,13 @@ class Trace:
         nodes: Its quadratic part in the nodes of P2 of each cell.
         extra: Upper bound of ‖∇((u_D − P)χ)‖ per cell.
         height: Upper bound of the mean over each Γ_S facet of the function less ψ.
+        highest: Upper bound of its values there.
     """
 
     nodes: Interval
     extra: Interval
     height: Interval
+    highest: Interval
 
 
 def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
@@ -88,10 +90,11 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     rise = [enclosing(lifts[discrete.corners[:, k]]) for k in range(discrete.dim + 1)]
     lift = stacked([*rise, *((rise[i] + rise[j]) / 2.0 for i, j in EDGES[discrete.dim])])
     above = q + at(lift, (facets.cells[:, None], facets.nodes))
-    height = mean(above, dim) - psi.mean + np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
-    return Trace(
-        enclosing(discrete.v) + lift, enclosing(correction.extra), Interval(height.lo, np.maximum(height.hi, 0.0))
-    )
+    beside = np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
+    height = mean(above, dim) - psi.mean + beside
+    highest = enclosing(bernstein(above, dim).hi.max(axis=1)) + psi.largest + beside
+    extra = enclosing(correction.extra)
+    return Trace(enclosing(discrete.v) + lift, extra, *(larger(each, enclosing(0.0)) for each in (height, highest)))
 
 
 @dataclass(frozen=True)
