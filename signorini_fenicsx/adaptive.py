@@ -105,7 +105,8 @@ def adapt(
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:
             return solution, certificate
-        domain = refine(domain, dorfler(certificate.indicator.x.array, theta, comm))
+        marked = dorfler(certificate.indicator.x.array, theta, comm)
+        domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
         if _cells(domain) > max_cells:
             return solution, certificate
         mesh += 1

@@ -21,6 +21,7 @@ from signorini_fenicsx.algorithms import Penalty
 from signorini_fenicsx.backend import LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.hybrid import HybridBackend
 from signorini_fenicsx.samples import CellMetric
 from signorini_fenicsx.solution import Solution
@@ -30,6 +31,8 @@ type Array = npt.NDArray[np.float64]
 
 ROUNDING = 1e-9
 """L‖c‖/√κ of less than this part of ‖σ_h‖ is taken for rounding, and added to the bound as it is."""
+WORTH = 0.5
+"""Part of a load that may be uncertain if the rest is to be balanced."""
 CORRECTIONS = 4
 """Solves after which c has to be rounding; one is enough but for linear solvers that stop early."""
 
@@ -113,3 +116,46 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
         q_Sh=nothing,
     )
     return HybridBackend(spaces, loads).solve(FacetConditions(kind)).sigma
+
+
+def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) -> float:
+    """Bound of sup (c, w)/|w| over w = 0 on Γ_D for a load c that is enclosed per owned cell (collective).
+
+    What is in the middle of the enclosures is balanced by a flux z, (c, w) = (z, ∇w), if its constant says too much.
+    It is infinite without Γ_D, or if a linear solve fails.
+    """
+    comm, volume = spaces.mesh.comm, metric.volume
+    ends = np.maximum(np.abs(load.lo), np.abs(load.hi))
+    middle = fem.Function(spaces.Q)
+    middle.x.array[:] = (load.lo + load.hi) / 2
+    rest = np.nextafter(np.maximum(load.hi - middle.x.array, middle.x.array - load.lo), np.inf)
+    whole, left = np.sqrt(comm.allreduce(np.array([volume @ ends**2, volume @ rest**2]))).tolist()
+    if whole == 0:
+        return 0.0
+    if not spaces.has_dirichlet or not np.isfinite(whole):
+        return np.inf
+    one, nothing = fem.Function(spaces.Q), fem.Function(spaces.V)
+    one.x.array[:] = 1.0
+    try:
+        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one))
+        if left > WORTH * whole:
+            return constant * whole
+        z = _balancing_flux(spaces, data, nothing, middle)
+    except LinearSolveFailure:
+        return np.inf
+    return min(constant * whole, constant * left + _distance(spaces, data, metric, z, nothing))
+
+
+def _load_constant(spaces: Spaces, data: Data, metric: CellMetric, z: fem.Function) -> float:
+    """C with ‖w‖ ≤ C|w| for w = 0 on Γ_D, see `resolution`, from the flux z for the load 1 (collective)."""
+    mesh = spaces.mesh
+    dim, number = mesh.topology.dim, len(metric.volume)
+    corners = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
+    corners.interpolate(z)
+    values = corners.x.array.reshape(-1, dim + 1, dim)[:number]
+    inverse = np.broadcast_to(metric.inverse, (number, dim, dim))
+    squares = np.einsum("cvi,cij,cvj->cv", values, inverse, values).max(axis=1, initial=0.0) / metric.low
+    load = -assembled(ufl.div(z) * ufl.TestFunction(spaces.Q) * ufl.dx) / metric.volume
+    s = mesh.comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
+    m = mesh.comm.allreduce(load.min(initial=np.inf), MPI.MIN)
+    return float(2 * s / m) if m > 0 else np.inf

@@ -53,6 +53,9 @@ class Trace:
         exact: The same with u_D itself on Γ_D and not below ψ itself on Γ_S.
         above: On Γ_S, exact − ψ.
         cells: Owned cells on which v and exact may differ.
+        at_dirichlet: Those of them in which v has u_D in it.
+        touching: Those of them in which v has ψ in it as it is.
+        lowest: Lower bound of v − I_hψ per facet of Γ_S.
         feasible: Whether u_D allows the function to be ≥ ψ on all of Γ_S.
     """
 
@@ -60,6 +63,9 @@ class Trace:
     exact: Expr
     above: Expr
     cells: Indices
+    at_dirichlet: Indices
+    touching: Indices
+    lowest: Array
     feasible: bool
 
 
@@ -90,7 +96,8 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
     v.x.array[:] = w.x.array + psi.x.array
     if is_constant(data.u_D) and is_constant(data.psi):
-        return Trace(v, v, w, np.empty(0, dtype=np.int32), feasible)
+        nowhere = np.empty(0, dtype=np.int32)
+        return Trace(v, v, w, nowhere, nowhere, nowhere, np.zeros(len(spaces.facets)), feasible)
     return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
 
 
@@ -129,7 +136,10 @@ def _with_exact_data(
         raised.x.array[:] = _largest_around(linear, corners, np.where(fixed, *ROOM[::-1]) * lacking)
         raised.x.array[on_dirichlet] = 0.0
         above += raised
-    cells = np.flatnonzero(near[linear.dofmap.list].any(axis=1)).astype(np.int32)
+    cells, at_dirichlet, touched = (
+        np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32)
+        for some in (near, near_dirichlet.x.array, touching.x.array)
+    )
     bound = psi + cut_off(near_signorini, missed)
     at_seam = near_signorini.x.array[linear.dofmap.list].any(axis=1)
     on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
@@ -137,7 +147,8 @@ def _with_exact_data(
     depth = mesh.comm.allreduce(max(FAR_BELOW * np.abs(w.x.array).max(initial=0.0), -2 * SAMPLES * lowest), MPI.MAX)
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
     above = ufl.max_value(above, floor)
-    return Trace(v, bound + above, above, cells, feasible)
+    height = w.x.array[facet_nodes(w.function_space, spaces)].min(axis=1)
+    return Trace(v, bound + above, above, cells, at_dirichlet, touched, height, feasible)
 
 
 def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:
@@ -173,7 +184,7 @@ def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
     if is_constant(value):
         function.x.array[:] = float(value)
         return function
-    for cells, values in cell_values(space.mesh, value, quadratic_nodes(space.mesh)):
+    for cells, values in cell_values(space.mesh, value, quadratic_nodes(space.mesh.basix_cell())):
         function.x.array[space.dofmap.list[cells]] = values
     function.x.scatter_forward()
     return function
@@ -198,7 +209,7 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
     of_cells = _weights(solution.data)
-    for cells, values in cell_values(mesh, quadratic, quadratic_nodes(mesh)):
+    for cells, values in cell_values(mesh, quadratic, quadratic_nodes(mesh.basix_cell())):
         weights = np.broadcast_to(of_cells[cells, None], values.shape)
         for function, summands in ((v, weights * values), (total, weights)):
             function.x.array[:] += np.bincount(nodes[cells].ravel(), summands.ravel(), len(function.x.array))

@@ -30,23 +30,28 @@ covers: where the boundary is curved, on the polygon or polyhedron.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.certificate import flux_gap
 from forms.mixed import flux_product
-from signorini_fenicsx.admissible_flux import admissible_flux
+from signorini_fenicsx.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.admissible_trace import Trace, admissible_trace
 from signorini_fenicsx.data import Data, is_constant, quadrature, scalar_conductivity
 from signorini_fenicsx.oscillation import ContactExcess, load_oscillation
 from signorini_fenicsx.parallel import Stopwatch
-from signorini_fenicsx.samples import cell_metric
+from signorini_fenicsx.resolution import SEEN, Resolution
+from signorini_fenicsx.samples import CellMetric, cell_metric
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, assembled
+
+type Array = npt.NDArray[np.float64]
 
 FAR, NEAR = 1, 2
 """Cells away from Γ_D and cells that touch it."""
@@ -61,8 +66,12 @@ class Certificate:
         sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
         gap: ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S.
         oscillation: osc; of f in cells, of g_N and q_S on facets.
-        remainder: ‖y − σ_h‖, which the linear solver or a penalty leaves, and what may be rounding.
+        remainder: ‖y − σ_h‖, which the linear solver or a penalty leaves, and what the means of the loads miss.
         relative: bound/‖σ_h‖.
+        guaranteed: Whether all data are enclosed and resolved.
+        by_quadrature: The data that are not enclosed: given in Python, or loads without Γ_D.
+        unresolved: Data that are not resolved, and a place each; the same on all ranks.
+        coarse: The owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
         v: The continuous v in P2, before Dirichlet data that are not quadratic have been made exact.
         seconds: What it took, the longest over all ranks.
@@ -74,22 +83,27 @@ class Certificate:
     oscillation: float
     remainder: float
     relative: float
+    guaranteed: bool
+    by_quadrature: tuple[str, ...]
+    unresolved: tuple[tuple[str, tuple[float, ...]], ...]
+    coarse: npt.NDArray[np.bool_]
     indicator: fem.Function
     v: fem.Function
     seconds: float
 
-    def summary(self) -> dict[str, float]:
-        """The numbers, ready for JSON."""
-        names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
-        return {name: getattr(self, name) for name in names}
+    def summary(self) -> dict[str, Any]:
+        """All but the fields, ready for JSON."""
+        names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative", "guaranteed")
+        unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
+        lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
+        return {name: getattr(self, name) for name in names} | lists
 
 
 def certify(solution: Solution) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
-    Costs some assembly and, if the linear solver or a penalty leaves something, one or two linear solves. The integrals
-    of the data are by quadrature, the smallest κ on a cell is that in its nodes of P2, and u_D and ψ have to be
-    continuous.
+    Costs some assembly and, if the linear solver, a penalty or quadrature leaves something, up to three linear solves.
+    u_D and ψ have to be continuous. Integrals of data that are resolved are by quadrature, see `resolution`.
 
     Args:
         solution: Of any algorithm.
@@ -98,20 +112,35 @@ def certify(solution: Solution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces.mesh, data)
+    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, data.kappa_h))))
+    cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
+    resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
+    metric, deviation = resolution.conductivity(metric, size)
     y, remainder = admissible_flux(solution, metric)
-    oscillation, excess = load_oscillation(spaces, data, metric, spaces.normal_flux(y))
+    oscillation, excess = load_oscillation(spaces, data, metric, spaces.normal_flux(y), resolution)
     trace = admissible_trace(solution, metric, y)
-    twice_the_gap = _twice_the_gap(spaces, data, trace, y, excess)
-    indicator = fem.Function(spaces.Q, name="indicator")
-    indicator.x.array[:] = np.sqrt(np.maximum(twice_the_gap + oscillation**2, 0.0))  # no ghost cells; < 0: no bound
+    mismatch, contact = _twice_the_gap(spaces, data, trace, y, excess)
+    mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
+    beside = resolution.near_boundary(trace, metric)
+    seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
+    near, known = comm.allreduce(seen).tolist()
+    if near > SEEN**2 * known:
+        mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + beside) ** 2
+        resolution.missed += beside**2
+    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load))
+    remainder += left
 
-    total_gap, total_oscillation = comm.allreduce(np.array([twice_the_gap.sum() / 2, (oscillation**2).sum()])).tolist()
+    indicator = fem.Function(spaces.Q, name="indicator")
+    squares = mismatch + contact + oscillation**2
+    indicator.x.array[:] = np.sqrt(np.maximum(squares, 0.0))  # no ghost cells; < 0: no bound
+    sums = np.array([(mismatch + contact).sum() / 2, (oscillation**2).sum(), resolution.missed.sum()])
+    total_gap, total_oscillation, missed = comm.allreduce(sums).tolist()
     bound = sigma_bound = np.inf
     if trace.feasible and np.isfinite(total_gap + total_oscillation):
         total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    size = np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, data.kappa_h)))
+    unresolved = resolution.account((np.sqrt(missed) + left) / bound if 0 < bound < np.inf else 0.0)
     PETSc.garbage_cleanup(comm)
     watch.lap("certificate")
     return Certificate(
@@ -121,6 +150,10 @@ def certify(solution: Solution) -> Certificate:
         oscillation=float(np.sqrt(total_oscillation)),
         remainder=remainder,
         relative=float(bound / size) if size > 0 else (0.0 if bound == 0 else np.inf),
+        guaranteed=not unresolved and not resolution.by_quadrature,
+        by_quadrature=tuple(sorted(resolution.by_quadrature)),
+        unresolved=unresolved,
+        coarse=resolution.coarse,
         indicator=indicator,
         v=trace.v,
         seconds=watch.longest(comm)["certificate"],
@@ -129,8 +162,8 @@ def certify(solution: Solution) -> Certificate:
 
 def _twice_the_gap(
     spaces: Spaces, data: Data, trace: Trace, y: fem.Function, excess: ContactExcess
-) -> npt.NDArray[np.float64]:
-    """2 gap(v, y) per owned cell (collective)."""
+) -> tuple[Array, Array]:
+    """2 gap(v, y) per owned cell: of the fluxes, and on Γ_S (collective)."""
     kappa, q = data.kappa, ufl.TestFunction(spaces.Q)
     degree = quadrature(data.u_D + data.psi + scalar_conductivity(kappa))
     number = spaces.Q.dofmap.index_map.size_local
@@ -139,7 +172,17 @@ def _twice_the_gap(
     parts = [(FAR, np.flatnonzero(~near).astype(np.int32)), (NEAR, trace.cells)]
     dx = ufl.Measure("dx", domain=spaces.mesh, subdomain_data=parts)
     far = flux_gap(trace.v, y, kappa, q, dx(FAR) if is_constant(kappa) else dx(FAR, metadata=quadrature(kappa)))
-    gap = assembled(far) + excess.gap(excess.points.values(trace.above), number)
+    mismatch = assembled(far)
     if trace.exact is not trace.v:
-        gap += assembled(flux_gap(trace.exact, y, kappa, q, dx(NEAR, metadata=degree)))
-    return gap
+        mismatch += assembled(flux_gap(trace.exact, y, kappa, q, dx(NEAR, metadata=degree)))
+    return mismatch, excess.gap(excess.points.values(trace.above), number)
+
+
+def _with_deviation(spaces: Spaces, metric: CellMetric, y: fem.Function, mismatch: Array, deviation: Array) -> Array:
+    """‖κ^½∇v − κ^-½y‖² per owned cell, by that for κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
+    if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
+        return mismatch
+    size = np.sqrt(np.maximum(assembled(ufl.inner(y, y) * ufl.TestFunction(spaces.Q) * ufl.dx), 0.0))
+    lowest = metric.kappa_min
+    root = np.sqrt((1 + deviation / lowest) * np.maximum(mismatch, 0.0)) + deviation * size / lowest**1.5
+    return np.asarray(root**2, dtype=np.float64)

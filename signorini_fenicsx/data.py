@@ -196,9 +196,9 @@ def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.
     """
     if is_constant(value):
         return
-    size = abs(value) + sum(abs(ufl.grad(value)[i]) for i in range(spaces.mesh.geometry.dim))
+    both = value + sum(ufl.grad(value)[i] for i in range(spaces.mesh.geometry.dim))  # infinite or NaN with any of them
     dx = ufl.Measure("dx", spaces.mesh, subdomain_data=[(1, cells)], metadata=quadrature(value))
-    integrals = assembled(size * ufl.TestFunction(spaces.Q) * dx(1))
+    integrals = assembled(both * ufl.TestFunction(spaces.Q) * dx(1))
     if not spaces.mesh.comm.allreduce(bool(np.isfinite(integrals).all()), op=MPI.LAND):
         raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
 

@@ -59,6 +59,11 @@ def projected(values: Array, cell: basix.CellType, degree: int, points: Array, w
     return Projection(coefficients, rest**2 @ weights)
 
 
+def at_points(projection: Projection, cell: basix.CellType, degree: int, points: Array) -> Array:
+    """The projections in points of the reference cell or facet, shape (n, points)."""
+    return projection.coefficients @ _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0].T
+
+
 def _polynomials(cell: basix.CellType, degree: int) -> basix.finite_element.FiniteElement:
     """An orthonormal basis on the reference cell whose first functions are those of lower degrees."""
     legendre = basix.LagrangeVariant.legendre
@@ -136,10 +141,18 @@ class FacetLoad:
     Attributes:
         points: A quadrature in them.
         values: Shape (facets, points).
+        missed: L² norm per facet of what the values do not show of the load.
     """
 
     points: FacetPoints
     values: Array
+    missed: Array
+
+
+def facet_constants(metric: CellMetric, cells: npt.NDArray[np.int32], area: Array) -> Array:
+    """C_e of facets of these cells, from |e|."""
+    dim = metric.jacobian.shape[1]
+    return metric.diameter[cells] * np.sqrt(area / metric.volume[cells] * (1 / np.pi**2 + 2 / (np.pi * dim)))
 
 
 def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None, on_facets: list[FacetLoad]) -> Array:
@@ -166,9 +179,8 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
         of_facet = projection.coefficients.shape[1]
         columns = dim + of_facet * points.local[:, None] + np.arange(of_facet)
         moments[cells[:, None], columns] = scale[:, None] * projection.coefficients
-        area = scale / math.factorial(dim - 1)
-        constant = metric.diameter[cells] * np.sqrt(area / metric.volume[cells] * (1 / np.pi**2 + 2 / (np.pi * dim)))
-        rest += points.per_cell(constant * np.sqrt(scale * projection.rest), number)
+        constant = facet_constants(metric, cells, scale / math.factorial(dim - 1))
+        rest += points.per_cell(constant * (np.sqrt(scale * projection.rest) + each.missed), number)
         at_facets[cells] = True
     norms = np.zeros(number)
     for chosen, kind in ((~at_facets, _reference(cell, at_facets=False)), (at_facets, reference)):

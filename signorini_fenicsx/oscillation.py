@@ -16,7 +16,7 @@ contact y·n is larger than q_S but for the ends of the contact set, and r = 0, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
@@ -24,8 +24,16 @@ import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.data import Data, is_constant, quadrature
-from signorini_fenicsx.local_fluxes import OF_LOAD, FacetLoad, Projection, load_norms, projected
-from signorini_fenicsx.samples import CellMetric, FacetPoints, cell_values, facet_quadrature
+from signorini_fenicsx.local_fluxes import OF_FLUX, OF_LOAD, FacetLoad, Projection, at_points, load_norms, projected
+from signorini_fenicsx.resolution import Resolution
+from signorini_fenicsx.samples import (
+    CellMetric,
+    FacetPoints,
+    cell_values,
+    facet_quadrature,
+    facet_type,
+    quadratic_nodes,
+)
 from signorini_fenicsx.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
@@ -63,7 +71,9 @@ def water_filled(s: Array, weights: Array) -> Array:
     return np.maximum(s, -c[:, None])
 
 
-def load_oscillation(spaces: Spaces, data: Data, metric: CellMetric, flux: Array) -> tuple[Array, ContactExcess]:
+def load_oscillation(
+    spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
+) -> tuple[Array, ContactExcess]:
     """osc_T per owned cell, and the contact excess (collective).
 
     Args:
@@ -71,21 +81,39 @@ def load_oscillation(spaces: Spaces, data: Data, metric: CellMetric, flux: Array
         data: The data.
         metric: Of the cells.
         flux: y·n per facet of Γ_S, at least the mean of q_S.
+        resolution: Takes account of what quadrature may have missed.
     """
     mesh = spaces.mesh
     on_signorini = facet_quadrature(mesh, spaces.facets, _degree(data.q_S**2 + data.psi + data.u_D))
-    s = on_signorini.values(data.q_S) - flux[:, None]
+    q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
+    s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
     excess = ContactExcess(on_signorini, r - s)
-    on_facets = [] if is_constant(data.q_S) else [FacetLoad(on_signorini, r)]
+    on_facets = [] if is_constant(data.q_S) else [FacetLoad(on_signorini, r, missed)]
     if not is_constant(data.g_N):
         on_neumann = facet_quadrature(mesh, spaces.neumann_facets, _degree(data.g_N**2))
-        g_N = on_neumann.values(data.g_N)
-        on_facets.append(FacetLoad(on_neumann, g_N - (g_N @ on_neumann.weights / on_neumann.weights.sum())[:, None]))
-    return load_norms(mesh.basix_cell(), metric, _load(spaces, data), on_facets), excess
+        dofs = spaces.neumann_dofs
+        g_h = data.sigma_lift.x.array[dofs] * spaces.neumann_basis_flux / spaces.neumann_measure
+        g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
+        mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
+        on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
+    return load_norms(mesh.basix_cell(), metric, _load(spaces, data, metric, resolution), on_facets), excess
 
 
-def _load(spaces: Spaces, data: Data) -> Projection | None:
+def _on_facets(
+    name: str, points: FacetPoints, means: Array, data: Data, metric: CellMetric, resolution: Resolution
+) -> tuple[Array, Array]:
+    """A flux in the points of a quadrature, by a quadratic if it can be enclosed, and what that misses (collective)."""
+    values = points.values(getattr(data, name))
+    if not resolution.encloses(name):
+        return values, np.zeros(len(values))
+    facet = facet_type(points.mesh.topology.dim)
+    projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
+    known = [means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in (points.points, quadratic_nodes(facet))]
+    return known[0], resolution.on_facets(name, points, known[1], metric)
+
+
+def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
     """The load f − f_h on the owned cells, None if f is a number (collective)."""
     if is_constant(data.f):
         return None
@@ -98,7 +126,11 @@ def _load(spaces: Spaces, data: Data) -> Projection | None:
     ]
     empty = projected(np.empty((0, len(points))), cell, OF_LOAD, points, weights)
     coefficients, rests = zip(*((part.coefficients, part.rest) for part in [empty, *parts]), strict=True)
-    return Projection(np.concatenate(coefficients), np.concatenate(rests))
+    load = Projection(np.concatenate(coefficients), np.concatenate(rests))
+    if not resolution.encloses("f"):
+        return load
+    nodes = data.f_h.x.array[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
+    return replace(load, rest=resolution.on_cells("f", nodes, metric) ** 2 * weights.sum())
 
 
 def _degree(value: Expr) -> int:

@@ -93,14 +93,24 @@ def methods() -> None:
 
 
 def bound(certificate: Certificate) -> str:
-    """The guaranteed error bound in words."""
+    """The error bound in words, and why it is not guaranteed if it is not."""
     if not math.isfinite(certificate.bound):
-        return "no error bound: u_D < 0 where Γ_D meets Γ_S, or not finite near Γ_D, or a linear solve for it failed"
+        return "no error bound: u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
     parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
     return (
         f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
-        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts}){_reservation(certificate)}"
     )
+
+
+def _reservation(certificate: Certificate) -> str:
+    if certificate.unresolved:
+        name, place = certificate.unresolved[0]
+        where = ", ".join(f"{x:.4g}" for x in place)
+        return f"; not guaranteed: {name} is not resolved near ({where})"
+    if certificate.by_quadrature:
+        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature"
+    return ""
 
 
 def proved(bounds: Proven, seconds: float) -> str:

@@ -27,9 +27,9 @@ def corners(mesh: dolfinx.mesh.Mesh) -> Array:
     return mesh.geometry.x[mesh.geometry.dofmaps[0], : mesh.topology.dim]
 
 
-def quadratic_nodes(mesh: dolfinx.mesh.Mesh) -> Array:
-    """The vertices of the reference cell, then the midpoints of its edges."""
-    return basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 2, basix.LagrangeVariant.gll_warped).points
+def quadratic_nodes(cell: basix.CellType) -> Array:
+    """The vertices of the reference cell or facet, then the midpoints of its edges."""
+    return basix.create_element(basix.ElementFamily.P, cell, 2, basix.LagrangeVariant.gll_warped).points
 
 
 def cell_values(mesh: dolfinx.mesh.Mesh, value: Expr, points: Array) -> Iterator[tuple[slice, Array]]:
@@ -94,12 +94,15 @@ class FacetPoints:
         return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
     @cached_property
+    def vertices(self) -> Array:
+        """Of each facet, in the order of the reference facet, shape (facets, dim, dim)."""
+        local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
+        return np.take_along_axis(corners(self.mesh)[self.cells], local[:, :, None], axis=1)
+
+    @cached_property
     def scale(self) -> Array:
         """|e| over the measure of the reference facet."""
-        dim = self.mesh.topology.dim
-        vertices = np.array(basix.topology(self.mesh.basix_cell())[dim - 1])[self.local]
-        x = np.take_along_axis(corners(self.mesh)[self.cells], vertices[:, :, None], axis=1)
-        edges = x[:, 1:] - x[:, :1]
+        edges = self.vertices[:, 1:] - self.vertices[:, :1]
         return np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1)))
 
     def integrals(self, values: Array) -> Array:
@@ -195,7 +198,7 @@ def _lowest_ratio(mesh: dolfinx.mesh.Mesh, kappa: Expr, inverse: Array) -> Array
     if is_constant(kappa):
         return low
     dim = inverse.shape[1]
-    for cells, values in cell_values(mesh, kappa, quadratic_nodes(mesh)):
+    for cells, values in cell_values(mesh, kappa, quadratic_nodes(mesh.basix_cell())):
         matrices = values if kappa.ufl_shape else values[:, :, None, None] * np.eye(dim)
         root = np.linalg.cholesky(inverse[cells])[:, None]
         ratios = np.linalg.eigvalsh(root.transpose(0, 1, 3, 2) @ matrices @ root)

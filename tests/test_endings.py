@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from test_cli import run, signorini
 
 from signorini_fenicsx import report, solver
 from signorini_fenicsx.cli import main
+from signorini_fenicsx.signals import Interruption, listening
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
 
@@ -82,6 +84,19 @@ def test_a_signal_before_the_loop_leaves_nothing(
     assert ended(monkeypatch, *SOLVE) == 1
     assert capsys.readouterr().err.strip() == "failed: interrupted by SIGTERM"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_in_a_destructor_is_not_lost():
+    class Dying:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def wait() -> None:
+        Dying()
+        time.sleep(30)
+
+    with listening(), pytest.raises(Interruption, match="SIGTERM"):
+        wait()
 
 
 def test_a_reader_that_goes_away(tmp_path: Path):

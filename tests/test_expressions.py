@@ -239,3 +239,8 @@ def test_polynomials():
     degrees |= {"x^-2": None, "1 if x > 0 else 1": None, "(x^2)^3": 6, "max(1, 2)": 0}
     for text, degree in degrees.items():
         assert polynomial_degree(read(text, "xy")) == degree, text
+
+
+def test_abs_of_abs_ends():
+    x = reference_coordinate(2)
+    assert str(parse_expression("abs(abs(x - 1/3))", x)) == str(parse_expression("abs(x - 1/3)", x))

@@ -42,6 +42,11 @@ def _positive_zero(a: Expr) -> Expr:
     return ufl.conditional(ufl.eq(a, 0.0), 0.0, a)
 
 
+def _size(a: Expr) -> Expr:
+    """|a|; UFL's abs of an abs would be an operand of itself, and its walks would not end."""
+    return a if isinstance(a, ufl.algebra.Abs) else abs(a)
+
+
 def _exact(enclosure: Callable[..., Interval]) -> Callable[..., Interval]:
     """A function that needs no elementary ones."""
 
@@ -90,7 +95,7 @@ FUNCTIONS: dict[str, Function] = {
     "sqrt": Function(
         1, 1, math.sqrt, ufl.sqrt, np.sqrt, intervals.sqrt, lambda m, a: (m.constant(0.5) / m.call("sqrt", [a]),)
     ),
-    "abs": Function(1, 1, abs, abs, np.abs, _exact(intervals.absolute)),
+    "abs": Function(1, 1, abs, _size, np.abs, _exact(intervals.absolute)),
     "min": Function(2, 10, min, ufl.min_value, np.minimum, _exact(intervals.smaller)),
     "max": Function(2, 10, max, ufl.max_value, np.maximum, _exact(intervals.larger)),
 }

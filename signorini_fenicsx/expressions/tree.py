@@ -177,7 +177,7 @@ def polynomial_degree(tree: Tree) -> int | None:
             a, b = polynomial_degree(left), polynomial_degree(right)
             if a is None or b is None:
                 return None
-            if sign == "^" and isinstance(right, Number) and right.value.is_integer():
+            if sign == "^" and isinstance(right, Number) and right.value.is_integer() and right.value >= 0:
                 return a * int(right.value)
             if sign == "*":
                 return a + b
