@@ -16,7 +16,7 @@ from signorini_fenicsx.enclosures import enclose
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval, values
 from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, enclosing, larger
-from signorini_fenicsx.expressions.quadratics import Quadratic, constant, edges, quadratic
+from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, constant, edges, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
@@ -76,21 +76,19 @@ def deviation(
         name: What it is called in the case.
         by: What is bisected for.
         degree: Of p, 1 or 2.
-        wanted: Values that p should have in the nodes of P2, NaN where it takes those of the expression.
+        wanted: Values that p should have in the nodes of P2, if not those of the expression.
 
     Raises:
         InputError: If there are no finite bounds.
     """
     dim = vertices.shape[1] - 1
-    corners = enclosing(vertices)
-    x = with_midpoints(corners)
-    sampled = values(tree, dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False)))
-    if wanted is not None:
-        sampled = np.where(np.isnan(wanted), sampled, wanted)
+    middle = vertices.mean(axis=1, keepdims=True)
+    inside = middle + INSIDE * (vertices - middle)  # data that jump between simplices have the values of this one there
+    sampled = values(tree, places(with_midpoints(enclosing(inside)))) if wanted is None else wanted
     if degree == 1:
         ends = np.array(EDGES[dim]).T
         sampled[:, dim + 1 :] = (sampled[:, ends[0]] + sampled[:, ends[1]]) / 2
-    p = _polynomial(vertices, sampled, linear=degree == 1)
+    p = _polynomial(inside if wanted is None else vertices, sampled, linear=degree == 1)
     size = float(np.nan_to_num(np.abs(sampled)).max(initial=0.0))
     extent = float(np.ptp(vertices.reshape(-1, vertices.shape[-1]), axis=0).max()) if vertices.size else 1.0
     tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
@@ -101,7 +99,13 @@ def deviation(
     if not np.isfinite(known).all():
         what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
         raise InputError(f"{name} has {what} {_near(found.place[:, None], np.where(np.isfinite(known), 0, -1))}")
-    return Deviation(_in_nodes(p, vertices, x), found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
+    nodes = _in_nodes(p, vertices, with_midpoints(enclosing(vertices)))
+    return Deviation(nodes, found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
+
+
+def places(x: Interval) -> dict[str, Array]:
+    """Coordinates of floats in the middle."""
+    return dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False))
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:

@@ -118,7 +118,7 @@ def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
         corners=numbers,
         facets=facet,
         kinds=whole["kinds"],
-        fluxes=np.sign(whole["fluxes"]) * _alike(facet, np.abs(whole["fluxes"])),
+        fluxes=_opposite(facet, whole["fluxes"]),
         v=_nodal(numbers, whole["v"]),
         regions=(tuple(spaces.domain.regions), whole["inside"].astype(bool)),
     )
@@ -130,14 +130,34 @@ def _alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return values.reshape(-1, *values.shape[2:])[first][own.reshape(numbers.shape)]
 
 
+def _opposite(facets: Indices, fluxes: Array) -> Array:
+    """The flux out of the first cell of each facet, and its negative for the other."""
+    _, first = np.unique(facets, return_index=True)
+    other = np.ones(facets.size, dtype=bool)
+    other[first] = False
+    return np.where(other.reshape(facets.shape), -1.0, 1.0) * _alike(facets, fluxes)
+
+
+def pairs(one: Indices, other: Indices) -> Indices:
+    """One number for an unordered pair."""
+    return np.minimum(one, other) << 32 | np.maximum(one, other)
+
+
+def alike_in_nodes(corners: Indices, values: Array) -> Array:
+    """The first of the values in each node of P2, for all cells."""
+    dim = corners.shape[1] - 1
+    ends = np.array(EDGES[dim]).T
+    edges = _alike(pairs(corners[:, ends[0]], corners[:, ends[1]]), values[:, dim + 1 :])
+    return np.column_stack([_alike(corners, values[:, : dim + 1]), edges])
+
+
 def _nodal(corners: Indices, coefficients: Array) -> Array:
     """Values in the nodes of P2, those of two cells the same floats, from Bernstein's coefficients."""
     dim = corners.shape[1] - 1
     ends = np.array(EDGES[dim]).T
-    vertices = _alike(corners, coefficients[:, : dim + 1])
-    pairs = np.sort(corners[:, ends], axis=1)
-    of_edges = _alike(pairs[:, 0] << 32 | pairs[:, 1], coefficients[:, dim + 1 :])
-    return np.column_stack([vertices, of_edges / 2 + (vertices[:, ends[0]] + vertices[:, ends[1]]) / 4])
+    found = alike_in_nodes(corners, coefficients)
+    found[:, dim + 1 :] = found[:, dim + 1 :] / 2 + (found[:, ends[0]] + found[:, ends[1]]) / 4
+    return found
 
 
 def _outward_fluxes(solution: Solution, cells: int) -> Array:

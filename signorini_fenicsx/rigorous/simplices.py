@@ -50,13 +50,17 @@ def squared(a: Interval) -> Interval:
 
 
 def total_above(values: Array) -> float:
-    """A float not below the sum."""
+    """A float not below the sum of floats ≥ 0."""
+    if not values.any():
+        return 0.0
     found = math.fsum(values.tolist())  # correctly rounded
     return math.nextafter(found, math.inf) if math.isfinite(found) else math.inf
 
 
 def root_above(value: float) -> float:
     """A float not below √value."""
+    if value == 0:
+        return 0.0
     return math.nextafter(math.sqrt(value), math.inf) if math.isfinite(value) else math.inf
 
 

@@ -8,7 +8,8 @@ upper bounds of ‖σ − σ_h‖, and of that and |∇(v − u)|, in energy nor
 How. `certificate` has the argument; here each of its ingredients is exact.
 
 - *Flux.* y has the mean of g_N on facets of Γ_N, at least that of q_S on those of Γ_S, and ∇·y + mean of f is 0 in all
-  cells, see `balance`: so there is no C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed. r is q_S less its mean.
+  cells, see `balance`: so there is no C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed. r is 0 where
+  y·n ≥ q_S for sure, and ⟨r − s, v − ψ⟩ at most its integral times sup (v − ψ); elsewhere r is q_S less its mean.
 - *Trace.* See `trace`: v = u_D on Γ_D and v ≥ ψ on Γ_S, up to a function whose gradient is bounded.
 - *κ.* With L in floats and LᵀκL ≥ θ > 0 on T, ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) + (κ − κ̃)∇v with κ̃ the
   linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: Poincaré's
@@ -27,7 +28,7 @@ from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Conductivity, Given, deviation
-from signorini_fenicsx.rigorous.discrete import DIRICHLET, NEUMANN, SIGNORINI, Discrete, Facets, boundary
+from signorini_fenicsx.rigorous.discrete import DIRICHLET, INSIDE, NEUMANN, SIGNORINI, Discrete, Facets, boundary
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     at,
@@ -44,6 +45,9 @@ from signorini_fenicsx.rigorous.simplices import (
     with_midpoints,
 )
 from signorini_fenicsx.rigorous.trace import admissible
+
+VARIES = 1e-3
+"""q_S is taken for a constant, whose r is 0 anyway, if it varies by less than this part of the flux."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +75,13 @@ def prove(discrete: Discrete, given: Given) -> Proven:
     Raises:
         InputError: If the data or the mesh are such that there is no bound by this argument.
     """
+    if (np.bincount(discrete.facets.ravel())[discrete.facets] != np.where(discrete.kinds == INSIDE, 2, 1)).any():
+        raise InputError("conditions are given on facets inside the domain, or facets have three cells")
     cells = simplices(discrete.vertices)
     kappa = given.conductivity(cells, discrete)
     constant = kappa.diameter / PI
     load, oscillation = _load(cells, constant, given)
-    fluxes, least, on_facets = _boundary_fluxes(discrete, cells, kappa, given)
+    fluxes, least, pressed, on_facets = _boundary_fluxes(discrete, cells, kappa, given)
     outlets = _outlets(discrete, fluxes, least)
     y = balanced(discrete.facets, outlets, fluxes, load)
     excess = _excess(discrete, y, least)
@@ -86,7 +92,7 @@ def prove(discrete: Discrete, given: Given) -> Proven:
     mismatch = root(square_norm(cells, kappa.half(kappa.times(slopes) - y_nodes)))
     mismatch = (mismatch + kappa.deviation_norm(square_norm(cells, slopes))) / root(kappa.theta)
     mismatch = mismatch + kappa.root_largest * trace.extra
-    contact = 2.0 * excess * trace.height
+    contact = 2.0 * excess * trace.highest.where(pressed, trace.height)
     oscillation = (oscillation + on_facets) / root(kappa.theta)
     left = root_above(total_above((square_norm(cells, kappa.half(left_nodes)) / kappa.theta).hi))
 
@@ -114,14 +120,14 @@ def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval,
 
 def _boundary_fluxes(
     discrete: Discrete, cells: Simplices, kappa: Conductivity, given: Given
-) -> tuple[Interval, Interval, Interval]:
-    """Fluxes that suit g_N and q_S, the integrals of q_S on the facets of Γ_S, and the oscillation per cell.
+) -> tuple[Interval, Interval, npt.NDArray[np.bool_], Interval]:
+    """Fluxes that suit g_N and q_S; ∫q_S on the facets of Γ_S, and where r = 0; the oscillation per cell.
 
     The flux is the integral of g_N on Γ_N; on Γ_S it stays where it is at least the integral of q_S, else it is that.
     """
     lo, hi = discrete.fluxes.copy(), discrete.fluxes.copy()
     oscillation = np.zeros(len(lo))
-    least = enclosing(np.empty(0))
+    least, pressed = enclosing(np.empty(0)), np.empty(0, dtype=bool)
     for kind, name in ((NEUMANN, "g_N"), (SIGNORINI, "q_S")):
         facets = boundary(discrete, kind)
         if len(facets.cells) == 0:
@@ -135,10 +141,17 @@ def _boundary_fluxes(
             wanted = flux.where(flux.lo >= least.hi, least)
         lo[place], hi[place] = wanted.lo, wanted.hi
         coefficients = bernstein(g.nodes, dim)
-        spread = (enclosing(coefficients.hi.max(axis=1)) - coefficients.lo.min(axis=1)) / 2.0 + g.norm
-        np.add.at(oscillation, facets.cells, (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi)
-        oscillation[facets.cells] = np.nextafter(oscillation[facets.cells], np.inf)
-    return Interval(lo, hi), least, enclosing(oscillation)
+        highest, lowest = enclosing(coefficients.hi.max(axis=1)), enclosing(coefficients.lo.min(axis=1))
+        spread = (highest - lowest) / 2.0 + g.norm
+        found = (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi
+        if kind == SIGNORINI:
+            varies = spread.hi * facets.measure.hi > VARIES * np.abs(discrete.fluxes[place])
+            pressed = varies & (discrete.fluxes[place] >= (facets.measure * (highest + g.largest)).hi)
+            pressed &= (discrete.kinds == DIRICHLET).any()  # else what is left over leaves through such facets
+            found[pressed] = 0.0
+        np.add.at(oscillation, facets.cells, found)
+        oscillation = np.where(oscillation > 0, np.nextafter(oscillation, np.inf), 0.0)
+    return Interval(lo, hi), least, pressed, enclosing(oscillation)
 
 
 def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> npt.NDArray[np.bool_]:

@@ -1,6 +1,6 @@
 """A continuous function that is u_D on Γ_D and at least ψ on Γ_S, from the certificate's v.
 
-With P the P2 function that has v's values in the nodes on Γ_D and rounded ones of u_D in all others, χ the sum of the
+With P the P2 function that has v's values in the nodes on Γ_D and floats near u_D in all others, χ the sum of the
 hat functions of the vertices on Γ_D, v + χ(u_D − P) is u_D on Γ_D. Hat functions of other vertices on Γ_S, times ρ ≥ 0,
 lift it until it is at least ψ on Γ_S. On a facet let q = v − Pψ, with Pψ a quadratic near ψ, and ‖·‖ be largest values.
 
@@ -23,10 +23,20 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
+from signorini_fenicsx.expressions import values
+from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing, larger
 from signorini_fenicsx.expressions.tree import Binary
-from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, smallest
-from signorini_fenicsx.rigorous.discrete import DIRICHLET, SIGNORINI, Discrete, Facets, Indices, boundary
+from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
+from signorini_fenicsx.rigorous.discrete import (
+    DIRICHLET,
+    SIGNORINI,
+    Discrete,
+    Facets,
+    Indices,
+    alike_in_nodes,
+    boundary,
+    pairs,
+)
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
     Simplices,
@@ -53,11 +63,13 @@ class Trace:
         nodes: Its quadratic part in the nodes of P2 of each cell.
         extra: Upper bound of ‖∇((u_D − P)χ)‖ per cell.
         height: Upper bound of the mean over each Γ_S facet of the function less ψ.
+        highest: Upper bound of its values there.
     """
 
     nodes: Interval
     extra: Interval
     height: Interval
+    highest: Interval
 
 
 def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
@@ -78,10 +90,11 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     rise = [enclosing(lifts[discrete.corners[:, k]]) for k in range(discrete.dim + 1)]
     lift = stacked([*rise, *((rise[i] + rise[j]) / 2.0 for i, j in EDGES[discrete.dim])])
     above = q + at(lift, (facets.cells[:, None], facets.nodes))
-    height = mean(above, dim) - psi.mean + np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
-    return Trace(
-        enclosing(discrete.v) + lift, enclosing(correction.extra), Interval(height.lo, np.maximum(height.hi, 0.0))
-    )
+    beside = np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
+    height = mean(above, dim) - psi.mean + beside
+    highest = enclosing(bernstein(above, dim).hi.max(axis=1)) + psi.largest + beside
+    extra = enclosing(correction.extra)
+    return Trace(enclosing(discrete.v) + lift, extra, *(larger(each, enclosing(0.0)) for each in (height, highest)))
 
 
 @dataclass(frozen=True)
@@ -101,14 +114,9 @@ def _nodes_on(discrete: Discrete, kind: int) -> Mask:
     of_facet = corners[facets.cells[:, None], facets.nodes[:, :dim]]
     found[:, : dim + 1] = np.isin(corners, of_facet)
     for number, (i, j) in enumerate(EDGES[dim]):
-        edges = np.concatenate([_pairs(of_facet[:, a], of_facet[:, b]) for a, b in EDGES[dim - 1]])
-        found[:, dim + 1 + number] = np.isin(_pairs(corners[:, i], corners[:, j]), edges)
+        edges = np.concatenate([pairs(of_facet[:, a], of_facet[:, b]) for a, b in EDGES[dim - 1]])
+        found[:, dim + 1 + number] = np.isin(pairs(corners[:, i], corners[:, j]), edges)
     return found
-
-
-def _pairs(one: Indices, other: Indices) -> Indices:
-    """One number for an unordered pair."""
-    return np.minimum(one, other) << 32 | np.maximum(one, other)
 
 
 def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet: Mask) -> _Correction:
@@ -116,10 +124,11 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
     extra, size, slope = np.zeros(count), np.zeros(count), np.zeros(count)
     near = np.flatnonzero(on_dirichlet[:, : dim + 1].any(axis=1))
     if len(near) > 0:
-        kept = np.where(on_dirichlet[near], discrete.v[near], np.nan)
         vertices = discrete.vertices[near]
-        found = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=kept)
-        missed = enclosing(np.where(np.isnan(kept), 0.0, kept)) - found.nodes.where(~np.isnan(kept), enclosing(0.0))
+        sampled = values(given.u_D, places(with_midpoints(enclosing(vertices))))
+        wanted = np.where(on_dirichlet[near], discrete.v[near], alike_in_nodes(discrete.corners[near], sampled))
+        found = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=wanted)
+        missed = enclosing(wanted) - found.nodes
         chi = on_dirichlet[near, : dim + 1]
         hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
         steep = root(total(squared(total(hats, axis=1))))
@@ -163,10 +172,10 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
 def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction: _Correction) -> Interval:
     """Bernstein coefficients of what must become ≥ 0 on each facet, see the module."""
     dim = fixed.shape[1] - 1
-    pairs = EDGES[dim]
+    edges = EDGES[dim]
     coefficients = bernstein(q, dim)
     column = [at(coefficients, np.s_[:, k]) for k in range(coefficients.lo.shape[1])]
-    of_pair = {(k, k): column[k] for k in range(dim + 1)} | {edge: column[dim + 1 + n] for n, edge in enumerate(pairs)}
+    of_pair = {(k, k): column[k] for k in range(dim + 1)} | {edge: column[dim + 1 + n] for n, edge in enumerate(edges)}
     share = fixed / np.maximum(fixed.sum(axis=1, keepdims=True), 1)  # 1, 1/2: exact; thirds only where all are fixed
     to = [[np.where(fixed[:, k], float(k == j), share[:, j]) for j in range(dim + 1)] for k in range(dim + 1)]
 
@@ -177,7 +186,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
 
     h = root(
         sum(
-            (total(squared(enclosing(facets.corners[:, i]) - facets.corners[:, j])) for i, j in pairs),
+            (total(squared(enclosing(facets.corners[:, i]) - facets.corners[:, j])) for i, j in edges),
             enclosing(np.zeros(len(fixed))),
         )
     )  # not less than the longest edge
@@ -185,7 +194,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
     flat = enclosing(psi.rise) + correction.size[facets.cells]
     seam = fixed.any(axis=1)
     spare = []
-    for k, m in [(k, k) for k in range(dim + 1)] + list(pairs):
+    for k, m in [(k, k) for k in range(dim + 1)] + list(edges):
         free = 2.0 - fixed[:, k] - fixed[:, m]
         mixed = fixed[:, k] != fixed[:, m]
         beside = of_pair[k, m] - moved(k, m) - flat * (free / 2) - steep * np.where(mixed, 0.5, 0.0)
