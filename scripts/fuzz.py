@@ -3,9 +3,9 @@
     uv run python scripts/fuzz.py --count 2000 [--seed 0] [--kind mesh --kind geo] [--ranks 2]
     uv run python scripts/fuzz.py --only mesh17 [--seed 0]      # that input again; its folder is kept
 
-Each input is run in a folder with files of the user. It must be solved (0), fail (1) or be refused (2) with one sentence,
-and whatever it is, nothing may crash, hang, write outside the output folder or lose a file: the columns on the right,
-explained in `fuzzing/judge.py`, are all 0, or the exit status is 1. Nothing depends on anything but seed, kind and number.
+Each input is run in a folder with files of the user. It must be solved (0), fail (1) or be refused (2) with one
+sentence, and whatever it is, nothing may crash, hang, write outside the output folder or lose a file: the columns on
+the right, explained in `fuzzing/judge.py`, are all 0, or the exit status is 1. Seed, kind and number make the input.
 """
 
 import argparse

@@ -22,7 +22,7 @@ def signorini(folder: Path, *arguments: str, ranks: int = 1) -> subprocess.Compl
     return run(folder, "signorini", *arguments, ranks=ranks)
 
 
-def run(folder: Path, *command: str, ranks: int) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> subprocess.CompletedProcess[str]:
     """Run a command in a folder with a plain environment, as a shell would."""
     hidden = ("PMI", "HYDI", "MPI", "_PYTEST")  # a test may itself run under an mpiexec
     environment = {name: value for name, value in os.environ.items() if not name.startswith(hidden)}
@@ -33,7 +33,7 @@ def run(folder: Path, *command: str, ranks: int) -> subprocess.CompletedProcess[
         env=environment | {"OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=timeout,
         check=False,
     )
 

@@ -8,8 +8,8 @@ import tomllib
 from pathlib import Path
 
 from broken_input import CASE_MUTATIONS
-from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
 
+from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
 from signorini_fenicsx.shipped import data_folder
 
 COARSE = {

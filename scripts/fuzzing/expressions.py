@@ -5,6 +5,7 @@ import random
 from pathlib import Path
 
 from fuzz_expressions import KINDS, valid
+
 from fuzzing.broken import OUTPUT, Broken, Valid
 
 WEIGHTS = (6, 6, 6, 3, 3, 3, 0.2, 1)

@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 
 from fuzzing.broken import OUTPUT, Broken, Damage, Valid, damaged, mixed, renumbered, reworded
-
 from signorini_fenicsx.shipped import data_folder
 
 SQUARE = """h = 0.5;
@@ -113,7 +112,7 @@ TOKENS = (
     *"(){}[]=;,:?+-*/%^<>!&|~#.'\"", "==", "!=", "<=", "&&", "||", "+=", "++", "...", "Point", "Line", "Curve", "Loop",
     *("Surface", "Volume", "Physical", "Plane", "Circle", "Spline", "Extrude", "Rotate", "Translate", "Delete", "For"),
     *("EndFor", "If", "Else", "EndIf", "In", "Macro", "Return", "Call", "Field", "Transfinite", "Recombine", "Mesh"),
-    *("newp", "Pi", "Sin", "Exp", "Sqrt", "Printf", "Str", "Sprintf", "StrCat", "Exists", "DefineConstant", "Coherence"),
+    *("newp", "Pi", "Sin", "Exp", "Sqrt", "Printf", "Str", "Sprintf", "StrCat", "DefineConstant", "Coherence"),
     *("h", "x", "1", "2", "3", "4", "0.5", "1e9", "-1", "{1,2,3}", '"bottom"', "//", "/*", "*/", "\n", "SetFactory"),
 )  # fmt: skip
 DAMAGES: tuple[Damage, ...] = (renumbered, renumbered, renumbered, reworded, reworded, mixed, mixed)

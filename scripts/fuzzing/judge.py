@@ -22,9 +22,9 @@ TOLERANCE = 1e-6
 MEMORY = 1.5e9
 """Bytes that no input here needs."""
 BAD = ("traceback", "signal", "status", "hang", "memory", "orphan", "wordy", "outside", "lost", "accepted", "untrue")
-"""Bad outcomes: a traceback or a library's last words; a signal; another exit status than 0, 1, 2; out of time; too much
-memory; processes left; not one sentence; files where none belong; files of the user or earlier results lost or changed;
-broken input that was not refused; status 0 without a solution."""
+"""Bad outcomes: a traceback or a library's last words; a signal; another exit status than 0, 1, 2; out of time; too
+much memory; processes left; not one sentence; files where none belong; files of the user or earlier results lost or
+changed; broken input that was not refused; status 0 without a solution."""
 
 type Files = dict[str, str]
 
@@ -139,8 +139,7 @@ def _is_a_sentence(said: str, code: int) -> bool:
 def _files(broken: Broken, code: int, before: Files, after: Files) -> tuple[list[str], list[str]]:
     """Files that appeared where none belong, and files that are gone or others."""
     out = f"work/{OUTPUT}"
-    writes = code in (0, 1) or code not in (1, 2)
-    own = set() if code == 2 or not writes else {out, f"{out}.failed"}
+    own = set() if code == 2 else {out, f"{out}.failed"}
     new = [name for name in after if name not in before and not name.startswith(GUI)]
     outside = [name for name in new if not any(name == place or name.startswith(place + "/") for place in own)]
     if code not in ENDINGS:  # what it was writing when it died is named after its place

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from broken_input import msh_text, square_msh
+
 from fuzzing.broken import Generator, Valid
 from fuzzing.cases import case_file
 from fuzzing.checkpoints import checkpoint

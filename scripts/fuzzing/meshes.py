@@ -11,6 +11,7 @@ import h5py
 import meshio
 import numpy as np
 from broken_input import MESH_MUTATIONS, msh_text, square_msh, write_broken_mesh
+
 from fuzzing.broken import BINARY, OUTPUT, TEXT, Broken, Valid, damaged
 
 FORMATS = {

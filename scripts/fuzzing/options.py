@@ -7,7 +7,6 @@ from pathlib import Path
 
 from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid
 from fuzzing.cases import KEYS, VALUES
-
 from signorini_fenicsx.algorithms import ALGORITHMS
 
 SIZES = (
@@ -59,7 +58,16 @@ PETSC = (
     ),
     *("-pc_type lu -pc_factor_zeropivot 1e300", "-sub_pc_type nonsense", "-options_left", "-ksp_monitor", "-ksp_view"),
 )
-"""Those that ask PETSc for other files than the results, a debugger or an abort are left out: PETSc does as it is told."""
+"""Those that ask PETSc for other files, a debugger or an abort are left out: PETSc does as it is told."""
+OPTIONS = {
+    **dict.fromkeys(["--h", "--rho", "--eps", "--theta", "--target"], SIZES),
+    **dict.fromkeys(["--backend", "--algorithm", "--start-from"], WORDS),
+    "--max-cells": (*NUMBERS, "1", "50"),
+    "--levels": ("", "2", "2:", ":", "3:2", "2:99", "a:b", "1:1:1"),
+    "--reference": NUMBERS,
+    "--vary": ("", "eps", "eps=h^9", "x", "h,eps"),
+    "--plot": ("",),
+}
 COMMANDS = (
     *(
         ["solve", "example1"],
@@ -87,19 +95,14 @@ def option(rng: random.Random, folder: Path, valid: Valid) -> Broken:
 def _values(rng: random.Random, folder: Path) -> Broken:
     """Values of the options that want a number or a name."""
     words = list(rng.choice(COMMANDS))
-    names = {
-        "--h": SIZES, "--rho": SIZES, "--eps": SIZES, "--backend": WORDS, "--algorithm": WORDS, "--theta": SIZES,
-        "--target": SIZES, "--max-cells": (*NUMBERS, "1", "50"), "--levels": ("", "2", "2:", ":", "3:2", "2:99", "a:b", "1:1:1"),
-        "--reference": NUMBERS, "--vary": ("", "eps", "eps=h^9", "x", "h,eps"), "--start-from": WORDS, "--plot": ("",),
-    }  # fmt: skip
     usual = {
         "solve": ["--h", "--rho", "--eps", "--backend", "--algorithm", "--start-from"],
         "adapt": ["--target", "--max-cells", "--theta", "--h", "--rho", "--eps"],
         "convergence": ["--levels", "--reference", "--vary", "--h", "--eps"],
     }
     own = usual.get(words[0], ["--h", "--algorithm", "--backend"])
-    for name in rng.choices(own if rng.random() < 0.9 else sorted(names), k=rng.choice([1, 1, 2])):
-        words += [name, rng.choice(names[name])]
+    for name in rng.choices(own if rng.random() < 0.9 else sorted(OPTIONS), k=rng.choice([1, 1, 2])):
+        words += [name, rng.choice(OPTIONS[name])]
     if words[0] == "adapt" and "--max-cells" not in words:
         words += ["--max-cells", "60"]
     return _finished(rng, words, words[2:])

@@ -1,10 +1,11 @@
 """Runs the program in processes of its own: forked from one that has imported everything and initialised nothing.
 
-A fresh Python needs seconds to import DOLFINx. So the parent imports all of it, but lets neither MPI nor PETSc begin, and
-has no second thread; each input gets a fork of it, in which they do. Heap corruption there ends the fork alone.
+A fresh Python needs seconds to import DOLFINx. So the parent imports all of it, but lets neither MPI nor PETSc begin,
+and has no second thread; each input gets a fork of it, in which they do. Heap corruption there ends the fork alone.
 """
 
 import os
+import platform
 import resource
 import signal
 import sys
@@ -26,14 +27,13 @@ ENVIRONMENT = {
 }
 HEAP_CHECK = {"MALLOC_CHECK_": "3", "LD_PRELOAD": "libc_malloc_debug.so.0"}
 """glibc's own check of the heap, where it is installed."""
+LIBRARIES = (f"/lib/{platform.machine()}-linux-gnu", "/lib64", "/usr/lib")
 
 
 def begin_again() -> None:
     """Replace this process by one with the environment for fuzzing; returns where that has happened already."""
     wanted = ENVIRONMENT | {"XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))}
-    if any(
-        Path(folder, HEAP_CHECK["LD_PRELOAD"]).exists() for folder in ("/lib/x86_64-linux-gnu", "/lib64", "/usr/lib")
-    ):
+    if any(Path(folder, HEAP_CHECK["LD_PRELOAD"]).exists() for folder in LIBRARIES):
         wanted |= HEAP_CHECK
     if not wanted.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | wanted)
@@ -52,12 +52,12 @@ def import_everything(pencil: Path) -> None:
     import mpi4py
 
     mpi4py.rc.initialize, mpi4py.rc.finalize = False, True
-    import signorini_fenicsx  # isort: skip - it orders the libraries of MPI before those of PETSc
+    import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the libraries of MPI before those of PETSc
     import petsc4py.lib
 
     petsc4py.lib.ImportPETSc()  # `from petsc4py import PETSc` would begin it
-    import signorini_fenicsx.cli
     from mpi4py import MPI
+
     from signorini_fenicsx import (  # noqa: F401 - what the commands import when they need it
         adaptive,
         certificate,
@@ -159,6 +159,7 @@ def _become(words: list[str], root: Path, ranks: int) -> None:
         os.execvp("mpirun", ["mpirun", "-n", str(ranks), "signorini", *words])
     sys.argv = [str(Path(sys.executable).with_name("signorini")), *words]
     from mpi4py import MPI
+
     from signorini_fenicsx.cli import main
 
     MPI.Init_thread()

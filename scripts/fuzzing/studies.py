@@ -5,6 +5,7 @@ import random
 from pathlib import Path
 
 from broken_input import CASE_MUTATIONS
+
 from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
 
 STUDY = """title = "A small study"
