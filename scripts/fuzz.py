@@ -92,8 +92,9 @@ class Fuzz:
         self.runner.start(broken.words, root, done)
 
     def _show(self, name: str, about: str, words: list[str], verdict: Verdict) -> None:
-        command = shlex.join(["signorini", *words])
-        print(f"{name}: {verdict.ending}, {', '.join(sorted(verdict.bad)) or 'good'} | {about} | {command[:200]}")
+        command = shlex.join(["signorini", *words])[:200]
+        line = f"{name}: {verdict.ending}, {', '.join(sorted(verdict.bad)) or 'good'} | {about} | {command}"
+        print("".join(c if c.isprintable() else repr(c)[1:-1] for c in line))
         for detail in verdict.details:
             print("    " + detail.replace("\n", "\n    "), flush=True)
 

@@ -101,7 +101,8 @@ def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Pa
         blame("outside", f"left {', '.join(outside[:6])}")
     if lost:
         blame("lost", f"lost or changed {', '.join(lost[:6])}")
-    if code == 0 and broken.words[0] in ("solve", "adapt", "export") and not _has_solved(root / "work" / OUTPUT):
+    solves = broken.words[0] in ("solve", "adapt", "export") and OUTPUT in broken.words
+    if code == 0 and solves and not _has_solved(root / "work" / OUTPUT):
         blame("untrue", "status 0 without a solution that can be trusted")
     return verdict
 
@@ -180,7 +181,7 @@ def _has_solved(out: Path) -> bool:
         if not (out / "checkpoint.npz").is_file():
             return False
         if summary["converged"] is not True:
-            return "last state" in summary["reason"] or summary["converged"] is False
+            return summary["converged"] is False
         numbers = [*summary["norms"].values(), *summary["kkt"].values()]
         residuals = [] if summary["algorithm"] in PLAIN else list(summary["kkt"].values())
         return all(math.isfinite(number) for number in numbers) and max(residuals, default=0) <= TOLERANCE

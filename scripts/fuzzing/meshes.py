@@ -173,7 +173,7 @@ def _structure(rng: random.Random, folder: Path) -> Made:
         name, path = "vtu ascii", folder / "mesh.vtu"
         with contextlib.suppress(Exception, SystemExit):
             _written(folder, name, mesh)
-    return path.name, f"{name} {way.__name__}", False
+    return path.name, f"{name} {way.__name__}", way in (sheets, hanging)
 
 
 def bad_points(rng: random.Random, mesh: meshio.Mesh) -> None:
@@ -255,27 +255,33 @@ def bad_numbers(rng: random.Random, mesh: meshio.Mesh) -> None:
             return
 
 
-def crack(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """Two sheets at the same place, or cells that hang on a corner."""
+def sheets(rng: random.Random, mesh: meshio.Mesh) -> None:
+    """All cells twice, at the same place."""
+    points, cells = mesh.points, mesh.cells[0].data
+    mesh.points = np.concatenate([points, points])
+    mesh.cells[0].data = np.concatenate([cells, cells + len(points)])
+    _add_numbers(mesh, len(cells))
+
+
+def hanging(rng: random.Random, mesh: meshio.Mesh) -> None:
+    """A cell cut in two at an edge that its neighbour has whole; the first cells are [a, b, c] and [a, c, d]."""
     cells = mesh.cells[0].data
-    if rng.random() < 0.5:
-        mesh.points = np.concatenate([mesh.points, mesh.points])
-        mesh.cells[0].data = np.concatenate([cells, cells + len(mesh.points) // 2])
-        for arrays in mesh.cell_data.values():
-            arrays[0] = np.concatenate([arrays[0], arrays[0]])
-    else:
-        mesh.points = np.concatenate([mesh.points, mesh.points[:1] + 0.3])
-        cells = cells.copy()
-        cells[rng.randrange(len(cells)), 0] = len(mesh.points) - 1
-        mesh.cells[0].data = cells
+    (a, b, c), middle = cells[0], len(mesh.points)
+    mesh.points = np.concatenate([mesh.points, (mesh.points[[a]] + mesh.points[[c]]) / 2])
+    mesh.cells[0].data = np.concatenate([[[a, b, middle]], cells[1:], [[middle, b, c]]])
+    _add_numbers(mesh, 1)
+
+
+def _add_numbers(mesh: meshio.Mesh, count: int) -> None:
+    """Numbers, and Gmsh's entities, for cells and points that are new."""
+    for arrays in mesh.cell_data.values():
+        arrays[0] = np.concatenate([arrays[0], arrays[0][:count]])
+    for key, values in mesh.point_data.items():
+        mesh.point_data[key] = np.concatenate([values, values])[: len(mesh.points)]
 
 
 STRUCTURES: tuple[Callable[[random.Random, meshio.Mesh], None], ...] = (
-    bad_points,
-    bad_cells,
-    bad_kinds,
-    bad_numbers,
-    crack,
+    *(bad_points, bad_points, bad_cells, bad_cells, bad_kinds, bad_numbers, sheets, hanging),
 )
 
 

@@ -78,10 +78,16 @@ COMMANDS = (
     *(["info", "example3"], ["adapt", "example1"], ["convergence", "example1"], ["compare", "a", "b"], ["export", "a"]),
     *(["study", "iterations", "--dry-run"], ["methods"], ["version"], ["solve"], ["info"]),
 )
+SMALL = {
+    "solve": {"--h": "1/4"},
+    "adapt": {"--max-cells": "60"},
+    "convergence": {"--levels": "1:2", "--reference": "3"},
+}
+"""What keeps a command short that would be valid."""
 WRITING = ("solve", "adapt", "convergence", "compare", "export")
 HOSTILE_OUTPUTS = (
     *("", ".", "..", "/", "notes.txt", "notes.txt/out", "photos", "../home", "/dev/null", "/proc/self/out", "x" * 300),
-    *("y/" * 3000 + "z", "loop", "loop/out", "missing/\n/out", "readonly/out", "dangling", "a\tb\u202e", "/dev/full/x"),
+    *("y/" * 3000 + "z", "loop", "loop/out", "readonly/out", "/dev/full/x"),
 )
 """Folders that belong to the user, cannot be made, or are none."""
 
@@ -103,8 +109,8 @@ def _values(rng: random.Random, folder: Path) -> Broken:
     own = usual.get(words[0], ["--h", "--algorithm", "--backend"])
     for name in rng.choices(own if rng.random() < 0.9 else sorted(OPTIONS), k=rng.choice([1, 1, 2])):
         words += [name, rng.choice(OPTIONS[name])]
-    if words[0] == "adapt" and "--max-cells" not in words:
-        words += ["--max-cells", "60"]
+    for name, value in SMALL.get(words[0], {}).items():
+        words += [] if name in words else [name, value]
     return _finished(rng, words, words[2:])
 
 
@@ -123,7 +129,6 @@ def _outputs(rng: random.Random, folder: Path) -> Broken:
     shutil.copyfile(folder / "notes.txt", folder / "photos" / "photo.png")
     (folder / "loop").symlink_to("loop")
     (folder / "readonly").touch()  # root may write into any folder, but nobody into a file
-    (folder / "dangling").symlink_to("/nowhere/at/all")
     place = rng.choice(HOSTILE_OUTPUTS)
     command = rng.choice([["solve", "example1", "--h", "1/4"], ["adapt", "example1", "--max-cells", "30"]])
     return Broken([*command, "--output", place], f"output {place[:40]!r}", refused=True)
@@ -156,8 +161,7 @@ def _words(rng: random.Random, folder: Path) -> Broken:
         words.insert(
             at, rng.choice([rng.choice(words), rng.choice(WORDS), f"--{rng.choice(WORDS)}", "-x", "--h=", "--json"])
         )
-    if words[0] == "solve":
-        words += ["--h", "1/3"]
+    words += [word for pair in SMALL.get(words[0], {}).items() for word in pair]
     return _finished(rng, words, words)
 
 
