@@ -90,7 +90,6 @@ ODD = (
     'SetNumber("General.AbortOnError", 3); SetChanged;',
     'DefineConstant[ x = {1, Name "a", Macro "GmshExit", File "../home/x"} ];',
     'Macro SystemCall\nPrintf("x");\nReturn\nCall SystemCall;',
-    'Macro A\nCall A;\nReturn\nCall A;',
     's = Str("SystemCall"); Call s;',
     'Macro Name("x") Return Call Str("System", "Call");',
     "Geometry.OCCAutoFix = 1; Mesh.Algorithm = 99; Mesh.MeshSizeFactor = -1; Mesh 7;",
@@ -98,14 +97,14 @@ ODD = (
     "General.NumThreads = 100000; Mesh.MaxNumThreads2D = 100000;",
     'Mesh.Renumber = 0; Mesh.Format = 10; Mesh.Binary = 1; Combine Mesh; CombineViews;',
     "Parametric Surface(9) = \"Exp(u)\" \"system('touch hacked')\" \"v\" ;",
-    "x() = {1:2000000}; y() = x() + x();",
+    "x() = {1:200000}; y() = x() + x();",
     "Include 'a.geo' // " + "x" * 5000,
     "If (1) " * 300 + "EndIf " * 300,
     "x = " + "(" * 20_000 + "1" + ")" * 20_000 + ";",
     "Point(2147483648) = {0, 0, 0}; Point(-5) = {1e400, 0, 0}; Line(7) = {1, 99999};",
     "Physical Curve('" + "n" * 2000 + "') = {1}; Physical Curve(1e10) = {1};",
     "Periodic Curve {1} = {3}; Transfinite Curve {1} = 1e9;",
-    "Extrude {0, 0, 1} { Surface{1}; Layers{1e8}; }",
+    "Extrude {0, 0, 1} { Surface{1}; Layers{500}; }",
 )  # fmt: skip
 """What no geometry needs; where it is harmless, or no command at all, it need not be refused."""
 TOKENS = (

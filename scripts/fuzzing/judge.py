@@ -14,7 +14,7 @@ from fuzzing.broken import OUTPUT, Broken
 ENDINGS = {0: "solved", 1: "failed", 2: "refused"}
 CRASHES = re.compile(
     r"Traceback \(most recent|PETSC ERROR|terminate called|corrupted|double free|free\(\): |malloc\(\): |munmap_chunk|"
-    r"Segmentation|Fatal Python error|Exception ignored|Abort\(|HDF5-DIAG|core dumped|UCX  ERROR|RuntimeWarning"
+    r"Segmentation|Fatal Python error|Exception ignored|Abort\(|HDF5-DIAG|core dumped|UCX  ERROR"
 )
 PLAIN = ("uzawa", "psor", "primal-pdas", "primal-penalty", "slimane")
 """Methods that pass residuals of their own, not those of (9)."""
@@ -111,8 +111,9 @@ def _of_process(ending: Ending) -> Verdict:
     code = os.waitstatus_to_exitcode(ending.status)
     if ending.late or code in (-signal.SIGXCPU, -signal.SIGKILL):
         verdict = Verdict("hang", {"hang"}, ["took too long"])
-    elif code < 0:
-        verdict = Verdict("signal", {"signal"}, [f"signal {signal.Signals(-code).name}"])
+    elif code < 0 or "Caught signal number" in ending.said:  # PETSc catches them and ends with a status of its own
+        name = signal.Signals(-code).name if code < 0 else "caught by PETSc"
+        verdict = Verdict("signal", {"signal"}, [f"signal {name}"])
     elif code not in ENDINGS:
         verdict = Verdict("status", {"status"}, [f"exit status {code}"])
     else:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fuzzing.judge import Ending
 
-CPU_SECONDS, WALL_SECONDS = 60, 120
+CPU_SECONDS, WALL_SECONDS = 30, 150
 ADDRESSES, FILE_SIZE = 16 * 2**30, 2**28
 ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -121,7 +121,7 @@ class Runner:
             found, status, used = os.wait4(process, os.WNOHANG)
             if found:
                 del self._running[process]
-                orphans = _end_all(process)
+                orphans = _end_all(process) and not about.late
                 said = (about.root / "said" / "stderr").read_text(encoding="utf-8", errors="replace")
                 about.done(Ending(status, said, about.late, orphans, 1024.0 * used.ru_maxrss))
                 return
