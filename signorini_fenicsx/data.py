@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import basix
 import basix.ufl
@@ -16,11 +17,14 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, cells_and_dofs
 
 type Array = npt.NDArray[np.float64]
-type Given = float | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; a UFL expression on the mesh, also a `fem.Function`; or a function of points of shape (3, n)."""
+type Rows = Sequence[Sequence[Tree]]
+type Given = float | Tree | Rows | Expr | Callable[[Array], npt.ArrayLike]
+"""A number; an expression that was read, or a matrix of them; a UFL expression on the mesh, also a `fem.Function`; or a
+function of points of shape (3, n)."""
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
@@ -71,6 +75,8 @@ class Data:
         q_Sh: Mean of q_S per Γ_S facet of this rank.
         stiffness: Mean of κ over L, so the σ·n that goes with p = 1.
         total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
+        trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
+            regions has names such as "kappa.core".
     """
 
     f: Expr
@@ -87,6 +93,37 @@ class Data:
     q_Sh: Array
     stiffness: float
     total_load: float
+    trees: Mapping[str, Tree | Rows]
+
+    def conductivities(self, spaces: Spaces) -> Array:
+        """Mean eigenvalue of κ_h on each cell of this rank."""
+        if is_constant(self.kappa_h):
+            return np.full(spaces.Q.dofmap.index_map.size_local, float(self.kappa_h))
+        shape = self.kappa_h.ufl_shape or (1, 1)
+        return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+
+    def extent(self, spaces: Spaces) -> tuple[float, float]:
+        """The least and the largest of u_D and ψ, of their means (collective)."""
+        u_D = self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
+        values = np.concatenate([u_D, self.psi_h])
+        ends = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
+        spaces.mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+        return -float(ends[0]), float(ends[1])
+
+    def common_constant(self, spaces: Spaces) -> float:
+        """The value nearest to 0 in the range of u_D and ψ: 0 unless all of them have one sign (collective)."""
+        return float(np.clip(0.0, *self.extent(spaces)))
+
+    def less(self, spaces: Spaces, constant: float) -> Data:
+        """The data of the problem for u − constant (collective)."""
+        if constant == 0:
+            return self
+        u_lift = self.u_lift.copy()
+        for facets in (spaces.dirichlet_facets, spaces.facets):
+            u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
+        u_lift.x.scatter_forward()
+        shift = fem.Constant(spaces.mesh, constant)  # no number in a form, which would be compiled for each
+        return replace(self, u_D=self.u_D - shift, psi=self.psi - shift, u_lift=u_lift, psi_h=self.psi_h - constant)
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
@@ -109,6 +146,8 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, spaces.ds, "on Γ_S")
     dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
     neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
+    near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
+    check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
     u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
     for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
@@ -135,7 +174,33 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         q_Sh=q_Sh,
         stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
         total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
+        trees=_trees(problem),
     )
+
+
+def _trees(problem: Problem) -> dict[str, Tree | Rows]:
+    given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S")}
+    if isinstance(problem.kappa, Mapping):
+        given |= {f"kappa.{region}": value for region, value in problem.kappa.items()}
+    else:
+        given["kappa"] = problem.kappa
+    trees = {name: exactly(value) if isinstance(value, int | float) else value for name, value in given.items()}
+    return {name: value for name, value in trees.items() if isinstance(value, TREES | tuple | list)}
+
+
+def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.NDArray[np.int32]) -> None:
+    """Make sure that a scalar and its gradient are finite at the quadrature points of these cells (collective).
+
+    Raises:
+        InputError: If they are not.
+    """
+    if is_constant(value):
+        return
+    size = abs(value) + sum(abs(ufl.grad(value)[i]) for i in range(spaces.mesh.geometry.dim))
+    dx = ufl.Measure("dx", spaces.mesh, subdomain_data=[(1, cells)], metadata=quadrature(value))
+    integrals = assembled(size * ufl.TestFunction(spaces.Q) * dx(1))
+    if not spaces.mesh.comm.allreduce(bool(np.isfinite(integrals).all()), op=MPI.LAND):
+        raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
 
 
 def quadrature(value: Expr) -> dict[str, int]:
@@ -164,8 +229,13 @@ def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = T
     """UFL of what was given; functions of points become piecewise quadratic, those that may jump by inner points."""
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
+    x = ufl.SpatialCoordinate(spaces.mesh)
     if isinstance(given, Expr):
         value = given
+    elif isinstance(given, TREES):
+        value = to_ufl(given, x)
+    elif isinstance(given, tuple | list):
+        value = ufl.as_matrix([[to_ufl(entry, x) for entry in row] for row in given])
     elif callable(given):
         probe = np.asarray(given(np.zeros((3, 1))))
         variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre

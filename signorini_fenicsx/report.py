@@ -20,7 +20,7 @@ from signorini_fenicsx.inspection import Expected, is_typical
 from signorini_fenicsx.output import json_text
 from signorini_fenicsx.solution import Solution
 
-console = Console(highlight=False, soft_wrap=True)
+console = Console(highlight=False, soft_wrap=True, emoji=False)
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
 DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
