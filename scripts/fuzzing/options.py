@@ -169,5 +169,5 @@ def _finished(rng: random.Random, words: list[str], shown: list[str]) -> Broken:
     """With a place for the results, and nothing that no command line can hold."""
     writes = words[0] in WRITING
     words = [word.replace("\0", "").encode(errors="ignore").decode()[:100_000] for word in words]
-    words = [word for word in words if word != "--help"] + (["--output", OUTPUT] if writes else [])
+    words = [word for word in words if word not in ("--", "--help")] + (["--output", OUTPUT] if writes else [])
     return Broken(words, " ".join(shown)[:60].replace(os.linesep, " "), earlier=writes and rng.random() < 0.5)
