@@ -318,6 +318,8 @@ def compare(
 
     comm = MPI.COMM_WORLD
     report.console.quiet = quiet or as_json
+    if output is not None and os.path.realpath(output) in map(os.path.realpath, (first, second)):
+        raise InputError(f"--output {output}: is one of the runs, which the comparison would replace; take another")
     one = load_solution(first, comm)  # named, so that an exception keeps it: MPI deadlocks on freeing it meanwhile
     other = load_solution(second, comm)
     comparison = compare_solutions(one, other)

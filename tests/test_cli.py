@@ -200,6 +200,8 @@ BAD_INPUT = [
     (["solve", "example1", "--output", "x" * 300], "File name too long"),
     (["check", "x" * 5000], "x … "),
     (["solve", "example1", "--colour"], "No such option"),
+    (["export", "/"], "holds no checkpoint.npz"),
+    (["compare", "full", "file", "--output", "full/../file"], "is one of the runs"),
     (["adapt", "example2"], "give --target"),
     (["adapt", "example2", "--target", "0"], "must be greater than 0"),
     (["adapt", "example2", "--target", "small"], "is not a number"),

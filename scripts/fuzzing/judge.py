@@ -133,7 +133,7 @@ def _of_process(ending: Ending) -> Verdict:
 def _is_a_sentence(said: str, code: int) -> bool:
     """One line; or typer's words about a wrong usage, as everybody is used to."""
     said = said.strip()
-    if code == 2 and said.startswith("Usage: signorini"):
+    if code == 2 and said.startswith(("Usage: signorini", "╭─ Error ─")):
         return True
     return said.startswith(("error: ", "failed: ")) and "\n" not in said and len(said) < 1200
 
