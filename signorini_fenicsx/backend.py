@@ -79,6 +79,7 @@ def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     options = PETSc.Options()
     if not options.hasName(MUMPS_WORKSPACE):
         options[MUMPS_WORKSPACE] = 100
+        options.hasName(MUMPS_WORKSPACE)  # or PETSc complains at its end where nobody has asked for it
     try:
         solver.setFromOptions()
     except PETSc.Error as error:

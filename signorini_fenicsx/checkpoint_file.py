@@ -3,6 +3,8 @@
 All of this runs on rank 0.
 """
 
+import tokenize
+import warnings
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,9 @@ from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.mesh_checks import Contents, check_boundary, checked
 
 type Arrays = dict[str, npt.NDArray]
+
+UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
+"""What NumPy and zipfile raise of a damaged file; with a warning, NumPy reads what it never wrote."""
 
 LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
     "points": (np.float64, "points", "dim"),
@@ -124,13 +129,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
         raise error if str(path.parent) in str(error) else InputError(f"{path}: {error}") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
-    except (ValueError, EOFError, RecursionError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         raise InputError(f"{path}: not a readable solution ({error})") from None
 
 
 def _read(path: Path) -> Arrays:
     """All arrays of a file; what it says of their sizes is compared with its own before memory is taken."""
-    with zipfile.ZipFile(path) as archive:
+    with zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="error"):
         entries = archive.infolist()
         if any(entry.flag_bits & 1 or entry.compress_type != zipfile.ZIP_STORED for entry in entries):
             raise InputError("not a readable solution (it is compressed or encrypted, as this program never does)")

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import petsc4py
 import typer
 from mpi4py import MPI
@@ -23,7 +24,7 @@ from rich.console import Console
 from signorini_fenicsx.errors import InputError, NumericalFailure
 from signorini_fenicsx.parallel import FORWARDING, abort_all_on_exception, end_all, on_root, refuse_lone_copies
 from signorini_fenicsx.shipped import case_names, study_names
-from signorini_fenicsx.signals import Interruption, listening, outlive_readers
+from signorini_fenicsx.signals import Interruption, listen_again, listening, outlive_readers
 
 if TYPE_CHECKING:
     from signorini_fenicsx.active_set import Step
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 MAX_LEVEL = 30
+MIN_THETA = 1e-3
+MAX_WORDS = 800, 200
+"""Characters of a message that are shown, at its begin and at its end."""
 
 app = typer.Typer(
     help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
@@ -207,8 +211,8 @@ def adapt(
         raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
     wanted = None if target is None else _positive("--target", target)
     part = _positive("--theta", theta)
-    if part > 1:
-        raise InputError(f"--theta {theta}: must be at most 1")
+    if not MIN_THETA <= part <= 1:
+        raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
     most = max_cells or DEFAULT_MAX_CELLS
@@ -323,6 +327,8 @@ def compare(
 
     comm = MPI.COMM_WORLD
     report.console.quiet = quiet or as_json
+    if output is not None and os.path.realpath(output) in map(os.path.realpath, (first, second)):
+        raise InputError(f"--output {output}: is one of the runs, which the comparison would replace; take another")
     one = load_solution(first, comm)  # named, so that an exception keeps it: MPI deadlocks on freeing it meanwhile
     other = load_solution(second, comm)
     comparison = compare_solutions(one, other)
@@ -554,7 +560,8 @@ def _end_others(comm: MPI.Comm, interruption: Interruption) -> None:
 def _complain(kind: str, message: str) -> None:
     console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"{kind}:", style="bold red", end=" ")
-    console.print(" ".join(message.split()), markup=False)
+    words, (first, last) = " ".join(message.split()), MAX_WORDS
+    console.print(words if len(words) <= first + last else f"{words[:first]} … {words[-last:]}", markup=False)
 
 
 def main() -> None:
@@ -576,10 +583,11 @@ def main() -> None:
     def run() -> None:
         refuse_lone_copies(comm)
         _start_petsc(petsc_options, comm)
+        listen_again()
         outlive_readers()
         command(args=arguments, prog_name="signorini")
 
-    with listening():
+    with listening(), np.errstate(all="ignore"):  # what is not finite is told in a sentence
         status = _run(run)
     sys.exit(status)
 

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.data_values import check_means, check_nodes, extent, total
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, cells_and_dofs
@@ -26,9 +27,8 @@ type Given = float | Tree | Rows | Expr | Callable[[Array], npt.ArrayLike]
 """A number; an expression that was read, or a matrix of them; a UFL expression on the mesh, also a `fem.Function`; or a
 function of points of shape (3, n)."""
 
-DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
-"""Relative size of what is rounding: in the symmetry of κ and in the sum of all loads."""
+"""Relative size of what is rounding in the symmetry of κ."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,14 @@ class Data:
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
         """The least and the largest of u_D and ψ, of their means (collective)."""
-        u_D = self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
-        values = np.concatenate([u_D, self.psi_h])
-        ends = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
-        spaces.mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
-        return -float(ends[0]), float(ends[1])
+        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
+
+    def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
+        """The same of u_D alone; ∞ and −∞ without Γ_D (collective)."""
+        return extent(self._dirichlet_means(spaces), spaces.mesh.comm)
+
+    def _dirichlet_means(self, spaces: Spaces) -> Array:
+        return self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
 
     def common_constant(self, spaces: Spaces) -> float:
         """The value nearest to 0 in the range of u_D and ψ: 0 unless all of them have one sign (collective)."""
@@ -140,13 +143,19 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     f_h = fem.Function(spaces.Q, name="f_h")
     f_means = _cell_means(spaces, f).ravel()
     f_h.x.array[:] = f_means
-    _check("f", "in the domain", f_means, spaces)
+    check_means("f", "in the domain", f_means, spaces)
 
     psi_h = _facet_means(spaces, "psi", psi, spaces.facets, spaces.ds, "on Γ_S")
     q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, spaces.ds, "on Γ_S")
     dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
     neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
     near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
+    for name, value, facets, where in (
+        ("u_D", u_D, spaces.dirichlet_facets, "on Γ_D"),
+        ("psi", psi, spaces.facets, "on Γ_S"),
+    ):
+        if not is_constant(value):
+            check_nodes(spaces, name, value, facets, where)
     check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
     u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
     for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
@@ -173,7 +182,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         psi_h=psi_h,
         q_Sh=q_Sh,
         stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
-        total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
+        total_load=total(np.concatenate(loads), spaces.mesh.comm),
         trees=_trees(problem),
     )
 
@@ -286,7 +295,7 @@ def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
 def _projected_conductivity(spaces: Spaces, kappa: Expr) -> Expr:
     """κ_h (collective)."""
     means = np.array([float(kappa)]) if is_constant(kappa) else _cell_means(spaces, kappa)
-    _check("kappa", "in the domain", means, spaces)
+    check_means("kappa", "in the domain", means, spaces)
     matrices = means.reshape(len(means), *(kappa.ufl_shape or (1, 1)))
     size = np.abs(matrices).max(axis=(1, 2))
     symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= ROUNDING * size
@@ -329,22 +338,5 @@ def _facet_means(
         flux = ufl.dot(ufl.TestFunction(spaces.V), spaces.n)  # a constant on each facet, 0 on all but one
         weighted, plain = (assembled(form)[dofs] for form in (value * flux * ds(metadata=quadrature(value)), flux * ds))
         means = weighted / plain
-    _check(name, where, means, spaces)
+    check_means(name, where, means, spaces)
     return means
-
-
-def _check(name: str, where: str, means: Array, spaces: Spaces) -> None:
-    """Refuse means that are not finite, or too large or small (collective)."""
-    comm = spaces.mesh.comm
-    if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
-    largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
-    low, high = DATA_RANGE
-    if largest != 0 and not low <= largest <= high:
-        raise InputError(f"[problem] {name}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
-
-
-def _sum(loads: Array, comm: MPI.Comm) -> float:
-    """Their sum over all ranks, 0 if it is rounding (collective)."""
-    total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
-    return total if abs(total) > ROUNDING * size else 0.0

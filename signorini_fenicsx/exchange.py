@@ -148,6 +148,8 @@ def _exchange(ready: Path, place: Path) -> None:
 def repair(folder: Path | str) -> None:
     """Bring to its end what a killed run has left of a results folder, or of its failure."""
     place = Path(os.path.realpath(folder))
+    if place == place.parent:
+        return  # the root folder, beside which there is nothing
     for target in {place, place.with_name(place.name.removesuffix(".failed") or place.name)}:
         area = area_of(target)
         with contextlib.suppress(OSError):  # somebody else's, which may only be read

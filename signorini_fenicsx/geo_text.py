@@ -26,6 +26,8 @@ from signorini_fenicsx.geo_words import (
 )
 
 LARGEST_FILE = 2**24
+LARGEST = 1e30
+"""Number; 1e22 is how Gmsh's files say "any", and for a point's number of 1e308 Gmsh asks for all of the memory."""
 LONGEST = {"word": 100, "number": 100, "string": 1000, "operator": 3}
 """Characters of a token; Gmsh's buffer holds 1023 of a string."""
 LONGEST_NAME = 200
@@ -131,6 +133,10 @@ def _tokens(text: str) -> Iterator[Token]:
             if len(piece) > LONGEST[kind]:
                 raise InputError(
                     f"line {line}: '{_shown(piece[:20])}…' is a {kind} of more than {LONGEST[kind]} characters"
+                )
+            if kind == "number" and not float(piece) <= LARGEST:
+                raise InputError(
+                    f"line {line}: the number {_shown(piece)} is too large; numbers are at most {LARGEST:g}"
                 )
             yield Token(kind, piece, line)
         line += piece.count("\n")

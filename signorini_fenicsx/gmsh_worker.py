@@ -36,7 +36,7 @@ def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: C
             generate(h, max_cells)
         return model_contents()
     except Exception as error:  # Gmsh raises plain exceptions
-        words = " ".join(str(error).split()) or type(error).__name__
+        words = " ".join((str(error) or gmsh.logger.getLastError()).split()) or "it does not say why"
         raise InputError(
             f"Gmsh cannot use it: {translate(re.sub(re.escape(str(source)), source.name, words))}"
         ) from error

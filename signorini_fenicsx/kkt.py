@@ -6,6 +6,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from forms.mixed import flux_product, multiplier_residual, trace_term
@@ -30,8 +31,8 @@ class KKTResiduals:
     a gradient where κ is small and as a flux where it is large. L = |Ω|^(1/d) is a length, k the mean eigenvalue of
     κ_h on a cell, and that of the cell behind a facet. G = ‖κ_h⁻¹σ‖ is the gradient and S = ‖σ‖ the flux that residuals
     are compared with. For a constant u, whose σ is rounding, G = ‖u‖/L and S = ‖ku‖/L instead, or the same with the
-    largest |u_D| or |ψ| for u if that is more. All are 0 if S = 0. u, u_D and ψ are taken without the constant that u_D
-    and ψ have in common.
+    largest |u_D| or |ψ| for u if that is more; u can be constant only without loads and with constant u_D. All are 0 if
+    S = 0. u, u_D and ψ are taken without the constant that u_D and ψ have in common.
 
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
     its primal and dual residuals and its complementarity refer to.
@@ -112,9 +113,17 @@ def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) ->
     (level, *of_u), (given_level, *of_given) = (
         [np.sqrt(spaces.integrate(l2(w * value, ufl.dx))) / length for w in weights] for value in (u, given)
     )
-    if energy <= max(CONSTANT * level, ROUNDING * given_level):
+    if energy <= max(CONSTANT * level, ROUNDING * given_level) and not _is_driven(spaces, data):
         return np.maximum(of_u, of_given)
     return np.array([gradient, flux])
+
+
+def _is_driven(spaces: Spaces, data: Data) -> bool:
+    """Whether there is a load, or u_D that is not constant: then σ beside a huge ψ is wrong, not small (collective)."""
+    comm = spaces.mesh.comm
+    lowest, highest = data.dirichlet_extent(spaces)
+    loads = [np.abs(values.x.array).max(initial=0.0) for values in (data.f_h, data.sigma_lift)]
+    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or comm.allreduce(max(loads), MPI.MAX) > 0)
 
 
 def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:

@@ -56,7 +56,7 @@ def listening() -> Iterator[None]:
 
 
 def listen_again() -> None:
-    """Put the handlers that Python knows of back, when Gmsh has replaced them."""
+    """Put the handlers that Python knows of back, when PETSc or Gmsh has replaced them."""
     with contextlib.suppress(ValueError):  # not in the main thread, where no handler is set
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPIPE):
             signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)

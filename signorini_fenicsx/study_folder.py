@@ -166,6 +166,9 @@ class StudyFolder:
                 raise InputError(f"output {self.path}: is a file, not a folder")
             if self.path.is_dir() and any(self.path.iterdir()) and not (self.path / LOCK).is_file():
                 raise InputError(f"output {self.path}: is not empty and not the folder of a study; choose another")
+            for folder in (self.path / "runs", self.claims):
+                if folder.exists() and not folder.is_dir():
+                    raise InputError(f"output {folder}: is in the way, as it is not a folder; move it elsewhere")
             (self.path / "runs").mkdir(parents=True, exist_ok=True)
             lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR, 0o666)
             try:

@@ -91,6 +91,7 @@ CALL = ' "touch hacked";'
 """What follows the name of a command."""
 
 HOSTILE = [
+    "Point(1e308) = {0, 0, 0, 1};",  # Gmsh asks for all of the memory
     # commands, by their names and by names that are made
     *(
         f'{name} "{what}";'

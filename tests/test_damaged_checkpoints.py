@@ -128,6 +128,17 @@ def test_encrypted_and_unknown_archives_are_refused(good: Path, tmp_path: Path):
             load_solution(tmp_path, COMM)
 
 
+@pytest.mark.parametrize(
+    "header", ["{'descr': '<f8", "{'descr': '<f8', 'fortran_order': False, 'shape': (0L,), }", "'"]
+)
+def test_headers_that_are_not_python_are_refused(tmp_path: Path, header: str):
+    text = header.encode() + b"\n"
+    with zipfile.ZipFile(tmp_path / FILE, "w") as file:
+        file.writestr("u.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+    with pytest.raises(InputError, match="not a readable solution"):
+        load_solution(tmp_path, COMM)
+
+
 @pytest.mark.parallel([1, 2])
 def test_all_ranks_refuse(folder: Path):
     comm = MPI.COMM_WORLD

@@ -99,6 +99,22 @@ def test_a_signal_in_a_destructor_is_not_lost():
         wait()
 
 
+def test_a_signal_to_the_program(tmp_path: Path):
+    """As a shell sends it: PETSc has handlers of its own. The sweeps would not end soon."""
+    far = ("--algorithm", "psor", "--set", "problem.psi=-1e8")
+    with subprocess.Popen(
+        ["signorini", *SOLVE, *far], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as solve:
+        assert solve.stdout is not None
+        assert solve.stderr is not None
+        while (line := solve.stdout.readline()) and not line.startswith("   2"):
+            pass
+        solve.terminate()
+        said = solve.stderr.read()
+    assert solve.returncode == 1
+    assert (said.count("\n"), said.count("interrupted by SIGTERM; the last state is in")) == (1, 1)
+
+
 def test_a_reader_that_goes_away(tmp_path: Path):
     """The results are written all the same, and nothing is said about it."""
     with subprocess.Popen(

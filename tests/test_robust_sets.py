@@ -183,6 +183,14 @@ def test_a_large_constant_hides_nothing():
         solve(coarse("alg1", f="0", u_D="1 + 1e-9*x"))
     assert solve(coarse("alg1", f="0", u_D="1")).converged
     assert solve(coarse("alg1", f="0", psi="-1")).converged
+    assert solve(coarse("alg1", f="0", psi="-1e20*x")).converged
+
+
+@pytest.mark.parametrize("given", [{}, {"f": "0", "u_D": "x"}, {"f": "0", "q_S": "-1"}])
+def test_a_bound_that_is_far_away_hides_nothing(given: dict[str, str]):
+    """σ is no rounding beside ψ where there are loads, or u_D varies: what rounding leaves of ψ spoils it."""
+    with pytest.raises(NumericalFailure, match="stationarity"):
+        solve(coarse("alg1", psi="-1e20*(1 + x)", **given))
 
 
 def test_jump_of_kappa():

@@ -280,6 +280,13 @@ def test_one_launch_at_a_time_and_only_in_its_own_folder(tmp_path: Path):
     assert (done.returncode, "is not empty and not the folder of a study" in done.stderr) == (2, True)
     done = signorini(tmp_path, "study", "study.toml", "--output", "/proc/mine", ranks=2)
     assert (done.returncode, done.stderr.count("cannot be written")) == (2, 1)
+    for place, name in (("one", "runs"), ("two", ".claims")):
+        (tmp_path / place).mkdir()
+        for file in {".lock", name}:
+            (tmp_path / place / file).write_text("mine")
+        done = signorini(tmp_path, "study", "study.toml", "--output", place)
+        assert (done.returncode, f"{name}: is in the way" in done.stderr) == (2, True)
+        assert {path.name for path in (tmp_path / place).iterdir()} == {".lock", name}
     (tmp_path / "busy").mkdir()
     with (tmp_path / "busy" / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
