@@ -1,76 +1,125 @@
-"""Break 200 case files and 50 meshes at random and run each: exit status 2, one sentence, no traceback, no hang.
+"""Break inputs of all kinds, give each to a process of its own, and print a table of what came out.
 
-    uv run python scripts/fuzz.py [--ranks 2] [--seed 0] [--cases 200] [--meshes 50]
+    uv run python scripts/fuzz.py --count 2000 [--seed 0] [--kind mesh --kind geo] [--ranks 2]
+    uv run python scripts/fuzz.py --only mesh17 [--seed 0]      # that input again; its folder is kept
 
-A mutation that leaves a case valid must solve, or fail with exit status 1. All runs that are neither are listed.
+Each input is run in a folder with files of the user. It must be solved (0), fail (1) or be refused (2) with one
+sentence, and whatever it is, nothing may crash, hang, write outside the output folder or lose a file: the columns on
+the right, explained in `fuzzing/judge.py`, are all 0, or the exit status is 1. Seed, kind and number make the input.
 """
 
 import argparse
-import os
 import random
-import subprocess
+import shlex
+import shutil
 import sys
 import tempfile
+import time
 from collections import Counter
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from fuzzing.judge import BAD, ENDINGS, Ending, Verdict, judged, put_files_of_the_user, snapshot
+from fuzzing.runner import Runner, begin_again, import_everything, numbered
 
-from broken_input import write_broken_case, write_broken_mesh
-
-SECONDS = 120
-
-
-def verdict(path: Path, ranks: int) -> tuple[str, str]:
-    """How a run ended, and what it said."""
-    command = ["mpirun", "-n", str(ranks), "signorini", "solve", path.name, "--output", f"{path.stem}-out"]
-    try:
-        done = subprocess.run(
-            command,
-            cwd=path.parent,
-            env=os.environ | {"OMP_NUM_THREADS": "1"},
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return "hangs", ""
-    said = done.stderr.strip()
-    if "Traceback" in said:
-        return "traceback", said
-    if done.returncode == 2:
-        wrote = (path.parent / f"{path.stem}-out").exists()
-        one = said.count("\n") == 0 and said.startswith("error: ")
-        return ("one sentence" if one and not wrote else "several lines" if not one else "wrote something"), said
-    return {0: "solved", 1: "failed"}.get(done.returncode, f"status {done.returncode}"), said
+KINDS = ("case", "option", "expression", "mesh", "geo", "checkpoint", "study")
 
 
 def main() -> None:
-    """Run all and count the verdicts."""
+    """Run all, print what was bad at once and the table at the end."""
+    options = _options()
+    begin_again()
+    pencil = Path(tempfile.mkdtemp(prefix="signorini-fuzz-"))
+    import_everything(pencil)
+    fuzz = Fuzz(pencil, options.seed, Runner(options.jobs, options.ranks))
+    began = time.monotonic()
+    if options.only:
+        fuzz.replay(options.only)
+        return
+    for kind, index in numbered(options.count, options.kind or list(KINDS)):
+        fuzz.run(kind, index)
+    fuzz.runner.finish()
+    seconds = (time.monotonic() - began) / options.count
+    print(fuzz.table())
+    print(f"{options.count} inputs, seed {options.seed}, {seconds:.2f} s each with {options.jobs} at a time")
+    shutil.rmtree(pencil)
+    sys.exit(1 if fuzz.found_bad else 0)
+
+
+def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for option, default in (("--ranks", 2), ("--seed", 0), ("--cases", 200), ("--meshes", 50)):
+    for option, default in (("--count", 2000), ("--seed", 0), ("--ranks", 1), ("--jobs", 2)):
         parser.add_argument(option, type=int, default=default)
-    options = parser.parse_args()
-    rng = random.Random(options.seed)
-    good = {"one sentence", "solved", "failed"}
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as name:
-        folder = Path(name)
-        paths = [write_broken_case(folder, rng, i) for i in range(options.cases)]
-        meshes = [write_broken_mesh(folder, rng, i) for i in range(options.meshes)]
-        bad = 0
-        for kind, group in (("cases", paths), ("meshes", meshes)):
-            counts: Counter[str] = Counter()
-            for path in group:
-                ending, said = verdict(path, options.ranks)
-                counts[ending] += 1
-                print(f"{path.name:<16} {ending:<14} {said[:200]}", flush=True)
-                bad += ending not in (good if kind == "cases" else {"one sentence"})
-            print(kind, dict(counts), flush=True)
-        if (folder / "hacked").exists():
-            sys.exit("a mesh file ran a command")
-    sys.exit(f"{bad} runs ended badly" if bad else 0)
+    parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind; may be repeated")
+    parser.add_argument("--only", help="run this input alone and keep its folder")
+    return parser.parse_args()
+
+
+class Fuzz:
+    """Makes, runs and judges inputs, and counts the verdicts."""
+
+    def __init__(self, pencil: Path, seed: int, runner: Runner):
+        from fuzzing.kinds import GENERATORS, make_valid
+
+        self._generators = GENERATORS
+        self._pencil, self._seed, self.runner = pencil, seed, runner
+        self._valid = make_valid(pencil, runner)
+        self._counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
+
+    def run(self, kind: str, index: int, keep: bool = False) -> None:
+        """Make an input and start it; its verdict comes later."""
+        name = f"{kind}{index}"
+        root = self._pencil / name
+        rng = random.Random(f"{self._seed}/{name}")
+        for folder in ("work", "home", "tmp", "said"):
+            (root / folder).mkdir(parents=True)
+        (root / "home" / ".profile").write_text("the user's", encoding="utf-8")
+        (root / "work" / "notes.txt").write_text("the user's", encoding="utf-8")
+        broken = self._generators[kind](rng, root / "work", self._valid)
+        if broken.earlier:
+            shutil.copytree(self._valid.shape, root / "work" / "out")
+            put_files_of_the_user(root / "work" / "out")
+        before = snapshot(root)
+
+        def done(ending: Ending) -> None:
+            after = {path: digest for path, digest in snapshot(root).items() if not path.startswith("said/")}
+            verdict = judged(broken, ending, before, after, root)
+            self._counts[kind].update([verdict.ending, *verdict.bad])
+            if verdict.bad or keep:
+                self._show(name, broken.about, broken.words, verdict)
+            if not keep:
+                shutil.rmtree(root)
+
+        self.runner.start(broken.words, root, done)
+
+    def _show(self, name: str, about: str, words: list[str], verdict: Verdict) -> None:
+        command = shlex.join(["signorini", *words])[:200]
+        line = f"{name}: {verdict.ending}, {', '.join(sorted(verdict.bad)) or 'good'} | {about} | {command}"
+        print("".join(c if c.isprintable() else repr(c)[1:-1] for c in line))
+        for detail in verdict.details:
+            print("    " + detail.replace("\n", "\n    "), flush=True)
+
+    def replay(self, name: str) -> None:
+        """Run one input alone, show all that it said, and keep its folder."""
+        kind = name.rstrip("0123456789")
+        self.run(kind, int(name.removeprefix(kind)), keep=True)
+        self.runner.finish()
+        said = self._pencil / name / "said"
+        print(*((said / stream).read_text(errors="replace") for stream in ("stdout", "stderr")), sep="\n")
+        print(f"kept: {self._pencil / name}")
+
+    @property
+    def found_bad(self) -> bool:
+        """Whether anything was bad."""
+        return any(counts[bad] for counts in self._counts.values() for bad in BAD)
+
+    def table(self) -> str:
+        """Verdicts by kind."""
+        columns = [*ENDINGS.values(), *BAD]
+        total: Counter[str] = sum(self._counts.values(), Counter())
+        lines = [f"{'kind':<11}" + " ".join(f"{column:>9}" for column in columns)]
+        for kind, counts in [*self._counts.items(), ("all", total)]:
+            lines.append(f"{kind:<11}" + " ".join(f"{counts[column]:>9}" for column in columns))
+        return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Random texts for the expression parser: nothing but UFL or a clean refusal may come out, and soon.
 
+The trees of valid ones are enclosed over random boxes: no value or derivative in a point may lie outside.
+
 uv run python scripts/fuzz_expressions.py --minutes 10 --seed 1
 """
 
@@ -12,13 +14,21 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.data import quadrature
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import parse_expression, parse_number
+from signorini_fenicsx.expressions import (
+    interval_and_gradient,
+    parse_expression,
+    parse_number,
+    read,
+    values_and_gradient,
+)
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.geometry import build_domain
 from signorini_fenicsx.spaces import build_spaces
 
@@ -152,6 +162,34 @@ def outcome(text: str, x: ufl.SpatialCoordinate) -> str:
     return "refused" if found is None else "UFL"
 
 
+def check_enclosures(seed: int) -> bool:
+    """Whether a random tree, which the seed decides, is enclosed over most of some random boxes.
+
+    Raises:
+        AssertionError: If a value or a derivative in a point, computed with 64 bits, is outside.
+    """
+    rng = np.random.default_rng(seed)
+    text = valid(random.Random(seed), int(rng.integers(1, 8)))
+    try:
+        tree = read(text, "xy")
+    except InputError:
+        return False
+    boxes = 40
+    centres = rng.uniform(-2, 2, (2, boxes))
+    centres[:, ::5] = np.round(centres[:, ::5])  # where things are 0 and boxes touch branches
+    sizes = 10 ** rng.uniform(-6, 0.5, boxes)
+    lo, hi = (centres + sign * sizes * rng.integers(0, 2, (2, boxes)) for sign in (-1, 1))
+    value, gradient = interval_and_gradient(tree, {"x": Interval(lo[0], hi[0]), "y": Interval(lo[1], hi[1])})
+    share = rng.random((2, 30, boxes))
+    share[:, :4] = rng.integers(0, 2, (2, 4, boxes))
+    points = np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None]).astype(np.longdouble)
+    values, gradients = values_and_gradient(tree, {"x": points[0], "y": points[1]})
+    for found, enclosure in [(values, value), (gradients[..., 0], gradient[0]), (gradients[..., 1], gradient[1])]:
+        outside = (found < enclosure.lo) | (found > enclosure.hi)  # not so if one of them is NaN
+        assert not outside.any(), f"outside of the enclosure of {text!r}"
+    return bool(value.finite.mean() > 0.5)
+
+
 def main() -> None:
     """Fuzz for some minutes and print what came out; ends with a traceback at the first failure."""
     arguments = argparse.ArgumentParser(description=main.__doc__)
@@ -174,6 +212,8 @@ def main() -> None:
             f = parse_expression(text, x)
             spaces.integrate(f * ufl.Measure("dx", domain=spaces.mesh, metadata=quadrature(f)))
             counts["compiled"] += 1
+        if check_enclosures(options.seed + counts.total()):
+            counts["enclosed"] += 1
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{dict(counts)}; slowest {slowest:.2f} s; {megabytes:.0f} MB")
 

@@ -73,6 +73,21 @@ class Wave:
 def random_problem(seed: int) -> tuple[Case, Domain, Problem, str]:
     """A case, its mesh, its data and a description."""
     rng = np.random.default_rng(seed)
+    case = random_case(rng)
+    domain = mesh_case(case, MPI.COMM_SELF)
+    bad = distort(rng, domain)
+    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.7 else 1.0
+    rough = rng.random() < 0.5
+    problem = random_data(rng, domain, contrast, rough=rough)
+    boundary, solving = case.boundary, case.solve
+    words = [case.geometry.shape or "", case.geometry.mesh, "bad cells" if bad else ""]
+    words += [f"Γ_S {boundary.signorini}", f"Γ_N {boundary.neumann}", f"κ 1 to {contrast:.0e}"]
+    words += ["rough f" if rough else "smooth f", solving.algorithm, solving.backend]
+    return case, domain, problem, ", ".join(word for word in words if word)
+
+
+def random_case(rng: np.random.Generator) -> Case:
+    """A shape, its mesh, its boundary parts, an algorithm and a backend."""
     shape = str(rng.choice(list(SIZES)))
     parts = [str(part) for part in rng.permutation(list(SHAPES[shape].parts))]
     signorini = parts[: rng.integers(1, len(parts))]
@@ -80,7 +95,7 @@ def random_problem(seed: int) -> tuple[Case, Domain, Problem, str]:
     neumann = others[: rng.integers(0, len(others))]
     structured = SHAPES[shape].grid is not None and rng.random() < 0.5
     algorithm, backend = (str(rng.choice(names)) for names in (list(REFERENCES), ["hybrid", "mixed"]))
-    case = load_case("example1").with_values(
+    return load_case("example1").with_values(
         {
             "geometry.shape": shape,
             "geometry.mesh": "structured" if structured else "unstructured",
@@ -92,18 +107,16 @@ def random_problem(seed: int) -> tuple[Case, Domain, Problem, str]:
             "solve.eps": 10 ** rng.uniform(-10, 0),
         }
     )
-    domain = mesh_case(case, MPI.COMM_SELF)
+
+
+def distort(rng: np.random.Generator, domain: Domain) -> bool:
+    """Stretch and shear four meshes of ten; whether this one."""
     x = domain.mesh.geometry.x
-    bad = rng.random() < 0.4
+    bad = bool(rng.random() < 0.4)
     if bad:
         x[:, 1] *= 10 ** rng.uniform(-2, 1)
         x[:, 0] += rng.uniform(-4, 4) * x[:, 1]
-    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.7 else 1.0
-    rough = rng.random() < 0.5
-    problem = random_data(rng, domain, contrast, rough=rough)
-    words = [shape, case.geometry.mesh, "bad cells" if bad else "", f"Γ_S {signorini}", f"Γ_N {neumann}"]
-    words += [f"κ 1 to {contrast:.0e}", "rough f" if rough else "smooth f", algorithm, backend]
-    return case, domain, problem, ", ".join(word for word in words if word)
+    return bad
 
 
 def random_data(rng: np.random.Generator, domain: Domain, contrast: float, *, rough: bool) -> Problem:

@@ -12,8 +12,9 @@ than ever, and one at a time else (Júdice and Pires, Computers & Operations Res
 does from the first repetition on.
 """
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ from signorini_fenicsx.algorithms import Algorithm
 from signorini_fenicsx.backend import Backend, Iterate, LinearSolveFailure
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
+from signorini_fenicsx.signals import LoopInterruption
 from signorini_fenicsx.spaces import Spaces
 
 TIE = 1e-11
@@ -168,7 +170,20 @@ class Recorder(History):
             local = np.array([fem.assemble_scalar(form) for form in self._norms])
             sigma_change, u_change = np.sqrt(self._comm.allreduce(local)).tolist()
         self._last = iterate
-        self.append(conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped)
+        with reached(lambda: iterate, conditions, self.steps):
+            self.append(
+                conditions, sigma_change, u_change, linear_iterations=iterate.linear_iterations, clipped=clipped
+            )
+
+
+@contextlib.contextmanager
+def reached(iterate: Callable[[], Iterate], conditions: FacetConditions, history: list[Step]) -> Iterator[None]:
+    """Tell an interruption that comes with a step what the loop has reached (collective)."""
+    try:
+        yield
+    except LoopInterruption as interruption:
+        interruption.state = (iterate(), conditions, history)
+        raise
 
 
 class FluxClip:
@@ -203,19 +218,24 @@ class FluxClip:
         return replace(iterate, sigma=sigma, p=p, flux=np.where(negative, 0.0, iterate.flux)), clipped
 
 
-def ties(spaces: Spaces, iterate: Iterate) -> npt.NDArray[np.bool_]:
+def ties(spaces: Spaces, data: Data, iterate: Iterate) -> npt.NDArray[np.bool_]:
     """The Γ_S facets of this rank whose p and σ·n are both rounding (collective).
 
     The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux, per |e|, through any facet of a
-    cell behind Γ_S: the terms whose sums p and σ·n are. On a ROBIN facet, where one of the two may be small and still
-    meaningful, the other one decides.
+    cell behind Γ_S: the terms whose sums p and σ·n are. Where κ jumps, rounding is the same in the energy, so that the
+    scale of p is also at most the largest √κ|u| or √κ|p| over √κ of the facet's cell, that of σ·n the largest flux/√κ
+    times that. On a ROBIN facet, where one of the two may be small and still meaningful, the other one decides.
     """
+    roots = np.sqrt(data.conductivities(spaces))
+    root = roots[spaces.cells]
     through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
-    flux_scale = (through * np.abs(spaces.basis_flux) / spaces.facet_measure).max(initial=0.0)
-    trace_scale = max(np.abs(values).max(initial=0.0) for values in (iterate.u.x.array, iterate.p))
-    scales = np.array([trace_scale, flux_scale])
+    flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
+    u, p = np.abs(iterate.u.x.array), np.abs(iterate.p)
+    terms = (np.append(u, p), np.append(roots * u, root * p), flux, flux / root)
+    scales = np.array([values.max(initial=0.0) for values in terms])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, scales, MPI.MAX)
-    return (np.abs(iterate.p) <= TIE * scales[0]) & (np.abs(iterate.flux) <= TIE * scales[1])
+    trace_scale, flux_scale = np.minimum(scales[0], scales[1] / root), np.minimum(scales[2], scales[3] * root)
+    return (p <= TIE * trace_scale) & (np.abs(iterate.flux) <= TIE * flux_scale)
 
 
 class SingleChange:
@@ -279,7 +299,7 @@ def iterate_sets(
         )
 
     def wanted(*, start: bool = False) -> FacetConditions:
-        tied = ties(spaces, iterate)
+        tied = ties(spaces, backend.data, iterate)
         p, flux = (np.where(tied, 0.0, values) for values in (iterate.p, iterate.flux))
         if start and algorithm.forgets_start:
             p, flux = np.zeros_like(p), np.zeros_like(flux)

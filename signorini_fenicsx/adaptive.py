@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.algorithms import ALGORITHMS, By
 from signorini_fenicsx.case import Case
 from signorini_fenicsx.certificate import Certificate, certify
@@ -67,6 +68,7 @@ def adapt(
     max_cells: int = DEFAULT_MAX_CELLS,
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
+    on_step: Callable[[Step], None] = lambda step: None,
 ) -> tuple[Solution, Certificate]:
     """Refine the mesh of a case where its certificate says that the error is (collective).
 
@@ -79,6 +81,7 @@ def adapt(
         max_cells: A mesh with more cells is not solved on.
         theta: Part of Σ η_T² whose cells are refined; 1 refines uniformly.
         on_row: Called on all ranks after each mesh.
+        on_step: Called on all ranks after each iteration.
 
     Returns:
         The last solution and its certificate, whether the target is reached or not.
@@ -96,13 +99,14 @@ def adapt(
     solution: Solution | None = None
     mesh = 0
     while True:
-        solution = solve(case, domain=domain, start=solution if has_sets else None)
+        solution = solve(case, domain=domain, start=solution if has_sets else None, on_step=on_step)
         certificate = certify(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:
             return solution, certificate
-        domain = refine(domain, dorfler(certificate.indicator.x.array, theta, comm))
+        marked = dorfler(certificate.indicator.x.array, theta, comm)
+        domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
         if _cells(domain) > max_cells:
             return solution, certificate
         mesh += 1

@@ -1,5 +1,6 @@
 """What the active-set loop needs from a discretisation: one linear solve under given facet conditions."""
 
+import re
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,6 +19,10 @@ type Array = npt.NDArray[np.float64]
 
 MUMPS_WORKSPACE = "mat_mumps_icntl_14"
 """PETSc's name for the part of the estimate, in per cent, that is added to it."""
+
+
+OPTION_ERRORS = (56, 62, 63, 83, 86, 92)
+"""PETSc's codes for: not supported, wrong value, out of range, unusable, unknown type, no such factorisation."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,7 @@ def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
     options = PETSc.Options()
     if not options.hasName(MUMPS_WORKSPACE):
         options[MUMPS_WORKSPACE] = 100
+        options.hasName(MUMPS_WORKSPACE)  # or PETSc complains at its end where nobody has asked for it
     try:
         solver.setFromOptions()
     except PETSc.Error as error:
@@ -89,11 +95,13 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         x: Solution, and the start if the solver takes one.
 
     Raises:
+        InputError: If PETSc does not know what its options ask for.
         LinearSolveFailure: If the solver does not converge or PETSc gives up.
     """
     try:
         ksp.solve(b, x)
     except PETSc.Error as error:
+        refuse_options(error)
         raise LinearSolveFailure(f"the linear solver {solver_name(ksp)} failed: {petsc_reason(error)}") from None
     reason = ksp.getConvergedReason()
     if reason < 0:
@@ -112,7 +120,21 @@ def solver_name(ksp: PETSc.KSP) -> str:
 
 def petsc_reason(error: PETSc.Error) -> str:
     """The sentence at the end of PETSc's stack of calls."""
-    return str(error).splitlines()[-1].partition("] ")[2]
+    *_, last = str(error).splitlines()
+    return last.partition("] ")[2] or last
+
+
+def refuse_options(error: RuntimeError) -> None:
+    """Say that an error, raised by PETSc or by DOLFINx for it, is one of the user's options, if it is one.
+
+    Raises:
+        InputError: If PETSc does not know what its options ask for.
+    """
+    told = re.search(r"PETSc error code is: (\d+), *(.*?)(\. |$)", str(error))
+    code = int(told[1]) if told else getattr(error, "ierr", 0)
+    if code in OPTION_ERRORS and PETSc.Options().getAll():
+        reason = told[2] if told else petsc_reason(error)
+        raise InputError(f"PETSc options: {reason} (PETSc's error {code})") from None
 
 
 class Backend(Protocol):

@@ -2,10 +2,12 @@
 
 import difflib
 import os
+import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, get_args
 
 import basix.ufl
 import ufl
@@ -18,15 +20,21 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.data import Problem
+from signorini_fenicsx.data import Given, Problem
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import parse_expression, parse_number
+from signorini_fenicsx.expressions import Tree, parse_expression, parse_number, read
 from signorini_fenicsx.geometry import SHAPES, Shape
 from signorini_fenicsx.mesh_files import is_geometry
 from signorini_fenicsx.shipped import case_names, data_folder
+
+MAX_BYTES = 2**23
+"""Of a TOML file; Python reads about a million a second."""
+MAX_BITS = 1000
+"""Of an integer."""
+MAX_DOTS = 500
+"""Of a dotted key, which takes Python a time that grows with the square of them."""
 
 
 def _number(value: object) -> object:
@@ -37,11 +45,18 @@ def _number(value: object) -> object:
             value = parse_number(value)
         except InputError as error:
             raise ValueError(str(error)) from None
-    return value
+    return _not_huge(value)
 
 
 def _text(value: object) -> object:
-    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+    return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _not_huge(value: object) -> object:
+    """Refuse integers of TOML that are no floating point numbers; Python cannot even print some of them."""
+    if isinstance(value, int) and value.bit_length() > MAX_BITS:
+        raise ValueError(f"must be a number of at most {MAX_BITS} bits")
+    return value
 
 
 def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
@@ -134,8 +149,7 @@ class Boundary(_Section):
 
     @model_validator(mode="after")
     def _no_repetition(self) -> Self:
-        parts = self.listed()
-        repeated = sorted({part for part in parts if parts.count(part) > 1})
+        repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
         if repeated:
             raise ValueError(f"'{repeated[0]}' is listed twice")
         return self
@@ -186,21 +200,22 @@ class ProblemTexts(_Section):
             found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
         return found
 
-    def on(self, x: ufl.SpatialCoordinate) -> Problem:
-        """The data in these coordinates.
+    def read(self, dim: int) -> Problem:
+        """The data in this dimension.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        f, u_D, g_N, psi, q_S = (parse_expression(getattr(self, key), x) for key in ("f", "u_D", "g_N", "psi", "q_S"))
+        names = "xyz"[:dim]
+        f, u_D, g_N, psi, q_S = (read(getattr(self, key), names) for key in ("f", "u_D", "g_N", "psi", "q_S"))
 
-        def conductivity(text: str | list[list[str]]) -> Expr:
-            if isinstance(text, str):
-                return parse_expression(text, x)
-            return ufl.as_matrix([[parse_expression(entry, x) for entry in row] for row in text])
+        def conductivity(text: str | list[list[str]]) -> Tree | list[list[Tree]]:
+            return (
+                read(text, names) if isinstance(text, str) else [[read(entry, names) for entry in row] for row in text]
+            )
 
         if isinstance(self.kappa, dict):
-            kappa: Expr | dict[str, Expr] = {region: conductivity(text) for region, text in self.kappa.items()}
+            kappa: Given | dict[str, Given] = {region: conductivity(text) for region, text in self.kappa.items()}
         else:
             kappa = conductivity(self.kappa)
         return Problem(f=f, kappa=kappa, u_D=u_D, g_N=g_N, psi=psi, q_S=q_S)
@@ -220,7 +235,7 @@ class Solve(_Section):
 
     algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
     backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
-    h: Positive = 2**-5
+    h: Annotated[Positive, _within(1e-90, 1e90)] = 2**-5  # its powers are numbers
     rho: Annotated[Positive, _within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, _within(1e-14, 1e6)] = 1e-8
     max_iterations: Annotated[int, BeforeValidator(_number), _within(1, 10**6)] | None = None
@@ -322,11 +337,20 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: If it cannot be read.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
+        if not path.is_file():
+            raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, as no case or study has")
+        text = path.read_text(encoding="utf-8")
+        if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
+            raise InputError(f"{path}: a key is nested too deeply")
+        return tomllib.loads(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not a TOML file: {error}") from None
+    except ValueError:  # Python reads no more than 4300 digits
+        raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None
 
 
 def load_case(name_or_path: str | Path) -> Case:
@@ -338,8 +362,6 @@ def load_case(name_or_path: str | Path) -> Case:
     text = str(name_or_path)
     if text.endswith(".toml") or "/" in text:
         path = Path(text)
-        if not path.is_file():
-            raise InputError(f"{path}: is a folder, not a case file" if path.is_dir() else f"{path}: no such file")
     else:
         path = data_folder("cases") / f"{text}.toml"
         if text not in case_names():
@@ -380,7 +402,10 @@ def complaint(error: ValidationError, root: type[BaseModel]) -> str:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # integers of many digits, deep lists
+        text = f"this {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -391,8 +416,8 @@ def _place_of_key(sections: list[str]) -> str:
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
         annotation = model.model_fields[section].annotation
-        assert isinstance(annotation, type)
-        model = annotation
+        kinds = (annotation, *get_args(annotation))  # of a section that may be left out: a union with None
+        model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
     known = _keys(model)
     close = difflib.get_close_matches(wrong, known, 1)
     return ", ".join(known) + (f" (did you mean '{close[0]}'?)" if close else "")

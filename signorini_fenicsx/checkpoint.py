@@ -5,36 +5,34 @@ partition, enters the file.
 """
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from pydantic import ValidationError
 
-from signorini_fenicsx.active_set import Step
-from signorini_fenicsx.algorithms import ALGORITHMS
+from forms.norms import l2
+from signorini_fenicsx.algorithms import ALGORITHMS, Algorithm, By
 from signorini_fenicsx.case import Case
-from signorini_fenicsx.conditions import FacetConditions
+from signorini_fenicsx.checkpoint_file import About, Arrays, read_checkpoint
+from signorini_fenicsx.conditions import Condition, FacetConditions
+from signorini_fenicsx.data import Data
 from signorini_fenicsx.discretisation import discrete_data
 from signorini_fenicsx.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.exchange import repair
 from signorini_fenicsx.gather import FacetTable, Fields
 from signorini_fenicsx.geometry import SHAPES
-from signorini_fenicsx.kkt import kkt_residuals
+from signorini_fenicsx.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.parallel import on_root, scatter_rows
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, build_spaces, centroids
 
 FILE = "checkpoint.npz"
-
-type Arrays = dict[str, npt.NDArray]
 
 
 def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: FacetTable, marks: Marks) -> None:
@@ -59,6 +57,7 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         "bend": solution.spaces.domain.bend,
         "history": [asdict(step) for step in solution.history],
         "beta": solution.conditions.beta,
+        "kkt": vars(solution.kkt),
         **{key: getattr(solution, key) for key in ABOUT},
     }
     arrays = {key: getattr(fields, key) for key in ("points", "cells", "u", "sigma", "divergence")}
@@ -69,31 +68,38 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         np.savez(file, about=np.array(json.dumps(about)), **arrays)
 
 
-ABOUT = ("reason", "converged", "backend", "dofs", "linear_solver", "rough_steps", "timings", "peak_memory")
+ABOUT = (
+    *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
+    *("rough_steps", "timings", "peak_memory"),
+)
 """What a solution says about how it was found."""
+SAME = 1e-3
+"""Part of a KKT residual by which the one of what is read may differ from the one that was written."""
 
 
 def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     """Read the solution of a results folder, on as many ranks as there are now (collective).
 
     Raises:
-        InputError: If there is none, or it is not readable.
+        InputError: If there is none, it could not have been written by this program, or its fields do not have the
+            residuals that they had: then it is damaged, and no part of it is used.
     """
     path = Path(folder) / FILE
     everything: list[Arrays] = []
 
-    def read() -> tuple[dict[str, Any], Arrays, int, float]:
-        about, arrays = _read(path)
-        everything.append(arrays)
-        facets = {key: arrays[key] for key in arrays if key.startswith("facet_")}
-        return about, facets, arrays["points"].shape[1], about["bend"]
+    def read() -> tuple[About, Case, Arrays, int]:
+        repair(folder)
+        found = read_checkpoint(path)
+        everything.append(found.arrays)
+        facets = {key: array for key, array in found.arrays.items() if key.startswith("facet_")}
+        return found.about, found.case, facets, found.dim
 
-    about, facets, dim, bend = on_root(comm, read)
+    about, case, facets, dim = on_root(comm, read)
     arrays = everything[0] if everything else {}
-    case = _case(path, about)
     points = arrays.get("points", np.empty((0, dim)))
     cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
-    domain = marked_domain(distribute(comm, points, cells, dim), _parts(case, about), _marks(about, arrays, dim), bend)
+    mesh = distribute(comm, points, cells, dim)
+    domain = marked_domain(mesh, _parts(case, about), _marks(about, arrays, dim), about.bend)
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)
@@ -101,19 +107,55 @@ def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
     sigma.x.scatter_forward()
     p = spaces.multiplier(facets["facet_p"][rows])
     data = discrete_data(case, spaces)
+    conditions = FacetConditions(facets["facet_condition"][rows].astype(np.int8), about.beta)
+    algorithm = ALGORITHMS[case.solve.algorithm]
+    kkt = kkt_residuals(spaces, sigma, u, p, data, algorithm.penalty, case.solve.eps)
+    damage = _damage(about, algorithm, kkt)
+    by_sets = about.converged and algorithm.by is By.SETS
+    if damage is None and by_sets and not _hold(conditions, sigma, u, p, spaces, data):
+        damage = "its facet conditions are not those of its values"
+    if damage is not None:
+        raise InputError(f"{path}: is damaged: {damage}")
     return Solution(
         case=case,
-        algorithm=ALGORITHMS[case.solve.algorithm],
+        algorithm=algorithm,
         spaces=spaces,
         data=data,
         sigma=sigma,
         u=u,
         p=p,
-        conditions=FacetConditions(facets["facet_condition"][rows].astype(np.int8), about["beta"]),
-        history=[Step(**step) for step in about["history"]],
-        kkt=kkt_residuals(spaces, sigma, u, p, data, ALGORITHMS[case.solve.algorithm].penalty, case.solve.eps),
-        **{key: about[key] for key in ABOUT},
+        conditions=conditions,
+        history=about.history,
+        kkt=kkt,
+        **{key: getattr(about, key) for key in ABOUT},
     )
+
+
+def _damage(about: About, algorithm: Algorithm, kkt: KKTResiduals) -> str | None:
+    """Why the residuals of what was read cannot be those of what was written; None if they can."""
+    for name, value in vars(kkt).items():
+        before = (about.kkt or {}).get(name, value)
+        if np.isfinite(before) and not abs(value - before) <= TOLERANCE + SAME * before:
+            return f"its KKT residual {name} is {value:.1e}, and was {before:.1e} when it was written"
+    known = about.kkt is not None or algorithm.by is not By.CLASSICAL
+    judged = about.converged and known and about.own_residual is None  # others have a residual of their own
+    violation = kkt.violation() if judged else None
+    return None if violation is None else f"it claims to be a solution, but has {violation}"
+
+
+def _hold(
+    conditions: FacetConditions, sigma: fem.Function, u: fem.Function, p: fem.Function, spaces: Spaces, data: Data
+) -> bool:
+    """Whether σ·n = q_S and p = ψ where the conditions say so (collective)."""
+    e, kind = spaces.facet_measure, conditions.kind
+    flux, trace = spaces.normal_flux(sigma) - data.q_Sh, p.x.array[: len(e)] - data.psi_h
+    squares = [
+        e @ np.where(kind == zero, values, 0.0) ** 2
+        for values, zero in ((flux, Condition.NO_FLUX), (trace, Condition.ZERO_TRACE))
+    ]
+    left = spaces.length() * spaces.mesh.comm.allreduce(np.array(squares))
+    sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (sigma, u)]
+    return bool(np.all(np.sqrt(left) <= TOLERANCE * np.sqrt(sizes)))
 
 
 def shared_domain(start: Solution, case: Case) -> Domain | None:
@@ -123,35 +165,17 @@ def shared_domain(start: Solution, case: Case) -> Domain | None:
     return start.spaces.domain if same else None
 
 
-def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
-    if not path.is_file():
-        raise InputError(f"{path.parent}: holds no {FILE}, so no solution to start from")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        return json.loads(str(arrays.pop("about"))), arrays
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a readable solution ({error})") from None
-
-
-def _case(path: Path, about: dict[str, Any]) -> Case:
-    try:
-        return Case.model_validate(about["case"] | {"name": about["name"]})
-    except (ValidationError, KeyError):
-        raise InputError(f"{path}: its case is from another version, or its data were given in Python") from None
-
-
-def _parts(case: Case, about: dict[str, Any]) -> Mapping[str, Part]:
+def _parts(case: Case, about: About) -> Mapping[str, Part]:
     if case.geometry.shape is not None:
         return SHAPES[case.geometry.shape].parts
-    return {name: axis_part(label) for name, label in about["parts"].items()}
+    return {name: axis_part(label) for name, label in about.parts.items()}
 
 
-def _marks(about: dict[str, Any], arrays: Arrays, dim: int) -> Marks:
+def _marks(about: About, arrays: Arrays, dim: int) -> Marks:
     """Parts and regions, on rank 0; nothing elsewhere."""
     empty = np.empty((0, dim), dtype=np.int64)
-    facets = {name: arrays.get(f"part_{index}", empty) for index, name in enumerate(about["parts"])}
-    return Marks(facets, arrays.get("inside"), tuple(about["regions"]))
+    facets = {name: arrays.get(f"part_{index}", empty) for index, name in enumerate(about.parts)}
+    return Marks(facets, arrays.get("inside"), tuple(about.regions))
 
 
 def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:

@@ -1,30 +1,41 @@
 """The command `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
+import errno
 import gc
 import io
+import itertools
 import math
 import os
 import sys
+import tempfile
+import time
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import petsc4py
 import typer
 from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.parallel import abort_all_on_exception, on_root
+from signorini_fenicsx.parallel import FORWARDING, abort_all_on_exception, end_all, on_root, refuse_lone_copies
 from signorini_fenicsx.shipped import case_names, study_names
+from signorini_fenicsx.signals import Interruption, listen_again, listening, outlive_readers
 
 if TYPE_CHECKING:
+    from signorini_fenicsx.active_set import Step
     from signorini_fenicsx.case import Case
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 MAX_LEVEL = 30
+MIN_THETA = 1e-3
+MAX_WORDS = 800, 200
+"""Characters of a message that are shown, at its begin and at its end."""
 
 app = typer.Typer(
     help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
@@ -79,7 +90,7 @@ def _toml_value(text: str) -> object:
     """A value as TOML writes it, such as ["top", "left"], or else the text itself."""
     try:
         tree = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return text
     return tree["value"] if len(tree) == 1 else text
 
@@ -97,6 +108,9 @@ def solve(
     start_from: Annotated[
         Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
     ] = None,
+    rigorous: Annotated[
+        bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
+    ] = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -109,7 +123,7 @@ def solve(
     Examples:
       signorini solve example1 --plot
       signorini solve dam --algorithm alg2 --output results/seepage
-      signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]'
+      signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
     """
     from signorini_fenicsx import report
@@ -118,31 +132,43 @@ def solve(
     from signorini_fenicsx.checkpoint import load_solution, shared_domain
     from signorini_fenicsx.output import write_solution
     from signorini_fenicsx.results import ResultsFolder
+    from signorini_fenicsx.rigorous.proof import check_size, proof_of
+    from signorini_fenicsx.signals import end_if_told
     from signorini_fenicsx.solver import solve as solve_case
 
     comm = MPI.COMM_WORLD
     report.console.quiet = quiet or as_json
     values = _overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     cold = {} if predict else {"solve.predict": False}
+
+    def on_step(row: "Step") -> None:
+        report.step(row)
+        end_if_told(comm)
+
     problem = on_root(comm, lambda: load_case(case).with_values(values | cold))
+    if rigorous:
+        on_root(comm, lambda: check_size(problem))
     with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
         report.heading(problem, comm)
         report.iteration_heading(problem)
         try:
             start = None if start_from is None else load_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
-            solution = solve_case(problem, comm, domain=domain, start=start, on_step=report.step)
+            solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
         except NumericalFailure as failure:
             if failure.solution is not None:
                 write_solution(failure.solution, folder.path, plot=plot, html=html)
                 failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
             raise
         certificate = certify(solution)
-        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
+        proof = proof_of(solution, certificate.v) if rigorous else None
+        write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
         folder.publish()
-        report.solution(solution, folder.target, certificate)
+        report.solution(solution, folder.target, certificate, proof)
         if as_json:
             report.summary(folder.target)
+        if proof is not None and proof.proven is None:
+            raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
 
 
 @app.command()
@@ -180,6 +206,7 @@ def adapt(
     from signorini_fenicsx.geometry import SHAPES
     from signorini_fenicsx.output import write_adapt, write_solution
     from signorini_fenicsx.results import ResultsFolder
+    from signorini_fenicsx.signals import end_if_told
 
     comm = MPI.COMM_WORLD
     report.console.quiet = quiet or as_json
@@ -187,8 +214,8 @@ def adapt(
         raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
     wanted = None if target is None else _positive("--target", target)
     part = _positive("--theta", theta)
-    if part > 1:
-        raise InputError(f"--theta {theta}: must be at most 1")
+    if not MIN_THETA <= part <= 1:
+        raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
     most = max_cells or DEFAULT_MAX_CELLS
@@ -211,9 +238,17 @@ def adapt(
         report.heading(problem, comm)
         report.adapt_heading(wanted, most)
         try:
-            solution, certificate = adapt_case(problem, comm, target=wanted, max_cells=most, theta=part, on_row=on_row)
+            refined = partial(
+                adapt_case,
+                *(problem, comm),
+                target=wanted,
+                max_cells=most,
+                on_row=on_row,
+                on_step=lambda row: end_if_told(comm),
+            )
+            solution, certificate = refined(theta=part)
             if uniform:
-                adapt_case(problem, comm, target=wanted, max_cells=most, theta=1.0, on_row=on_row)
+                refined(theta=1.0)
         except NumericalFailure as failure:
             if failure.solution is not None:
                 write_solution(failure.solution, folder.path, plot=plot, html=html)
@@ -270,7 +305,7 @@ def export(
         report.heading(solution.case, comm)
         certificate = certify(solution) if solution.converged else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
-        folder.publish()
+        folder.publish(add=folder.target == Path(os.path.realpath(results)))
         report.results(folder.target)
 
 
@@ -296,6 +331,8 @@ def compare(
 
     comm = MPI.COMM_WORLD
     report.console.quiet = quiet or as_json
+    if output is not None and os.path.realpath(output) in map(os.path.realpath, (first, second)):
+        raise InputError(f"--output {output}: is one of the runs, which the comparison would replace; take another")
     one = load_solution(first, comm)  # named, so that an exception keeps it: MPI deadlocks on freeing it meanwhile
     other = load_solution(second, comm)
     comparison = compare_solutions(one, other)
@@ -493,18 +530,42 @@ def _run(command: Callable[[], object]) -> int:
     except NumericalFailure as failure:
         _complain("failed", str(failure))
         return EXIT_FAILED
-    except OSError as error:  # a full disk, a folder that vanished
-        _complain("failed", f"{error.filename or 'file system'}: {error.strerror or error}")
+    except OSError as error:  # a full disk, a folder that vanished; a path that no system takes
+        is_input = error.errno == errno.ENAMETOOLONG
+        _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
+        return EXIT_BAD_INPUT if is_input else EXIT_FAILED
+    except RuntimeError as error:
+        from signorini_fenicsx.backend import refuse_options
+
+        try:
+            refuse_options(error)
+        except InputError as refusal:
+            _complain("error", str(refusal))
+            return EXIT_BAD_INPUT
+        raise
+    except Interruption as interruption:
+        _complain("failed", str(interruption))
+        _end_others(MPI.COMM_WORLD, interruption)
         return EXIT_FAILED
     except SystemExit as request:  # typer: usage errors and --help
         return request.code if isinstance(request.code, int) else EXIT_BAD_INPUT
     return 0
 
 
+def _end_others(comm: MPI.Comm, interruption: Interruption) -> None:
+    """End the ranks that no signal has reached, maybe; if it has reached rank 0, that has said so."""
+    if comm.size > 1 and comm.rank > 0:
+        time.sleep(2 * FORWARDING)
+        end_all(comm, f"failed: rank {comm.rank} was {interruption}\n")
+    if comm.size > 1:
+        end_all(comm, "")
+
+
 def _complain(kind: str, message: str) -> None:
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"{kind}:", style="bold red", end=" ")
-    console.print(" ".join(message.split()), markup=False)
+    words, (first, last) = " ".join(message.split()), MAX_WORDS
+    console.print(words if len(words) <= first + last else f"{words[:first]} … {words[-last:]}", markup=False)
 
 
 def main() -> None:
@@ -513,7 +574,6 @@ def main() -> None:
     if "--" in arguments:
         split = arguments.index("--")
         arguments, petsc_options = arguments[:split], arguments[split + 1 :]
-    petsc4py.init([sys.argv[0], *petsc_options])
     comm = MPI.COMM_WORLD
     abort_all_on_exception(comm)
     gc.disable()  # see `parallel.collect_garbage`
@@ -523,4 +583,43 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Unicode is no reason to fail
     command = typer.main.get_command(app)  # calling app itself would replace sys.excepthook
-    sys.exit(_run(lambda: command(args=arguments, prog_name="signorini")))
+
+    def run() -> None:
+        refuse_lone_copies(comm)
+        _start_petsc(petsc_options, comm)
+        listen_again()
+        outlive_readers()
+        command(args=arguments, prog_name="signorini")
+
+    with listening(), np.errstate(all="ignore"):  # what is not finite is told in a sentence
+        status = _run(run)
+    sys.exit(status)
+
+
+def _start_petsc(options: list[str], comm: MPI.Comm) -> None:
+    """Give PETSc the options; what it prints of an error is kept for the sentence.
+
+    Some errors are met by rank 0 alone, which then ends all.
+
+    Raises:
+        InputError: If it cannot start with them.
+    """
+    failure: InputError | None = None
+    with tempfile.TemporaryFile("w+", errors="replace") as words:
+        stderr = os.dup(2)
+        os.dup2(words.fileno(), 2)
+        try:
+            petsc4py.init([sys.argv[0], *options])
+        except RuntimeError as error:
+            words.seek(0)
+            said = [line.partition("ERROR: ")[2].strip() for line in words if "ERROR: " in line and "---" not in line]
+            reason = ", ".join(itertools.takewhile(lambda line: not line.startswith("See "), said))
+            failure = InputError(f"PETSc cannot start with its options: {reason or error}")
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+    if failure is not None and comm.size > 1:
+        _complain("error", str(failure))
+        end_all(comm, "", EXIT_BAD_INPUT)
+    if failure is not None:
+        raise failure

@@ -205,7 +205,7 @@ def convergence_study(
         penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
     domain = mesh_case(case, comm) if vary is Vary.EPS else None
-    cases = [case.with_values(_values(vary, level)) for level in levels]
+    cases = [case.with_values(level_values(vary, level)) for level in levels]
     best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
     if domain is None:
         best = best.with_values({"solve.h": 2.0**-reference})
@@ -225,7 +225,8 @@ def convergence_study(
     return rows
 
 
-def _values(vary: Vary, level: int) -> dict[str, float]:
+def level_values(vary: Vary, level: int) -> dict[str, float]:
+    """What a level changes in the case."""
     match vary:
         case Vary.H:
             return {"solve.h": 2.0**-level}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import basix
 import basix.ufl
@@ -15,16 +16,19 @@ from mpi4py import MPI
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.data_values import check_means, check_nodes, extent, total
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl
 from signorini_fenicsx.spaces import Spaces, assembled, cell_measures, cells_and_dofs
 
 type Array = npt.NDArray[np.float64]
-type Given = float | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; a UFL expression on the mesh, also a `fem.Function`; or a function of points of shape (3, n)."""
+type Rows = Sequence[Sequence[Tree]]
+type Given = float | Tree | Rows | Expr | Callable[[Array], npt.ArrayLike]
+"""A number; an expression that was read, or a matrix of them; a UFL expression on the mesh, also a `fem.Function`; or a
+function of points of shape (3, n)."""
 
-DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
-"""Relative size of what is rounding: in the symmetry of κ and in the sum of all loads."""
+"""Relative size of what is rounding in the symmetry of κ."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,8 @@ class Data:
         q_Sh: Mean of q_S per Γ_S facet of this rank.
         stiffness: Mean of κ over L, so the σ·n that goes with p = 1.
         total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
+        trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
+            regions has names such as "kappa.core".
     """
 
     f: Expr
@@ -87,6 +93,40 @@ class Data:
     q_Sh: Array
     stiffness: float
     total_load: float
+    trees: Mapping[str, Tree | Rows]
+
+    def conductivities(self, spaces: Spaces) -> Array:
+        """Mean eigenvalue of κ_h on each cell of this rank."""
+        if is_constant(self.kappa_h):
+            return np.full(spaces.Q.dofmap.index_map.size_local, float(self.kappa_h))
+        shape = self.kappa_h.ufl_shape or (1, 1)
+        return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+
+    def extent(self, spaces: Spaces) -> tuple[float, float]:
+        """The least and the largest of u_D and ψ, of their means (collective)."""
+        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
+
+    def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
+        """The same of u_D alone; ∞ and −∞ without Γ_D (collective)."""
+        return extent(self._dirichlet_means(spaces), spaces.mesh.comm)
+
+    def _dirichlet_means(self, spaces: Spaces) -> Array:
+        return self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
+
+    def common_constant(self, spaces: Spaces) -> float:
+        """The value nearest to 0 in the range of u_D and ψ: 0 unless all of them have one sign (collective)."""
+        return float(np.clip(0.0, *self.extent(spaces)))
+
+    def less(self, spaces: Spaces, constant: float) -> Data:
+        """The data of the problem for u − constant (collective)."""
+        if constant == 0:
+            return self
+        u_lift = self.u_lift.copy()
+        for facets in (spaces.dirichlet_facets, spaces.facets):
+            u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
+        u_lift.x.scatter_forward()
+        shift = fem.Constant(spaces.mesh, constant)  # no number in a form, which would be compiled for each
+        return replace(self, u_D=self.u_D - shift, psi=self.psi - shift, u_lift=u_lift, psi_h=self.psi_h - constant)
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
@@ -103,12 +143,20 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     f_h = fem.Function(spaces.Q, name="f_h")
     f_means = _cell_means(spaces, f).ravel()
     f_h.x.array[:] = f_means
-    _check("f", "in the domain", f_means, spaces)
+    check_means("f", "in the domain", f_means, spaces)
 
     psi_h = _facet_means(spaces, "psi", psi, spaces.facets, spaces.ds, "on Γ_S")
     q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, spaces.ds, "on Γ_S")
     dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
     neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
+    near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
+    for name, value, facets, where in (
+        ("u_D", u_D, spaces.dirichlet_facets, "on Γ_D"),
+        ("psi", psi, spaces.facets, "on Γ_S"),
+    ):
+        if not is_constant(value):
+            check_nodes(spaces, name, value, facets, where)
+    check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
     u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
     for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
@@ -134,8 +182,34 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         psi_h=psi_h,
         q_Sh=q_Sh,
         stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
-        total_load=_sum(np.concatenate(loads), spaces.mesh.comm),
+        total_load=total(np.concatenate(loads), spaces.mesh.comm),
+        trees=_trees(problem),
     )
+
+
+def _trees(problem: Problem) -> dict[str, Tree | Rows]:
+    given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S")}
+    if isinstance(problem.kappa, Mapping):
+        given |= {f"kappa.{region}": value for region, value in problem.kappa.items()}
+    else:
+        given["kappa"] = problem.kappa
+    trees = {name: exactly(value) if isinstance(value, int | float) else value for name, value in given.items()}
+    return {name: value for name, value in trees.items() if isinstance(value, TREES | tuple | list)}
+
+
+def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.NDArray[np.int32]) -> None:
+    """Make sure that a scalar and its gradient are finite at the quadrature points of these cells (collective).
+
+    Raises:
+        InputError: If they are not.
+    """
+    if is_constant(value):
+        return
+    both = value + sum(ufl.grad(value)[i] for i in range(spaces.mesh.geometry.dim))  # infinite or NaN with any of them
+    dx = ufl.Measure("dx", spaces.mesh, subdomain_data=[(1, cells)], metadata=quadrature(value))
+    integrals = assembled(both * ufl.TestFunction(spaces.Q) * dx(1))
+    if not spaces.mesh.comm.allreduce(bool(np.isfinite(integrals).all()), op=MPI.LAND):
+        raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
 
 
 def quadrature(value: Expr) -> dict[str, int]:
@@ -164,8 +238,13 @@ def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = T
     """UFL of what was given; functions of points become piecewise quadratic, those that may jump by inner points."""
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
+    x = ufl.SpatialCoordinate(spaces.mesh)
     if isinstance(given, Expr):
         value = given
+    elif isinstance(given, TREES):
+        value = to_ufl(given, x)
+    elif isinstance(given, tuple | list):
+        value = ufl.as_matrix([[to_ufl(entry, x) for entry in row] for row in given])
     elif callable(given):
         probe = np.asarray(given(np.zeros((3, 1))))
         variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
@@ -216,7 +295,7 @@ def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
 def _projected_conductivity(spaces: Spaces, kappa: Expr) -> Expr:
     """κ_h (collective)."""
     means = np.array([float(kappa)]) if is_constant(kappa) else _cell_means(spaces, kappa)
-    _check("kappa", "in the domain", means, spaces)
+    check_means("kappa", "in the domain", means, spaces)
     matrices = means.reshape(len(means), *(kappa.ufl_shape or (1, 1)))
     size = np.abs(matrices).max(axis=(1, 2))
     symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= ROUNDING * size
@@ -259,22 +338,5 @@ def _facet_means(
         flux = ufl.dot(ufl.TestFunction(spaces.V), spaces.n)  # a constant on each facet, 0 on all but one
         weighted, plain = (assembled(form)[dofs] for form in (value * flux * ds(metadata=quadrature(value)), flux * ds))
         means = weighted / plain
-    _check(name, where, means, spaces)
+    check_means(name, where, means, spaces)
     return means
-
-
-def _check(name: str, where: str, means: Array, spaces: Spaces) -> None:
-    """Refuse means that are not finite, or too large or small (collective)."""
-    comm = spaces.mesh.comm
-    if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
-    largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
-    low, high = DATA_RANGE
-    if largest != 0 and not low <= largest <= high:
-        raise InputError(f"[problem] {name}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
-
-
-def _sum(loads: Array, comm: MPI.Comm) -> float:
-    """Their sum over all ranks, 0 if it is rounding (collective)."""
-    total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
-    return total if abs(total) > ROUNDING * size else 0.0

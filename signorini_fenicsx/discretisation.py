@@ -5,10 +5,11 @@ import ufl
 from mpi4py import MPI
 
 from signorini_fenicsx.case import Case
-from signorini_fenicsx.data import Data, project_data
+from signorini_fenicsx.data import Data, check_finite, project_data
 from signorini_fenicsx.domain import Domain
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geometry import SHAPES, build_domain, estimated_cells, expected_cells, own_domain
+from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.geometry import build_domain, estimated_cells, expected_cells, own_domain
 from signorini_fenicsx.sampling import curve_gap
 from signorini_fenicsx.spaces import Spaces
 
@@ -17,9 +18,13 @@ def discrete_data(case: Case, spaces: Spaces) -> Data:
     """The data of a case and their means (collective).
 
     Raises:
-        InputError: If one of them cannot be used, see `project_data`.
+        InputError: If one of them, or the exact u, cannot be used, see `project_data`.
     """
-    return project_data(spaces, case.problem.on(ufl.SpatialCoordinate(spaces.mesh)))
+    if case.exact.u is not None:
+        u = parse_expression(case.exact.u, ufl.SpatialCoordinate(spaces.mesh))
+        cells = np.arange(spaces.Q.dofmap.index_map.size_local, dtype=np.int32)
+        check_finite(spaces, "[exact] u", "in the domain", u, cells)
+    return project_data(spaces, case.problem.read(spaces.mesh.geometry.dim))
 
 
 def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
@@ -40,11 +45,11 @@ def rough_cells(case: Case) -> float:
     """About how many cells the mesh of a case has, without making it; a file is read (rank 0).
 
     Raises:
-        InputError: If the file or its mesh cannot be used.
+        InputError: If the file or its mesh cannot be used, or there are too many.
     """
     geometry = case.geometry
     if geometry.shape is not None:
-        return estimated_cells(SHAPES[geometry.shape], case.solve.h)
+        return estimated_cells(geometry.shape, case.solve.h)
     return expected_cells(geometry.file or "", case.file_h)
 
 

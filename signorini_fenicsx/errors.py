@@ -22,3 +22,7 @@ class NumericalFailure(Exception):
     def __init__(self, reason: str, solution: Solution | None = None):
         super().__init__(reason)
         self.solution = solution
+
+
+class WriteFailure(Exception):
+    """A library could not write on this rank; others may wait for it for ever: exit status 1."""

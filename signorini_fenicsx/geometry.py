@@ -17,6 +17,7 @@ from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.mesh_checks import FileMesh, check_boundary, diameters
 from signorini_fenicsx.mesh_files import MAX_CELLS, read_mesh_file
 from signorini_fenicsx.parallel import on_root
+from signorini_fenicsx.signals import listen_again
 
 BEND = 1.0
 """No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
@@ -166,7 +167,8 @@ def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array]
         triangles = [(a, b, c), (a, c, d)]
     else:
         triangles = [(a, b, d), (b, c, d)]
-    return points, np.concatenate([np.stack(t, axis=1) for t in triangles])
+    used, cells = np.unique(np.concatenate([np.stack(t, axis=1) for t in triangles]), return_inverse=True)
+    return points[used], cells
 
 
 def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
@@ -277,10 +279,21 @@ SHAPES: Mapping[str, Shape] = {
 }
 
 
-def estimated_cells(shape: Shape, h: float) -> float:
-    """Rough number of cells of an unstructured mesh with largest cell diameter h."""
-    edge = 0.65 * h
-    return shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
+def estimated_cells(shape_name: str, h: float) -> float:
+    """Rough number of cells of an unstructured mesh of a named shape with largest cell diameter h.
+
+    Raises:
+        InputError: If there are more than MAX_CELLS.
+    """
+    shape, edge = SHAPES[shape_name], 0.65 * h
+    cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
+    return _allowed(cells, h, shape_name)
+
+
+def _allowed(cells: float, h: float, name: str) -> float:
+    if cells > MAX_CELLS:
+        raise InputError(f"h = {h:g} asks for about {cells:.1e} cells of {name}; at most {MAX_CELLS:.0e} are made")
+    return cells
 
 
 def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagonal: str | None = None) -> Domain:
@@ -297,11 +310,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
         InputError: If h asks for more than MAX_CELLS cells or no mesh with this h exists.
     """
     shape = SHAPES[shape_name]
-    if estimated_cells(shape, h) > MAX_CELLS:
-        raise InputError(
-            f"h = {h:g} asks for about {estimated_cells(shape, h):.1e} cells of {shape_name}; "
-            f"at most {MAX_CELLS:.0e} are made"
-        )
+    estimated_cells(shape_name, h)  # refuses too many
 
     def generate() -> Simplices:
         if mesh == "structured" and shape.grid is not None:
@@ -384,10 +393,10 @@ def expected_cells(path: str, h: float | None) -> float:
     """Cells of the mesh of a file; for an h asked of a `.geo` file, extrapolated from its own sizes (rank 0).
 
     Raises:
-        InputError: If the file or its mesh cannot be used.
+        InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
     """
     dim, cells, own_h = _own_size(path)
-    return cells if h is None else cells * (own_h / h) ** dim
+    return cells if h is None else _allowed(cells * (own_h / h) ** dim, h, path)
 
 
 def _longest_axis(points: Array) -> int:
@@ -397,6 +406,7 @@ def _longest_axis(points: Array) -> int:
 def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
     """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only)."""
     gmsh.initialize(readConfigFiles=False, interruptible=False)
+    listen_again()
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)

@@ -1,32 +1,45 @@
-"""Gmsh on one file, as a program of its own: `python gmsh_worker.py SOURCE TARGET H MAX_CELLS`, H = 0 for none.
-
-A malformed file can crash Gmsh, and a program cannot survive that; so the ranks of a run ask another process. It writes
-a NumPy file with the points, the elements by entity, and the physical groups, or says in one line what went wrong.
-"""
+"""Gmsh on one file. A malformed one can crash Gmsh; so this runs in a process of its own (`file_worker`)."""
 
 import itertools
-import json
-import sys
-from typing import Any
+import re
+from collections.abc import Callable
+from pathlib import Path
 
 import gmsh
 import numpy as np
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.mesh_checks import Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
 """Gmsh's numbers of first-order simplices, and meshio's names."""
 
 
-def main(source: str, target: str, h: float | None, max_cells: float) -> None:
-    """Read a mesh, or make one from a `.geo` file, and write it as arrays."""
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.option.setNumber("General.NumThreads", 1)
-    gmsh.open(source)
-    if source.endswith(".geo"):
-        generate(h, max_cells)
-    arrays = model_arrays()
-    gmsh.finalize()
-    np.savez(target, **arrays)
+def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: Callable[[str], str] = str) -> Contents:
+    """Read a mesh, or make one from a `.geo` file that is known to be harmless.
+
+    Args:
+        source: The file; beside it, there must be none that Gmsh would read too.
+        h: Largest cell diameter of a mesh that is made, None for the file's own sizes.
+        max_cells: Of a mesh that is made.
+        translate: From Gmsh's messages to those that the user should read.
+
+    Raises:
+        InputError: If Gmsh cannot do it.
+    """
+    try:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        gmsh.open(str(source))
+        if source.suffix == ".geo":
+            generate(h, max_cells)
+        return model_contents()
+    except Exception as error:  # Gmsh raises plain exceptions
+        words = " ".join((str(error) or gmsh.logger.getLastError()).split()) or "it does not say why"
+        raise InputError(
+            f"Gmsh cannot use it: {translate(re.sub(re.escape(str(source)), source.name, words))}"
+        ) from error
 
 
 def generate(h: float | None, max_cells: float) -> None:
@@ -69,31 +82,23 @@ def node_rows(nodes: np.ndarray) -> np.ndarray:
     return order[place]
 
 
-def model_arrays() -> dict[str, Any]:
-    """Points, elements by entity and kind as `block_0`, … and what they are as JSON."""
+def model_contents() -> Contents:
+    """Points, elements by entity and kind, and the physical groups."""
     _, points, _ = gmsh.model.mesh.getNodes()
-    arrays: dict[str, Any] = {"points": points.reshape(-1, 3)}
-    kinds: list[str] = []
+    blocks: list[tuple[str, np.ndarray]] = []
     blocks_of: dict[tuple[int, int], list[int]] = {}
     for entity in gmsh.model.getEntities():
         for kind, _, nodes in zip(*gmsh.model.mesh.getElements(*entity), strict=True):
             name, _, _, count, _, _ = gmsh.model.mesh.getElementProperties(kind)
-            blocks_of.setdefault(entity, []).append(len(kinds))
-            rows = node_rows(nodes).reshape(-1, count)
+            blocks_of.setdefault(entity, []).append(len(blocks))
+            rows = node_rows(nodes).reshape(-1, count).astype(np.int64)
             if len(gmsh.model.getPhysicalGroupsForEntity(*entity)) > 1:
                 rows = np.unique(rows, axis=0)  # format 2.2 lists an element once for each of its groups
-            arrays[f"block_{len(kinds)}"] = rows
-            kinds.append(KINDS.get(kind) or name.lower())
+            blocks.append((KINDS.get(kind) or name.lower(), rows))
     groups = []
     for dim, tag in gmsh.model.getPhysicalGroups():
         name = gmsh.model.getPhysicalName(dim, tag) or str(tag)
         entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
-        groups.append([dim, name, [block for entity in entities for block in blocks_of.get((dim, int(entity)), [])]])
-    return arrays | {"about": np.array(json.dumps({"kinds": kinds, "groups": groups}))}
-
-
-if __name__ == "__main__":
-    try:
-        main(sys.argv[1], sys.argv[2], float(sys.argv[3]) or None, float(sys.argv[4]))
-    except Exception as error:  # Gmsh raises plain exceptions
-        sys.exit(" ".join(str(error).split()) or type(error).__name__)
+        members = [block for entity in entities for block in blocks_of.get((dim, int(entity)), [])]
+        groups.append((name, dim, [(block, np.arange(len(blocks[block][1]))) for block in members]))
+    return Contents(points.reshape(-1, 3), blocks, groups)

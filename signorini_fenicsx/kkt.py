@@ -6,35 +6,46 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
+from mpi4py import MPI
+from ufl.core.expr import Expr
 
-from forms.mixed import multiplier_residual, trace_term
+from forms.mixed import flux_product, multiplier_residual, trace_term
 from forms.norms import l2
 from signorini_fenicsx.algorithms import Penalty
-from signorini_fenicsx.data import Data, mean_conductivity
-from signorini_fenicsx.spaces import Spaces
+from signorini_fenicsx.data import Data, scalar_conductivity
+from signorini_fenicsx.spaces import Array, Spaces
 
 TOLERANCE = 1e-8
 """A solution with a larger residual is not one."""
-CONSTANT_PART = 1e-2
-"""How small ∇u must be, beside u, for the scale of a residual to be that of u."""
+CONSTANT = 1e-10
+"""u whose energy is below this share of ‖√k u‖/L is a constant, and its σ what linear solvers leave."""
+ROUNDING = 1e-14
+"""Likewise beside the largest of u_D and ψ: less than that is what they leave."""
 
 
 @dataclass(frozen=True)
 class KKTResiduals:
     """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
 
-    L = |Ω|^(1/d) is a length, G = max(‖κ_h⁻¹σ‖, 1e-2 ‖u‖/L) a gradient and S = max(‖σ‖, 1e-2 k‖u‖/L) a flux, with k the
-    mean of κ_h; all residuals are 0 if S = 0. The second terms matter for a constant u ≠ 0 only, whose σ is rounding.
+    Each is measured twice, as a gradient and as a flux, and is the larger of both: where κ jumps, a wrong sign shows as
+    a gradient where κ is small and as a flux where it is large. L = |Ω|^(1/d) is a length, k the mean eigenvalue of
+    κ_h on a cell, and that of the cell behind a facet. G = ‖κ_h⁻¹σ‖ is the gradient and S = ‖σ‖ the flux that residuals
+    are compared with. For a constant u, whose σ is rounding, G = ‖u‖/L and S = ‖ku‖/L instead, or the same with the
+    largest |u_D| or |ψ| for u if that is more; u can be constant only without loads and with constant u_D. All are 0 if
+    S = 0. u, u_D and ψ are taken without the constant that u_D and ψ have in common.
 
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
     its primal and dual residuals and its complementarity refer to.
 
     Attributes:
-        primal: ‖[p]_-‖_Λ / (√L G), the violation of p ≥ 0.
-        dual: √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
-        complementarity: Σ_e |e| |p σ·n| / (G S).
-        stationarity: √(rᵀ diag(M)⁻¹ r) / G with r the residual of (9a) and M the mass matrix of RT0.
-        mass_balance: ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell, and √L ‖σ·n − g_N‖ / S on Γ_N.
+        primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
+        dual: √L ‖k⁻¹[σ·n]_-‖_Λ / G and √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
+        complementarity: √L ‖min(|p|/L, k⁻¹|σ·n|)‖_Λ / G and √L ‖min(k|p|/L, |σ·n|)‖_Λ / S, the smaller one of p and σ·n
+            on each facet: their product would be as small as the square of an error.
+        stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
+            matrix of RT0 and W that of (κ_h⁻¹σ, τ).
+        mass_balance: ‖h_T k⁻¹(∇·σ + f_h)‖ / G and ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell; on Γ_N √L ‖k⁻¹(σ·n −
+            g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
     """
 
     primal: float
@@ -63,51 +74,85 @@ def kkt_residuals(
     eps: float = 0.0,
 ) -> KKTResiduals:
     """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
-    comm = spaces.mesh.comm
+    constant = data.common_constant(spaces)
+    if constant != 0:
+        data, u = data.less(spaces, constant), u.copy()
+        p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
+        u.x.array[:] -= constant
     length = spaces.length()
-    gradient, size = _scales(spaces, sigma, u, data)
-    if size == 0:
+    scales = _scales(spaces, sigma, u, data)
+    if scales[1] == 0:
         return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
 
-    e = spaces.facet_measure
+    e, k = spaces.facet_measure, data.conductivities(spaces)[spaces.cells]
     trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     if penalty is not None:
         trace, flux = penalty.shift(trace, flux, eps)
-    primal, dual, complementarity = comm.allreduce(
-        np.array([e @ np.minimum(trace, 0) ** 2, e @ np.minimum(flux, 0) ** 2, e @ np.abs(trace * flux)])
-    )
-    imbalance = l2(ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h), ufl.dx)
-    imbalance += length * l2(ufl.dot(sigma - data.sigma_lift, spaces.n), spaces.ds_neumann)
+    low, inward = np.minimum(trace, 0), np.minimum(flux, 0)
+    smaller = np.minimum(np.abs(k * trace) / length, np.abs(flux))
+    sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
     return KKTResiduals(
-        primal=float(np.sqrt(primal / length) / gradient),
-        dual=float(np.sqrt(dual * length) / size),
-        complementarity=float(complementarity / (gradient * size)),
-        stationarity=_stationarity(spaces, sigma, u, p, data) / gradient,
-        mass_balance=float(np.sqrt(spaces.integrate(imbalance)) / size),
+        primal=float(primal.max()),
+        dual=float(dual.max()),
+        complementarity=float(complementarity.max()),
+        stationarity=float((_stationarity(spaces, sigma, u, p, data) / scales).max()),
+        mass_balance=float((_imbalance(spaces, sigma, data) / scales).max()),
     )
 
 
-def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> tuple[float, float]:
+def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    kappa = data.kappa_h
-    gradient, flux, level = (
-        float(np.sqrt(spaces.integrate(l2(field, ufl.dx)))) for field in (ufl.inv(kappa) * sigma, sigma, u)
+    kappa, k, length = data.kappa_h, scalar_conductivity(data.kappa_h), spaces.length()
+    energy, gradient, flux = (
+        np.sqrt(spaces.integrate(form))
+        for form in (flux_product(sigma, sigma, kappa), l2(ufl.inv(kappa) * sigma, ufl.dx), l2(sigma, ufl.dx))
     )
-    level *= CONSTANT_PART / spaces.length()
-    return max(gradient, level), max(flux, mean_conductivity(spaces, kappa) * level)
+    given = fem.Constant(spaces.mesh, float(np.abs(data.extent(spaces)).max()))
+    weights = ufl.sqrt(k), ufl.as_ufl(1.0), k
+    (level, *of_u), (given_level, *of_given) = (
+        [np.sqrt(spaces.integrate(l2(w * value, ufl.dx))) / length for w in weights] for value in (u, given)
+    )
+    if energy <= max(CONSTANT * level, ROUNDING * given_level) and not _is_driven(spaces, data):
+        return np.maximum(of_u, of_given)
+    return np.array([gradient, flux])
 
 
-def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> float:
+def _is_driven(spaces: Spaces, data: Data) -> bool:
+    """Whether there is a load, or u_D that is not constant: then σ beside a huge ψ is wrong, not small (collective)."""
+    comm = spaces.mesh.comm
+    lowest, highest = data.dirichlet_extent(spaces)
+    loads = [np.abs(values.x.array).max(initial=0.0) for values in (data.f_h, data.sigma_lift)]
+    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or comm.allreduce(max(loads), MPI.MAX) > 0)
+
+
+def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
+    """What the mass balance lacks, as a gradient and as a flux (collective)."""
+    k, length = scalar_conductivity(data.kappa_h), spaces.length()
+    missing = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
+    given = ufl.dot(sigma - data.sigma_lift, spaces.n)
+    squares = [l2(missing / w, ufl.dx) + length * l2(given / w, spaces.ds_neumann) for w in (k, 1)]
+    return np.sqrt([spaces.integrate(square) for square in squares])
+
+
+def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:
+    """What (9a) lacks, as a gradient and as a flux (collective)."""
     V = spaces.V
     tau, v = ufl.TestFunction(V), ufl.TestFunction(spaces.Q)
     flux_residual, _ = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h)
     flux_residual -= trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet)
     residual = fem.assemble_vector(spaces.form(flux_residual))
     residual.scatter_reverse(la.InsertMode.add)
-    mass = assemble_matrix(fem.form(ufl.inner(ufl.TrialFunction(V), tau) * ufl.dx))
-    mass.assemble()
     residual.array[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     owned = residual.array[: V.dofmap.index_map.size_local]
-    square = V.mesh.comm.allreduce(owned @ (owned / mass.getDiagonal().array_r))
+    M, W = (_mass_diagonal(spaces, kappa) for kappa in (ufl.as_ufl(1.0), data.kappa_h))
+    return np.sqrt(V.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
+
+
+def _mass_diagonal(spaces: Spaces, kappa: Expr) -> Array:
+    """The diagonal of (κ⁻¹σ, τ), owned entries (collective)."""
+    mass = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), kappa)))
+    mass.assemble()
+    diagonal: Array = mass.getDiagonal().array_r.copy()
     mass.destroy()
-    return float(np.sqrt(square))
+    return diagonal

@@ -69,6 +69,7 @@ def checked(contents: Contents) -> FileMesh:
     for kind, elements in contents.blocks:
         if kind not in SIMPLICES and len(elements) > 0:
             raise InputError(_refusal(kind, len(elements)))
+    check_widths(contents.points, contents.blocks)
     dim = max((SIMPLICES[kind] for kind, elements in contents.blocks if len(elements) > 0), default=0)
     if dim < 2:
         raise InputError(
@@ -102,6 +103,22 @@ def checked(contents: Contents) -> FileMesh:
     )
     _check_cells(mesh)
     return mesh
+
+
+def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:
+    """Refuse points without two or three coordinates, and simplices with another number of points than they have.
+
+    Raises:
+        InputError: If there are any.
+    """
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"its points are an array of shape {points.shape}; 2 or 3 coordinates for each are needed")
+    for kind, elements in blocks:
+        if kind in SIMPLICES and len(elements) > 0 and elements.shape[1:] != (SIMPLICES[kind] + 1,):
+            raise InputError(
+                f"an array of elements of kind '{kind}' has the shape {elements.shape}; {SIMPLICES[kind] + 1} points "
+                "for each are needed"
+            )
 
 
 def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:
@@ -212,10 +229,11 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             that are left are Γ_D.
 
     Raises:
-        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, or one of several
-            components of the domain has no facet of Γ_D.
+        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, facets that are in
+            no part lie on one another, cells overlap there, or one of several components of the domain has no facet of
+            Γ_D. A crack both sides of which are in parts is one.
     """
-    known = ", ".join(f"'{name}'" for name in mesh.parts) or "none: the file has no groups of facets"
+    known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
     rows, first, times = np.unique(everything, axis=0, return_index=True, return_counts=True)
     owner = np.full(len(rows), -1)
@@ -244,8 +262,30 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     if given is not None and np.any(left):
         where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
         raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
+    _check_seams(mesh, rows[boundary], first[boundary], left[boundary])
     fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
     _check_components(mesh, everything, first[fixed])
+
+
+def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: npt.NDArray[np.bool_]) -> None:
+    """Refuse facets of the boundary that are inside the domain: only a crack with both sides in parts is meant."""
+    from signorini_fenicsx.mesh_seams import seams
+
+    opposite, cell = np.divmod(first, len(mesh.cells))
+    crack, overlap = seams(mesh.points[facets], mesh.points[mesh.cells[cell, opposite]])
+    if np.any(overlap):
+        where = _places(mesh.points[facets[overlap][:1]].mean(axis=1))
+        raise InputError(
+            f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells "
+            f"on the same side, the first around {where}; each place has to be in one cell"
+        )
+    if np.any(crack & left):
+        where = _places(mesh.points[facets[crack & left][:1]].mean(axis=1))
+        raise InputError(
+            f"{_count(int(np.sum(crack & left)), 'facet')} in no part lie on other facets, inside the domain, the "
+            f"first around {where}: the cells there do not share their vertices (a crack, hanging nodes, or pieces "
+            "that are not joined); join them (in Gmsh, Coherence or BooleanFragments), or name both sides in [boundary]"
+        )
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.mesh_checks import SIMPLICES, Contents, rows_of
+from signorini_fenicsx.mesh_checks import SIMPLICES, Contents, check_widths, rows_of
+from signorini_fenicsx.references import check_references
 
 type Indices = npt.NDArray[np.int64]
 
@@ -26,6 +27,7 @@ def read_with_meshio(path: Path) -> Contents:
     """
     try:
         with warnings.catch_warnings(action="ignore"), contextlib.redirect_stdout(io.StringIO()):
+            check_references(path)
             if path.suffix == ".xdmf" and (contents := _dolfinx_xdmf(path)) is not None:
                 return contents
             with contextlib.redirect_stderr(io.StringIO()) as said:
@@ -33,12 +35,21 @@ def read_with_meshio(path: Path) -> Contents:
     except SystemExit:
         words = " ".join(said.getvalue().split()).removeprefix("Error: ")
         raise InputError(f"cannot be read: {words or 'its format is not known'}") from None
-    except (MemoryError, Exception) as error:
-        words = " ".join(str(error).split())
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        words = " ".join(str(error).split()).replace(str(path), path.name)
         raise InputError(f"cannot be read ({words[:200] or type(error).__name__})") from None
-    blocks = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in mesh.cells]
+    blocks = [(block.type, _elements(block)) for block in mesh.cells]
     groups = [*_numbered(mesh, blocks), *_named(mesh, blocks)]
     return Contents(np.asarray(mesh.points, dtype=np.float64), blocks, groups)
+
+
+def _elements(block: meshio.CellBlock) -> Indices:
+    """Points of each element; of kinds that are not understood only how many there are."""
+    if block.type in SIMPLICES:
+        return np.asarray(block.data, dtype=np.int64)
+    return np.empty((len(block.data), 0), dtype=np.int64)
 
 
 def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tuple[str, int, list]]:
@@ -86,34 +97,41 @@ def _dolfinx_xdmf(path: Path) -> Contents | None:
     grids = list(ElementTree.parse(path).getroot().iterfind("./Domain/Grid"))
     if len(grids) < 2 or any(grid.find("Topology") is None for grid in grids):
         return None
-
-    def read(owner: ElementTree.Element | None) -> npt.NDArray:
-        item = None if owner is None else owner.find("DataItem")
-        if item is None or not item.text:
-            raise InputError("cannot be read: an array is missing")
-        if item.get("Format") != "HDF":
-            shape = tuple(int(n) for n in item.get("Dimensions", "").split())
-            return np.array(item.text.split(), dtype=np.float64).reshape(shape)
-        file, _, name = item.text.strip().partition(":")
-        with h5py.File(path.parent / file, "r") as data:
-            return np.asarray(data[name])
-
     kinds = {"PolyLine": "line", "Triangle": "triangle", "Tetrahedron": "tetra"}
     points, blocks, groups = np.empty((0, 3)), [], []
     for index, grid in enumerate(grids):
         topology = grid.find("Topology")
         assert topology is not None
         kind = kinds.get(topology.get("TopologyType", ""), topology.get("TopologyType", "").lower())
-        blocks.append((kind, read(topology).astype(np.int64)))
+        blocks.append((kind, _array(path, topology).astype(np.int64)))
         if index == 0:
-            points = read(grid.find("Geometry")).astype(np.float64)
+            points = _array(path, grid.find("Geometry")).astype(np.float64)
         elif kind in SIMPLICES:
-            numbers = read(grid.find("Attribute")).ravel()
+            numbers = _array(path, grid.find("Attribute")).ravel()
+            if len(numbers) != len(blocks[index][1]):
+                raise InputError(
+                    f"the grid '{grid.get('Name')}' has {len(numbers)} numbers for {len(blocks[index][1])} elements; "
+                    "each element needs one"
+                )
             for number in np.unique(numbers).tolist():
                 groups.append((f"{number:.0f}", SIMPLICES[kind], [(index, np.flatnonzero(numbers == number))]))
+    check_widths(points, blocks)
     cells = SIMPLICES.get(blocks[0][0])
     repeated = [i for i, (kind, _) in enumerate(blocks) if i > 0 and SIMPLICES.get(kind) == cells]
     return Contents(points, *_as_cells_of_the_first(blocks, groups, repeated))
+
+
+def _array(path: Path, owner: ElementTree.Element | None) -> npt.NDArray:
+    """An array of an XDMF file, from its text or from the HDF5 file beside it."""
+    item = None if owner is None else owner.find("DataItem")
+    if item is None or not item.text:
+        raise InputError("cannot be read: an array is missing")
+    if item.get("Format") != "HDF":
+        shape = tuple(int(n) for n in item.get("Dimensions", "").split())
+        return np.array(item.text.split(), dtype=np.float64).reshape(shape)
+    file, _, name = item.text.strip().partition(":")
+    with h5py.File(path.resolve().parent / file, "r") as data:
+        return np.asarray(data[name])
 
 
 def _as_cells_of_the_first(
@@ -122,6 +140,8 @@ def _as_cells_of_the_first(
     """Turn the elements of some blocks, which repeat cells of the first, into rows of that."""
     first = np.sort(blocks[0][1], axis=1)
     rows = {index: rows_of(np.sort(blocks[index][1], axis=1), first) for index in repeated}
+    if any(np.any(found < 0) for found in rows.values()):
+        raise InputError("gives a number to a cell that the mesh does not have")
     moved = [
         (name, dim, [(0, rows[block][chosen]) if block in rows else (block, chosen) for block, chosen in members])
         for name, dim, members in groups

@@ -13,9 +13,10 @@ from forms.mixed import multiplier_residual, trace_term
 from forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.active_set import Outcome, Recorder, Step
 from signorini_fenicsx.algorithms import Penalty
-from signorini_fenicsx.backend import Iterate, petsc_reason, set_direct, solver_name, take_options
+from signorini_fenicsx.backend import Iterate, petsc_reason, refuse_options, set_direct, solver_name, take_options
 from signorini_fenicsx.conditions import Condition, FacetConditions
 from signorini_fenicsx.data import Data
+from signorini_fenicsx.signals import pass_on
 from signorini_fenicsx.spaces import Spaces
 
 CONTINUATION = 10.0
@@ -118,6 +119,8 @@ class PenaltyNewton:
         try:
             self._problem.solve()
         except PETSc.Error as error:
+            pass_on(error)
+            refuse_options(error)
             return f"PETSc: {petsc_reason(error)}"
         reason = self._snes.getConvergedReason()
         return None if reason > 0 else f"SNES reason {reason} after {self._snes.getIterationNumber()} iterations"

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import os
 import platform
 import shlex
 import sys
@@ -27,6 +28,7 @@ from signorini_fenicsx.certificate import Certificate
 from signorini_fenicsx.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.conditions import Condition
 from signorini_fenicsx.convergence import ErrorRow, Vary, fitted_slopes, write_table
+from signorini_fenicsx.errors import WriteFailure
 from signorini_fenicsx.gather import (
     FacetTable,
     centroid_flux,
@@ -36,6 +38,7 @@ from signorini_fenicsx.gather import (
     gather_marks,
 )
 from signorini_fenicsx.parallel import Stopwatch, on_root
+from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.solution import Solution
 
 
@@ -44,6 +47,7 @@ def write_solution(
     folder: Path | str,
     *,
     certificate: Certificate | None = None,
+    proof: Proof | None = None,
     plot: bool = False,
     html: bool = False,
     fields: bool = True,
@@ -54,14 +58,13 @@ def write_solution(
         solution: What to write.
         folder: Where; files of the same names are overwritten.
         certificate: Its error bound, if it has one.
+        proof: What came of the attempt to prove it, if there was one.
         plot: Also draw PNGs.
         html: Also write `solution.html`, pictures that one can turn.
         fields: Also write the fields for ParaView.
     """
     folder = Path(folder)
     watch = Stopwatch()
-    if fields:
-        write_fields(solution, folder, certificate)
     indicator = None if certificate is None else certificate.indicator
     table, cells = gather_facets(solution), gather_fields(solution, indicator)
     boundary = gather_boundary(solution) if plot or html else None
@@ -70,11 +73,15 @@ def write_solution(
     if certificate is not None:
         summary["certificate"] = certificate.summary()
         summary["timings"] |= {"certificate": certificate.seconds}
+    if proof is not None:
+        summary["certificate"] |= proof.summary()
 
     def write() -> None:
         if table is not None and cells is not None:
+            part = folder / f"{FILE}.part"
+            write_checkpoint(part, solution, cells, table, marks)
+            part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
             write_facets(folder / "facets.csv", solution.spaces.part_names, table)
-            write_checkpoint(folder / FILE, solution, cells, table, marks)
             if boundary is not None:
                 from signorini_fenicsx import pictures  # costs a second, which a run without pictures need not wait
 
@@ -84,11 +91,14 @@ def write_solution(
                 if html:
                     pictures.write_page(folder / "solution.html", scene)
         write_history(folder / "history.csv", solution.history)
-        watch.lap("output")
-        summary["timings"] |= watch.seconds
-        write_summary(folder, summary)
 
-    on_root(solution.spaces.mesh.comm, write)
+    comm = solution.spaces.mesh.comm
+    on_root(comm, write)
+    if fields:
+        write_fields(solution, folder, certificate)
+    watch.lap("output")
+    summary["timings"] |= watch.longest(comm)
+    on_root(comm, lambda: write_summary(folder, summary))
 
 
 def write_convergence(
@@ -195,7 +205,57 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
 
     A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
     exact. XDMF takes P0: there σ is its value at the centroid.
+
+    Raises:
+        OSError: On all ranks, if there is no room.
+        WriteFailure: If a library cannot write, on this rank at least.
     """
+    comm = solution.spaces.mesh.comm
+    sizes = _sizes(solution)
+    on_root(comm, lambda: _check_room(folder, sizes))
+    try:
+        _write_fields(solution, folder, certificate)
+    except RuntimeError as error:  # as its cause it keeps the open file alive, whose end would abort the program
+        raise WriteFailure("the fields for ParaView cannot be written") from error
+    on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
+
+
+def _sizes(solution: Solution) -> dict[str, int]:
+    """About the largest sizes that the files of `write_fields` may have, in bytes (collective)."""
+    spaces = solution.spaces
+    mesh, ranks = spaces.mesh, spaces.mesh.comm.size
+    dim = mesh.topology.dim
+    cells = mesh.topology.index_map(dim).size_global
+    points = mesh.geometry.index_map().size_global
+    facets = spaces.mesh.comm.allreduce(len(spaces.facets))
+    number, place, vtx = 8, 3 * 8, 9  # a value, a point or vector, and what VTX has per point besides
+    head = 12_000 + 3_000 * ranks
+    return {
+        "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
+        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 3 * number) + head,
+        "solution.h5": cells * ((dim + 1) * number + place + 3 * number) + points * dim * number + head,
+    }
+
+
+def _check_room(folder: Path, sizes: Mapping[str, int]) -> None:
+    """Take the room that files need and give it back: ADIOS2 and HDF5 abort where there is none (rank 0).
+
+    Raises:
+        OSError: If there is none.
+    """
+    places = {folder / f"{name}.room": size for name, size in sizes.items()}
+    try:
+        for place, size in places.items():
+            with place.open("wb") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
+    finally:
+        for place in places:
+            place.unlink(missing_ok=True)
+
+
+def _write_fields(solution: Solution, folder: Path, certificate: Certificate | None) -> None:
     spaces = solution.spaces
     mesh = spaces.mesh
     comm, dim = mesh.comm, mesh.geometry.dim
@@ -206,21 +266,26 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
     u = fem.Function(linear, name="u")
     u.interpolate(solution.u)
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
-    with io.VTXWriter(comm, folder / "solution.bp", [sigma, u, magnitude]) as file:
-        file.write(0.0)
+    _write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.conditions.kind, "condition")
-    with io.VTXWriter(comm, folder / "multiplier.bp", [solution.p, flux, condition]) as file:
-        file.write(0.0)
+    _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition])
 
     sigma = centroid_flux(solution)
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
-    with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
-        file.write_mesh(mesh)
-        for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
-            file.write_function(function)
-    on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
+    file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
+    file.write_mesh(mesh)
+    for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
+        file.write_function(function)
+    file.close()
+
+
+def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
+    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective)."""
+    file = io.VTXWriter(comm, path, functions)
+    file.write(0.0)
+    file.close()
 
 
 def _join_grids(path: Path) -> None:

@@ -1,12 +1,14 @@
 """What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
 
 import gc
+import os
 import resource
 import sys
 import time
 import traceback
 from collections.abc import Callable
 from types import TracebackType
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -50,20 +52,49 @@ def scatter_rows(comm: MPI.Comm, wanted: npt.NDArray[np.int64], rows: npt.NDArra
     return comm.scatter(None if rows is None or lists is None else [rows[each] for each in lists])
 
 
+LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
+"""Numbers of ranks that launchers tell their processes, the first one that is set being the nearest launcher's."""
+
+
+def refuse_lone_copies(comm: MPI.Comm) -> None:
+    """Refuse to be one of several copies that know nothing of each other, as another MPI's mpirun starts them.
+
+    A single task of an allocation, or of `mpirun -n 1`, is none: there the launcher tells 1 or nothing.
+
+    Raises:
+        InputError: If a launcher has started several processes and MPI here sees one.
+    """
+    told = next((name for name in LAUNCHED if os.environ.get(name)), None)
+    size = os.environ[told] if told else "1"
+    if comm.size == 1 and size.isdecimal() and int(size) > 1:
+        library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
+        raise InputError(
+            f"{told} = {size} says that this is one of {size} processes, but they are not connected: the launcher must "
+            f"belong to the MPI of this program, {library}; without mpirun, unset {told}"
+        )
+
+
 def abort_all_on_exception(comm: MPI.Comm) -> None:
     """Make an uncaught exception on one rank end all of them, instead of leaving the others in a collective call."""
     if comm.size == 1:
         return
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
-            text = "".join(traceback.format_exception(kind, error, trace))
-            sys.__stderr__.write(f"error on rank {comm.rank}:\n{text}")
-            sys.__stderr__.flush()
-            time.sleep(FORWARDING)
-        comm.Abort(1)
+        text = "".join(traceback.format_exception(kind, error, trace))
+        end_all(comm, f"error on rank {comm.rank}:\n{text}")
 
     sys.excepthook = hook
+
+
+def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
+    """End all ranks from the one that calls, whatever the others are doing, once mpirun has passed on what it said."""
+    if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
+        sys.__stderr__.write(last_words)
+        sys.__stderr__.flush()
+    if comm.size > 1:
+        time.sleep(FORWARDING)
+        comm.Abort(status)
+    os._exit(status)
 
 
 class Stopwatch:

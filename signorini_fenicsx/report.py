@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Mapping
+from decimal import ROUND_CEILING, Context, Decimal
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from signorini_fenicsx.comparison import Comparison
 from signorini_fenicsx.convergence import ERRORS, ErrorRow, Vary
 from signorini_fenicsx.inspection import Expected, is_typical
 from signorini_fenicsx.output import json_text
+from signorini_fenicsx.rigorous.proof import Proof
+from signorini_fenicsx.rigorous.theorem import Proven
 from signorini_fenicsx.solution import Solution
 
-console = Console(highlight=False, soft_wrap=True)
+console = Console(highlight=False, soft_wrap=True, emoji=False)
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
 DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
@@ -50,7 +53,7 @@ def step(row: Step) -> None:
     console.print(f"{row.iteration:4d}{counts} {changes}")
 
 
-def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
+def solution(result: Solution, folder: Path, certificate: Certificate, proof: Proof | None = None) -> None:
     """Show the summary of a finished run (collective)."""
     summary = result.summary()
     rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
@@ -72,6 +75,8 @@ def solution(result: Solution, folder: Path, certificate: Certificate) -> None:
     if summary["details"]:
         lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
     lines["certified"] = bound(certificate)
+    if proof is not None and proof.proven is not None:
+        lines["proved"] = proved(proof.proven, proof.seconds)
     lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
     memory = summary["peak_memory"]
     lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
@@ -88,14 +93,39 @@ def methods() -> None:
 
 
 def bound(certificate: Certificate) -> str:
-    """The guaranteed error bound in words."""
+    """The error bound in words, and why it is not guaranteed if it is not."""
     if not math.isfinite(certificate.bound):
-        return "no error bound: u_D < 0 where Γ_D meets Γ_S, or not finite near Γ_D, or a linear solve for it failed"
+        return "no error bound: u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
     parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
     return (
         f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
-        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts}){_reservation(certificate)}"
     )
+
+
+def _reservation(certificate: Certificate) -> str:
+    if certificate.unresolved:
+        name, place = certificate.unresolved[0]
+        where = ", ".join(f"{x:.4g}" for x in place)
+        return f"; not guaranteed: {name} is not resolved near ({where})"
+    if certificate.by_quadrature:
+        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature"
+    return ""
+
+
+def proved(bounds: Proven, seconds: float) -> str:
+    """The proven error bound in words, all numbers rounded up."""
+    parts = ", ".join(f"{name} {above(getattr(bounds, name), 2)}" for name in ("gap", "oscillation", "remainder"))
+    return (
+        f"energy error ≤ {above(bounds.bound, 5)}; ‖σ − σ_h‖ ≤ {above(bounds.sigma_bound, 5)} "
+        f"({parts}; {seconds:.1f} s)"
+    )
+
+
+def above(value: float, digits: int) -> str:
+    """A number of so many digits that is not less than the float."""
+    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal(Decimal(value))
+    return f"{float(rounded):.{digits - 1}e}"
 
 
 def expected(case: Case, estimate: Expected) -> None:

@@ -32,6 +32,7 @@ from signorini_fenicsx.prediction import (
     transferred,
     worth_predicting,
 )
+from signorini_fenicsx.signals import LoopInterruption
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.spaces import Spaces, build_spaces
 
@@ -74,9 +75,10 @@ def solve(
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
     data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
     check_solvability(spaces, data)
-    run = _Run(
-        case, algorithm or ALGORITHMS[case.solve.algorithm], backend or BACKENDS[case.solve.backend], spaces, data
-    )
+    algorithm = algorithm or ALGORITHMS[case.solve.algorithm]
+    # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
+    constant = 0.0 if algorithm.stabilised else data.common_constant(spaces)
+    run = _Run(case, algorithm, backend or BACKENDS[case.solve.backend], spaces, data.less(spaces, constant))
     watch.lap("assembly")
     contact = None
     if start is not None:
@@ -85,7 +87,10 @@ def solve(
     elif own_mesh and domain.mesh.topology.dim == 2 and worth_predicting(case, run.algorithm, spaces):
         contact = predicted_sets(case, run.algorithm, comm)  # in 3D so coarse a mesh sees too little for what it costs
     watch.lap("prediction")
-    outcome = run.outcome(contact, watch, on_step)
+    try:
+        outcome = run.outcome(contact, watch, on_step)
+    except LoopInterruption as interruption:
+        outcome = Outcome(*interruption.state, str(interruption), False, case.solve.backend, 0, "interrupted")
     watch.lap("solve")
 
     kkt = run.residuals(outcome)
@@ -95,6 +100,7 @@ def solve(
         watch.lap("solve")
         kkt = run.residuals(outcome)
     iterate = outcome.iterate
+    iterate.u.x.array[:] += constant
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)

@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.compiling import guard_compiler
 from signorini_fenicsx.geometry import Domain
 
 type Array = npt.NDArray[np.float64]
@@ -107,6 +108,7 @@ class Spaces:
 
 def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str] = ()) -> Spaces:
     """Create the spaces for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective)."""
+    guard_compiler()
     mesh = domain.mesh
     dim = mesh.topology.dim
     gamma, entity_map, *_ = dolfinx.mesh.create_submesh(

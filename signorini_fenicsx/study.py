@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from signorini_fenicsx import __version__
 from signorini_fenicsx.algorithms import ALGORITHMS
 from signorini_fenicsx.case import Case, Solve, complaint, load_case, read_toml
-from signorini_fenicsx.convergence import Vary
+from signorini_fenicsx.convergence import Vary, level_values
 from signorini_fenicsx.discretisation import rough_cells
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.shipped import data_folder, study_names
@@ -23,7 +23,7 @@ SHORT = tuple(Solve.model_fields)
 MAX_RUNS = 100_000
 """More runs than this are taken for a mistake in the lists."""
 
-type Level = Annotated[int, Field(ge=0, le=30)]
+type Level = Annotated[int, Field(ge=0, le=30, strict=True)]
 
 
 class _Section(BaseModel):
@@ -38,7 +38,9 @@ class Convergence(_Section):
     reference: Level = 8
 
     @model_validator(mode="after")
-    def _reference_is_finer(self) -> Self:
+    def _levels_get_finer(self) -> Self:
+        if any(one >= other for one, other in itertools.pairwise(self.levels)):
+            raise ValueError(f"levels must ascend, not {self.levels}")
         if self.vary is not Vary.EPS and max(self.levels) >= self.reference:
             raise ValueError(f"reference = {self.reference} must be finer than the last level, {max(self.levels)}")
         return self
@@ -63,7 +65,7 @@ class Study(_Section):
     name: str = Field(default="study", exclude=True)
     title: str = ""
     case: str | None = None
-    ranks_per_run: int = Field(default=1, ge=1)
+    ranks_per_run: int = Field(default=1, ge=1, le=10**6, strict=True)
     fields: bool = False
     plot: bool = False
     set: dict[str, Any] = {}
@@ -121,6 +123,8 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
     else:
         raise InputError(f"unknown study '{text}'; use one of {', '.join(study_names())} or the path of a .toml file")
     tree = read_toml(path)
+    if "name" in tree:
+        raise InputError(f"{path}: unknown key 'name'; a study is called as its file")
     try:
         study = Study.model_validate(tree | {"name": path.stem})
         return study, expanded(study, path.parent)
@@ -128,6 +132,8 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
         raise InputError(f"{path}: {complaint(error, Study)}") from None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply") from None
 
 
 def expanded(study: Study, folder: Path) -> list[Run]:
@@ -143,6 +149,10 @@ def expanded(study: Study, folder: Path) -> list[Run]:
     fixed = _values("set", study.set)
     axes = [[{key: value} for value in _list(key, values)] for key, values in _values("vary", study.vary).items()]
     axes += [_in_step(_values("together", group)) for group in study.together]
+    keys = [key for axis in axes for key in axis[0]]
+    twice = [key for key in keys if keys.count(key) > 1]
+    if twice:
+        raise InputError(f"{twice[0]}: varies in two places")
     count = 1
     for axis in axes:
         count *= len(axis)
@@ -158,7 +168,12 @@ def expanded(study: Study, folder: Path) -> list[Run]:
 
 def _values(section: str, tree: Mapping[str, Any]) -> dict[str, Any]:
     """A section with dotted keys, `solve.` added where it may be left out."""
-    values = {f"solve.{key}" if key in SHORT else key: value for key, value in flattened(tree).items()}
+    values: dict[str, Any] = {}
+    for short, value in flattened(tree).items():
+        key = f"solve.{short}" if short in SHORT else short
+        if key in values:
+            raise InputError(f"[{section}] {key}: is given twice")
+        values[key] = value
     if section == "set" and "case" in values:
         raise InputError("[set] case: belongs to the top of the file")
     return values
@@ -188,6 +203,9 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     if task is not None and task.vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
         penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
+    if task is not None:
+        for level in task.levels:
+            case.with_values(level_values(task.vary, level))  # refused now, not when other runs have been done
     return make_run(case, task, fields=study.fields, plot=study.plot)
 
 

@@ -15,9 +15,10 @@ from typing import Any, Self
 from mpi4py import MPI
 
 from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.exchange import PARTIAL, clear, failed_place, repair
 from signorini_fenicsx.output import versions
 from signorini_fenicsx.parallel import on_root
-from signorini_fenicsx.results import failed_place
+from signorini_fenicsx.signals import Interruption
 from signorini_fenicsx.study import Run, flattened
 
 LOCK = ".lock"
@@ -68,7 +69,7 @@ class Record:
 class StudyFolder:
     """The folder of a study; a context manager, entered by all ranks together, that no second launch can enter.
 
-    A run's folder appears under `runs` whole, by one rename, when it is finished; a failed one ends in `.failed`.
+    A run's folder appears under `runs` whole, when it is finished; a failed one ends in `.failed`.
     """
 
     def __init__(self, comm: MPI.Comm, path: Path | str):
@@ -90,6 +91,8 @@ class StudyFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if isinstance(error, Interruption):
+            error.args = (f"{error}; finished runs are kept, and the same command does the others",)
         if self._lock is not None:
             shutil.rmtree(self.claims, ignore_errors=True)
             os.close(self._lock)
@@ -101,25 +104,32 @@ class StudyFolder:
 
     def status(self, run: Run) -> Status:
         """Where a run stands, from the files alone."""
-        if self.place(run).is_dir():
+        if (self.place(run) / RECORD).is_file():
             return Status.DONE
-        if failed_place(self.place(run)).is_dir():
+        if (failed_place(self.place(run)) / RECORD).is_file():
             return Status.FAILED
         return Status.RUNNING if (self.claims / run.name).exists() else Status.TODO
 
     def record(self, run: Run) -> Record:
-        """Read what a finished run has left."""
+        """Read what a finished run has left.
+
+        Raises:
+            InputError: If it has been damaged since.
+        """
         status = self.status(run)
         folder = self.place(run) if status is Status.DONE else failed_place(self.place(run))
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        own = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        return Record(status, summary, own["seconds"], own["ranks"])
+        try:
+            summary = dict(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+            own = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+            return Record(status, summary, float(own["seconds"]), int(own["ranks"]))
+        except (OSError, ValueError, TypeError, LookupError, RecursionError):
+            raise InputError(f"{folder}: is damaged; delete it, and the run will be done again") from None
 
     def forget_failures(self, runs: Sequence[Run]) -> None:
         """Let failed runs be tried again (rank 0)."""
         for run in runs:
             if self.status(run) is Status.FAILED:
-                shutil.rmtree(failed_place(self.place(run)))
+                clear(failed_place(self.place(run)))
 
     def write_tables(self, runs: Sequence[Run]) -> None:
         """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, each at once (rank 0).
@@ -156,6 +166,9 @@ class StudyFolder:
                 raise InputError(f"output {self.path}: is a file, not a folder")
             if self.path.is_dir() and any(self.path.iterdir()) and not (self.path / LOCK).is_file():
                 raise InputError(f"output {self.path}: is not empty and not the folder of a study; choose another")
+            for folder in (self.path / "runs", self.claims):
+                if folder.exists() and not folder.is_dir():
+                    raise InputError(f"output {folder}: is in the way, as it is not a folder; move it elsewhere")
             (self.path / "runs").mkdir(parents=True, exist_ok=True)
             lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR, 0o666)
             try:
@@ -166,8 +179,8 @@ class StudyFolder:
             self._lock = lock
             shutil.rmtree(self.claims, ignore_errors=True)
             self.claims.mkdir()
-            for left in self.path.glob("runs/.*.partial"):
-                shutil.rmtree(left)
+            for left in self.path.glob(f"runs/.*{PARTIAL}"):
+                repair(left.with_name(left.name[1 : -len(PARTIAL)]))
         except OSError as error:
             raise InputError(f"output {self.path}: cannot be written ({error.strerror})") from None
 

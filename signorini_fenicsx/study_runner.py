@@ -71,7 +71,7 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
         about = {"parameters": run.parameters, "seconds": time.perf_counter() - began, "ranks": comm.size}
         (results.path / RECORD).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
-    with ResultsFolder(comm, place) as results:
+    with ResultsFolder(comm, place, saves_state=False) as results:
         try:
             _compute(run, results.path, comm)
         except (InputError, NumericalFailure) as failure:

@@ -64,6 +64,18 @@ def test_good_case(tmp_path: Path):
         ('shape = "square"', 'shape = "square"\ndiagonal = "left"', "diagonal applies to structured meshes"),
         ('shape = "square"', 'shape = "square"\nmesh = "fine"', "unknown mesh 'fine'"),
         ("[geometry]", "name = 'x'\n[geometry]", "unknown key 'name'"),
+        ('"x*y"', "1" * 5000, "an integer of thousands of digits"),
+        ('"x*y"', "0x" + "f" * 5000, r"\[problem\] f: must be a number of at most 1000 bits"),
+        ('h = "1/8"', "h = 0x" + "f" * 5000, r"\[solve\] h: must be a number of at most 1000 bits"),
+        ('h = "1/8"', f'h = "{"1" * 5000}"', "is not a number such as"),
+        (
+            'h = "1/8"',
+            "max_iterations = 0x" + "f" * 400,
+            r"\[solve\] max_iterations: must be a number of at most 1000 bits",
+        ),
+        ('"x*y"', f'"{"1" * 1999}"', "is not arithmetic|cannot be evaluated|not finite"),
+        ('"x*y"', f'"1 if {" < ".join(["x"] * 300)} else 2"', "is nested too deeply"),
+        ('"x*y"', f'"1 if {"not " * 480} x > 0 else 2"', "is nested too deeply"),
     ],
 )
 def test_malformed(tmp_path: Path, old: str, new: str, message: str):

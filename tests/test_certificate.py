@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from forms.norms import l2
 from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.certificate import certify, friedrichs_constant
+from signorini_fenicsx.certificate import certify
 from signorini_fenicsx.errors import NumericalFailure
 from signorini_fenicsx.geometry import SHAPES
 from signorini_fenicsx.sampling import sampled
@@ -74,13 +74,13 @@ def test_random_data(seeds: range):
 
 @pytest.mark.parametrize("name", ["example2", "example5"])
 def test_sharp_at_corners(name: str):
-    """At corners, where v is worst, the bound exceeds the error by less than 20 %."""
+    """At corners, where v is worst, the bound exceeds the error by less than 9 %."""
     values = {"solve.h": 1 / 8, "solve.algorithm": "alg1", "geometry.mesh": "structured"}
     solution = solve(load_case(name).with_values(values))
     fine = solve(solution.case.with_values({"solve.h": 1 / 64}))
     certificate = certify(solution)
     error = flux_difference(solution, fine)
-    assert error < certificate.sigma_bound < 1.2 * error
+    assert error < certificate.sigma_bound < 1.09 * error
     assert certify(fine).bound < certificate.bound / 4
 
 
@@ -116,17 +116,6 @@ def test_unfinished_linear_solve():
     assert errors is not None
     assert certificate.remainder > 1e-4
     assert errors["sigma_L2"] < certificate.sigma_bound
-
-
-def test_friedrichs_constant(folder: Path):
-    """Never below the best constant, 1/√λ of the first eigenvalue, which is known on boxes, and not far above."""
-    for shape, parts, best in [
-        ("square", ["bottom"], 1 / (math.pi * math.sqrt(5 / 4))),
-        ("square", ["bottom", "top", "left"], 2 / math.pi),
-        ("cube", ["bottom", "left"], 1 / (math.pi * math.sqrt(3 / 2))),
-    ]:
-        spaces = solve(make_case(folder, shape=shape, parts=parts, f="1", h=0.3), COMM).spaces
-        assert best < friedrichs_constant(spaces) < 4 * best
 
 
 def test_where_dirichlet_meets_signorini(folder: Path):

@@ -63,8 +63,13 @@ def test_backends_agree(folder: Path):
 @pytest.mark.parallel(2)
 def test_bad_data(folder: Path):
     case = make_case(folder, parts=["bottom"], f="0", h=0.4)
-    for u_D, message in [("1/(x - x)", "u_D: not finite everywhere on Γ_D"), ("1e200*x", "u_D: its largest value")]:
+    for name, value, message in [
+        ("u_D", "1/(x - x)", "u_D: not finite everywhere on Γ_D"),
+        ("u_D", "1e200*x", "u_D: its largest value"),
+        ("u_D", "1e-9*log((x - 1)**2 + y**2)", "u_D: not finite everywhere on Γ_D"),  # in a corner, which is no
+        ("psi", "log(x)", "psi: not finite everywhere on Γ_S"),  # quadrature point
+    ]:
         with pytest.raises(InputError, match=message):
-            solve(case.with_values({"problem.u_D": u_D}), COMM)
+            solve(case.with_values({f"problem.{name}": value}), COMM)
     with pytest.raises(InputError, match=r"\[problem\] u_D: expression 'q': unknown name 'q'"):
         case.with_values({"problem.u_D": "q"})

@@ -133,3 +133,14 @@ def test_ranks_do_not_matter():
         together, alone = solve(case, COMM), solve(case, MPI.COMM_SELF)
         assert together.errors() == pytest.approx(alone.errors(), rel=1e-10, abs=1e-11)
         assert certify(together).summary() == pytest.approx(certify(alone).summary(), rel=1e-10, abs=1e-11)
+
+
+@pytest.mark.parametrize("u", ["-x*x", "-2"])
+def test_contact_with_a_curved_obstacle(u: str):
+    """Contact everywhere, with a ψ whose facet means are not its values at midpoints."""
+    values = {"boundary.signorini": ["bottom"], "solve.h": 0.5, "exact.u": u, "problem.f": "-10"}
+    solution = solve(load_case("example1").with_values(values | {"problem.u_D": u, "problem.psi": u}))
+    errors = solution.errors()
+    assert errors is not None
+    assert solution.contact()[1] == pytest.approx(1.0)
+    assert errors["contact_hausdorff"] == pytest.approx(0.0, abs=1e-12)

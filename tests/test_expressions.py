@@ -3,21 +3,39 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 import ufl
-from fuzz_expressions import outcome, texts
+from fuzz_expressions import check_enclosures, outcome, texts
 
 from signorini_fenicsx.case import reference_coordinate
 from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.expressions import parse_expression, parse_number
+from signorini_fenicsx.expressions import (
+    interval,
+    interval_and_gradient,
+    parse_expression,
+    parse_number,
+    polynomial_degree,
+    read,
+    values,
+    values_and_gradient,
+)
+from signorini_fenicsx.expressions.intervals import Interval
 
 X = reference_coordinate(2)
 POINT = (0.3, -0.7)
 
 
 def at_point(text: str) -> float:
-    expression = parse_expression(text, X)
-    return float(expression(POINT))
+    """The value in UFL, NumPy and intervals, which are the same but for rounding."""
+    value = float(parse_expression(text, X)(POINT))
+    coordinates = dict(zip("xy", np.array(POINT)[:, None], strict=True))
+    tree = read(text, "xy")
+    assert values(tree, coordinates) == pytest.approx(value, abs=1e-14)
+    enclosure = interval(tree, {name: Interval(a, a) for name, a in coordinates.items()})
+    assert enclosure.lo <= value <= enclosure.hi
+    assert enclosure.hi - enclosure.lo < 1e-13 * max(1, abs(value))
+    return value
 
 
 @pytest.mark.parametrize(
@@ -37,6 +55,8 @@ def at_point(text: str) -> float:
         ("2^-4", 0.0625),
         ("0*x", 0.0),
         ("x^2^2", 0.3**4),
+        ("atan2(-0.0, -1)", math.pi),
+        ("atan2(-0*x, y)", math.pi),
     ],
 )  # fmt: skip
 def test_values(text: str, value: float):
@@ -86,6 +106,12 @@ def test_values(text: str, value: float):
         "-" * 1500 + "x",
         "x" * 3000,
         "\0",
+        "1" * 1999,
+        "0x" + "f" * 1900,
+        "1 if " + " < ".join(["x"] * 300) + " else 2",
+        "1 if " + "not " * 480 + "x > 0 else 2",
+        "1 if " + " or ".join(["x<1"] * 200) + " else 2",
+        "x^" + "9" * 400,
     ],
 )
 def test_refused(text: str):
@@ -108,7 +134,9 @@ def test_numbers(text: str, value: float):
     assert parse_number(text) == value
 
 
-@pytest.mark.parametrize("text", ["", "x", "1/0", "one", "__import__", "1, 2", "(-8)^(1/3)"])
+@pytest.mark.parametrize(
+    "text", ["", "x", "1/0", "one", "__import__", "1, 2", "(-8)^(1/3)", "1" * 5000, "0x" + "f" * 5000, "2^-2000/0"]
+)
 def test_not_numbers(text: str):
     with pytest.raises(InputError, match="is not a number"):
         parse_number(text)
@@ -124,3 +152,95 @@ def test_messages_can_be_printed():
     with pytest.raises(InputError, match=r"expression 'x \+\\n\\ud800\\x1b\[2J'") as caught:
         parse_expression("x +\n\ud800\x1b[2J", X)
     assert str(caught.value).isprintable()
+
+
+def test_enclosures_hold():
+    """What `scripts/fuzz_expressions.py` does for minutes: random trees, boxes and points in them."""
+    assert sum(check_enclosures(seed) for seed in range(150)) > 50
+
+
+BOX = {"x": Interval(np.array([0.25]), np.array([0.5])), "y": Interval(np.array([-1.0]), np.array([2.0]))}
+
+
+@pytest.mark.parametrize(
+    ("text", "lo", "hi"),
+    [
+        ("x*y", -0.5, 1.0),
+        ("y^2", 0.0, 4.0),
+        ("y*y", 0.0, 4.0),
+        ("y^3", -1.0, 8.0),
+        ("x^-2", 4.0, 16.0),
+        ("x^(1/2)", 0.5, math.sqrt(0.5)),
+        ("x^y", 0.0625, 4.0),
+        ("1/y", math.nan, math.nan),
+        ("log(y)", math.nan, math.nan),
+        ("0*log(y)", math.nan, math.nan),
+        ("sqrt(x - 1)", math.nan, math.nan),
+        ("y^x", math.nan, math.nan),
+        ("1 if y > 2 else log(x)", math.log(0.25), math.log(0.5)),
+        ("tan(3*x)", math.tan(0.75), math.tan(1.5)),
+        ("tan(4*x)", math.nan, math.nan),
+        ("sin(pi*y)", -1.0, 1.0),
+        ("cos(x)", math.cos(0.5), math.cos(0.25)),
+        ("sin(1e7*x)", -1.0, 1.0),
+        ("atan2(y, -x)", -math.pi, math.pi),
+        ("atan2(x, y)", math.atan2(0.25, 2), math.atan2(0.25, -1)),
+        ("atan2(0*x, -x)", math.pi, math.pi),
+        ("5 if x <= 0.5 else 7", 5.0, 5.0),
+        ("5 if x == 0.3 else 7", 5.0, 7.0),
+        ("5 if sqrt(x - 0.3) < 2 else 7", 5.0, 7.0),
+        ("5 if x != 0.7 else 7", 5.0, 5.0),
+        ("5 if not x < 0.3 or y > 9 else 7", 5.0, 7.0),
+    ],
+)
+def test_ranges(text: str, lo: float, hi: float):
+    """The range itself, but for rounding; NaN where the expression may be undefined."""
+    found = interval(read(text, "xy"), BOX)
+    np.testing.assert_allclose([found.lo[0], found.hi[0]], [lo, hi], rtol=1e-14, atol=1e-14)
+    assert math.isnan(lo) or found.lo[0] <= lo <= hi <= found.hi[0]
+
+
+def test_decimals_and_pi_are_enclosed():
+    """0.1 is no float: its enclosure is not one either; 0.5 and 3 are."""
+    for text, exact in [("0.1", False), ("1e-400", False), ("0.5", True), ("3", True), ("1_0.25", True), ("pi", False)]:
+        found = interval(read(text, "xy"), BOX)
+        assert (found.lo[0] == found.hi[0]) == exact
+
+
+def test_gradients():
+    """NumPy's gradients are UFL's; a box knows nothing of a jump, and of a kink both sides."""
+    texts = ["x^3*sin(y) + tan(x)", "exp(x)/(2 + y)", "sqrt(x)*log(x) + tanh(x*y)", "(1 + x)^y", "atan2(y, x)"]
+    texts += ["max(x, y, 0) + min(x^2, y)", "abs(y)*x", "x^2 if x > y else cos(y)"]
+    points = {"x": np.array([0.3, 1.2, 0.7]), "y": np.array([-0.7, 0.4, 2.0])}
+    for text in texts:
+        value, gradient = values_and_gradient(read(text, "xy"), points)
+        expression = parse_expression(text, X)
+        lowered = ufl.algorithms.apply_algebra_lowering.apply_algebra_lowering(ufl.grad(expression))
+        exact = ufl.algorithms.apply_derivatives.apply_derivatives(lowered)
+        for i, point in enumerate(zip(*points.values(), strict=True)):
+            assert value[i] == pytest.approx(expression(point), abs=1e-14)
+            found = [float(exact[j](point)) for j in range(2)]
+            assert gradient[i] == pytest.approx(found, abs=1e-13), text
+    kink = interval_and_gradient(read("abs(y)", "xy"), BOX)[1]
+    assert [(g.lo[0], g.hi[0]) for g in kink] == [(0, 0), (-1, 1)]
+    jump = interval_and_gradient(read("1 if y > 0 else 2", "xy"), BOX)[1]
+    assert [(g.lo[0], g.hi[0]) for g in jump] == [(-np.inf, np.inf)] * 2
+
+
+def test_polynomials():
+    degrees = {
+        "2^(1/2)*pi": 0,
+        "-x*(y + 1/3)^3/sin(2)": 4,
+        "x^2 + x*y*2^x": None,
+        "1/x": None,
+        "x^0.5": None,
+        "abs(y)": None,
+    }
+    degrees |= {"x^-2": None, "1 if x > 0 else 1": None, "(x^2)^3": 6, "max(1, 2)": 0}
+    for text, degree in degrees.items():
+        assert polynomial_degree(read(text, "xy")) == degree, text
+
+
+def test_abs_of_abs_ends():
+    x = reference_coordinate(2)
+    assert str(parse_expression("abs(abs(x - 1/3))", x)) == str(parse_expression("abs(x - 1/3)", x))

@@ -177,6 +177,9 @@ def test_bad_data(folder: Path):
     ]:
         with pytest.raises(InputError, match=message):
             solve(case.with_values({f"problem.{key}": value}), COMM)
+    for key, where in (("problem.u_D", "in the cells at Γ_D"), ("exact.u", "in the domain")):
+        with pytest.raises(InputError, match=f"its gradient is not finite everywhere {where}"):
+            solve(case.with_values({key: "sqrt(max(0, x - 0.5))"}), COMM)
     for key, value, message in [
         ("problem.kappa", [["1", "2"]], "2 rows of 2 expressions"),
         ("problem.kappa", [["1", True], ["1", "1"]], "must be an expression, a matrix"),

@@ -53,14 +53,6 @@ def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert not [text for text in said if "\n" in text or len(text) > 500]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0])
-def test_broken_input_at_the_command_line(seed: int):
-    script = Path(__file__).parents[1] / "scripts" / "fuzz.py"
-    done = subprocess.run(["python", str(script), "--seed", str(seed)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
 @pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_output_for_programs(tmp_path: Path, ranks: int):
     """--json: one object on standard output, the summary; --quiet: nothing. Neither has colours or goes with errors."""

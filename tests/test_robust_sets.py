@@ -161,6 +161,51 @@ def test_units_do_not_matter(algorithm: str, backend: str):
         assert_same_fields(found, expected, 1e-12 if K == 1 or backend == "hybrid" else 1e-8)  # κ⁻¹ = 1e-12 beside ∇·
 
 
+def coarse(algorithm: str, **values: object) -> Case:
+    of_problem = {f"problem.{key}": value for key, value in values.items()}
+    solver = {"geometry.mesh": "structured", "solve.h": 0.25, "solve.algorithm": algorithm, "solve.eps": 1e-12}
+    return load_case("example1").with_values(solver | of_problem)
+
+
+@pytest.mark.parametrize("algorithm", ["qp", "alg1", "snes1", "psor"])
+def test_a_constant_does_not_matter(algorithm: str):
+    """u_D and ψ plus 1e6: the same σ, and u and p plus 1e6."""
+    small = solve(coarse(algorithm, u_D="0.1*x", psi="-0.1*y"))
+    large = solve(coarse(algorithm, u_D="1e6 + 0.1*x", psi="1e6 - 0.1*y"), domain=small.spaces.domain)
+    for field in (large.u, large.p):
+        field.x.array[:] -= 1e6
+    assert_same_fields(large, small, 1e-8)
+
+
+def test_a_large_constant_hides_nothing():
+    """σ is 1e-9 beside u = 1 and ψ = 0, of which rounding leaves 6 digits: not converged."""
+    with pytest.raises(NumericalFailure, match="mass_balance"):
+        solve(coarse("alg1", f="0", u_D="1 + 1e-9*x"))
+    assert solve(coarse("alg1", f="0", u_D="1")).converged
+    assert solve(coarse("alg1", f="0", psi="-1")).converged
+    assert solve(coarse("alg1", f="0", psi="-1e20*x")).converged
+
+
+@pytest.mark.parametrize("given", [{}, {"f": "0", "u_D": "x"}, {"f": "0", "q_S": "-1"}])
+def test_a_bound_that_is_far_away_hides_nothing(given: dict[str, str]):
+    """σ is no rounding beside ψ where there are loads, or u_D varies: what rounding leaves of ψ spoils it."""
+    with pytest.raises(NumericalFailure, match="stationarity"):
+        solve(coarse("alg1", psi="-1e20*(1 + x)", **given))
+
+
+def test_jump_of_kappa():
+    """κ jumps by 1e12: u is 1e5 on one side and 1e-7 on the other, where signs matter as much; PIQP cannot see them."""
+    kappa = "1e-6 if x < 0.5 else 1e6"
+    expected = solve(coarse("vi", kappa=kappa))
+    for algorithm, backend in (("alg1", "mixed"), ("alg2", "hybrid"), ("alg2", "mixed"), ("alg3", "hybrid")):
+        case = coarse(algorithm, kappa=kappa).with_values({"solve.backend": backend})
+        found = solve(case, domain=expected.spaces.domain)
+        assert found.contact() == expected.contact()
+        assert_same_fields(found, expected, 1e-5 if algorithm == "alg3" else 1e-9)  # εκ = 1e-6
+    with pytest.raises(NumericalFailure, match="KKT residuals above 1e-08: complementarity"):
+        solve(coarse("qp", kappa=kappa), domain=expected.spaces.domain)
+
+
 EXTENTS = {
     "two cells": (1, BOTTOM),
     "one facet": (4, lambda x: BOTTOM(x) & (x[0] < 0.25)),
@@ -191,7 +236,9 @@ def test_extents():
 
 @pytest.mark.parallel([3, 4])
 def test_ranks_without_cells():
-    assert_as_alone("two cells", ("50*(x - 0.3)", "x*y", "alg3"), ("50*(x - 0.3)", "x*y", "vi"))
+    algorithms = ("alg3", "vi", "uzawa", "primal-pdas", "qp")
+    assert_as_alone("two cells", *(("50*(x - 0.3)", "x*y", algorithm) for algorithm in algorithms))
+    assert_as_alone("one facet", ("50*(x - 0.3)", "x*y", "primal-penalty"), ("50*(x - 0.3)", "x*y", "mixed-uzawa2"))
 
 
 @pytest.mark.parallel(2)

@@ -16,6 +16,7 @@ from test_cli import read_rows, run, signorini
 from signorini_fenicsx.errors import InputError
 from signorini_fenicsx.farm import hand_out
 from signorini_fenicsx.study import load_study, study_names
+from signorini_fenicsx.study_folder import StudyFolder
 
 STUDY = """
 title = "A small study"
@@ -89,11 +90,31 @@ def test_shipped_studies_are_valid():
         ('case = "example1"\nranks_per_run = 0', "ranks_per_run"),
         ('case = "example1"\n[vary]\n' + "\n".join(f'"a.b{i}" = {[0] * 10}' for i in range(9)), "1000000000 runs"),
         ("case = ", "not a TOML file"),
+        ('name = "x"\ncase = "example1"', "unknown key 'name'"),
+        ('case = "example1"\n[convergence]\nlevels = [2]\nreferenze = 3', "did you mean 'reference'"),
+        ('case = "example1"\n[convergence]\nlevels = [2, 2]', "must ascend"),
+        ('case = "example1"\n[convergence]\nlevels = [true]', "valid integer"),
+        ('case = "example4"\n[set]\nalgorithm = "alg3"\n[convergence]\nvary = "eps"\nlevels = [20]', "eps: must be"),
+        ('case = "example1"\n[set]\nh = 0.5\n"solve.h" = 0.25', "is given twice"),
+        ('case = "example1"\n[vary]\nh = [0.5]\n[[together]]\nh = [0.25]', "varies in two places"),
+        ('case = "example1"\n[set]\n' + ".".join("a" * 400) + " = 1", "unknown key 'a"),
+        ('case = "example1"\n[set]\n' + ".".join("a" * 90000) + " = 1", "nested too deeply"),
+        ("x = [" + "1," * 2**22 + "]", "has more than"),
     ],
 )
 def test_bad_studies(tmp_path: Path, text: str, message: str):
     with pytest.raises(InputError, match=message):
         load_study(write(tmp_path, text))
+
+
+def test_a_damaged_run_is_told(tmp_path: Path):
+    (run,) = load_study(write(tmp_path, 'case = "example1"'))[1]
+    folder = StudyFolder(MPI.COMM_SELF, tmp_path / "results")
+    folder.place(run).mkdir(parents=True)
+    for summary in ("", "[]", "{" * 10**5, "{}"):
+        (folder.place(run) / "summary.json").write_text(summary)
+        with pytest.raises(InputError, match="is damaged; delete it"):
+            folder.record(run)
 
 
 @pytest.fixture(scope="module")
@@ -259,6 +280,13 @@ def test_one_launch_at_a_time_and_only_in_its_own_folder(tmp_path: Path):
     assert (done.returncode, "is not empty and not the folder of a study" in done.stderr) == (2, True)
     done = signorini(tmp_path, "study", "study.toml", "--output", "/proc/mine", ranks=2)
     assert (done.returncode, done.stderr.count("cannot be written")) == (2, 1)
+    for place, name in (("one", "runs"), ("two", ".claims")):
+        (tmp_path / place).mkdir()
+        for file in {".lock", name}:
+            (tmp_path / place / file).write_text("mine")
+        done = signorini(tmp_path, "study", "study.toml", "--output", place)
+        assert (done.returncode, f"{name}: is in the way" in done.stderr) == (2, True)
+        assert {path.name for path in (tmp_path / place).iterdir()} == {".lock", name}
     (tmp_path / "busy").mkdir()
     with (tmp_path / "busy" / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -14,7 +14,7 @@ from ufl.core.expr import Expr
 from forms.crouzeix_raviart import stiffness
 from forms.mixed import flux_product, load, trace_term
 from forms.primal import gradient, mass, vertex_weight
-from signorini_fenicsx.active_set import History, Outcome
+from signorini_fenicsx.active_set import History, Outcome, reached
 from signorini_fenicsx.backend import Iterate, direct_solver, solve_linear, solver_name
 from signorini_fenicsx.classical.task import Task
 from signorini_fenicsx.conditioned import ConditionedMatrix
@@ -184,7 +184,7 @@ class P1System:
         dofs = self.space.dofmap.list[spaces.cells]
         opposite = np.argmax(spaces.V.dofmap.list[spaces.cells] == spaces.flux_dofs[:, None], axis=1)
         keep = np.arange(dofs.shape[1]) != opposite[:, None]
-        return dofs[keep].reshape(len(dofs), -1)
+        return dofs[keep].reshape(len(dofs), spaces.mesh.topology.dim)
 
     def _owned(self, form: ufl.Form) -> Array:
         return assembled(form)[: self._size].copy()
@@ -209,7 +209,8 @@ class P1History:
         self._change.array_w[:] = change
         self._mass.mult(self._change, self._image)
         u_change = math.sqrt(max(self._change.dot(self._image), 0.0))
-        self._history.append(conditions, self._system.energy_norm(change), u_change)
+        with reached(lambda: self._system.recover(u), conditions, self.steps):
+            self._history.append(conditions, self._system.energy_norm(change), u_change)
         self._last = u
 
 

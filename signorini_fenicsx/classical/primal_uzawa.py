@@ -24,7 +24,7 @@ def primal_uzawa(task: Task) -> Outcome:
     on, weights = system.signorini, system.weights
     u = system.solve(system.load)
     scale = system.energy_norm(u) or 1.0
-    length = math.sqrt(system.dot(np.ones(len(weights)), weights))
+    length = math.sqrt(system.dot(np.ones(len(weights)), weights)) or 1.0  # all of Γ_S may be beside Γ_D
 
     def trace(multiplier: Array) -> Array:
         nonlocal u

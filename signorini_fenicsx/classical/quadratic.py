@@ -107,6 +107,10 @@ def _minimise(
     Returns:
         x, the multipliers of both constraints, PIQP's status and its number of iterations.
     """
+    of_flux = 1 / np.sqrt(hessian.diagonal())  # unknowns and rows of one size, whatever κ and the cells are like
+    divergence = divergence @ scipy.sparse.diags_array(of_flux)
+    of_row = 1 / np.sqrt(divergence.power(2).sum(axis=1))
+    linear, right = of_flux * linear, of_row * right
     scale = max(float(np.abs(right).max()), float(np.abs(linear).max()))
     if scale == 0:
         return np.zeros(len(sign)), np.zeros(len(right)), np.zeros(len(sign)), piqp.PIQP_SOLVED.name, 0
@@ -115,14 +119,17 @@ def _minimise(
     solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = ACCURACY
     solver.settings.max_iter = max_iterations
     solver.setup(
-        scipy.sparse.csc_matrix(hessian),
+        scipy.sparse.csc_matrix(scipy.sparse.diags_array(of_flux) @ hessian @ scipy.sparse.diags_array(of_flux)),
         linear / scale,
-        scipy.sparse.csc_matrix(divergence),
+        scipy.sparse.csc_matrix(scipy.sparse.diags_array(of_row) @ divergence),
         right / scale,
         x_l=np.where(sign > 0, 0.0, -np.inf),
         x_u=np.where((sign < 0) | (sign == FIXED), 0.0, np.inf),
     )
     status = solver.solve()
     result = solver.result
-    values, balance, pressure = (scale * np.asarray(part) for part in (result.x, result.y, result.z_bl + result.z_bu))
+    values, balance, pressure = (
+        scale * factor * np.asarray(part)
+        for factor, part in ((of_flux, result.x), (of_row, result.y), (1 / of_flux, result.z_bl + result.z_bu))
+    )
     return values, balance, pressure, status.name, int(result.info.iter)

@@ -1,0 +1,56 @@
+"""Sphinx configuration. Build with: uv run --group docs sphinx-build -W docs docs/_build."""
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+from sphinx.util.math import get_node_equation_number
+from sphinx.writers.html5 import HTML5Translator
+
+import signorini_fenicsx
+
+project = "signorini_fenicsx"
+author = "The signorini_fenicsx developers"
+version = release = signorini_fenicsx.__version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build", "paper.md"]
+myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+napoleon_google_docstring = True
+
+html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["formulae.css"]
+html_title = f"signorini_fenicsx {version}"
+html_copy_source = False
+html_show_sourcelink = False
+html_math_renderer = "mathml"
+nitpicky = False
+
+
+def inline_math(translator: HTML5Translator, node: nodes.math) -> None:
+    """Formulae are MathML, which browsers draw by themselves: no script, no font, no network."""
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise nodes.SkipNode
+
+
+def display_math(translator: HTML5Translator, node: nodes.math_block) -> None:
+    """The same for a formula on a line of its own, with its number if it has one."""
+    number = get_node_equation_number(translator, node) if node.get("number") else None
+    translator.body.append('<div class="math">' if number is None else f'<div class="math" id="{node["ids"][0]}">')
+    if number is not None:
+        translator.body.append(f'<span class="eqno">({number})</span>')
+    translator.body.append(tex2mathml(node.astext(), as_block=True) + "</div>")
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Register the renderer of formulae."""
+    app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))

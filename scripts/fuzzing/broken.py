@@ -1,0 +1,171 @@
+"""What a broken input is, and ways to break bytes and text that all kinds share."""
+
+import random
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+OUTPUT = "out"
+"""Folder that every command is told to write its results into."""
+
+NUMBERS = (
+    *(
+        "0",
+        "-1",
+        "1",
+        "3",
+        "7",
+        "2147483648",
+        "-9223372036854775809",
+        "1e308",
+        "-1e308",
+        "1e-308",
+        "1e999",
+        "nan",
+        "inf",
+    ),
+    *("-inf", "9" * 25, "9" * 5000, "0x" + "f" * 400, "1e", "--1", "1,5", "1_0", "0.1.2", "٣", "1e-9", "0.25", "1/0"),
+)
+WORDS = (
+    *(
+        "",
+        " ",
+        "\0",
+        "\n",
+        "\r\n",
+        "\t",
+        "é",
+        "\u202e",
+        "\ufeff",
+        "🦆",
+        "'",
+        '"',
+        "\\",
+        "{",
+        "}",
+        "[",
+        "]",
+        "(",
+        ")",
+        "<",
+    ),
+    *(">", "&", ";", "/*", "*/", "//", "#", "%s%n", "../../home/.profile", "/dev/zero", "/dev/stdin", "$HOME", "`id`"),
+    *("true", "None", "A" * 3000, "(" * 600, "[" * 3000, "__import__('os')"),
+)
+
+
+@dataclass
+class Broken:
+    """One input: what to call the program with, once its files are in the working folder.
+
+    Attributes:
+        words: What follows `signorini`.
+        about: How it was broken, in some words.
+        refused: Whether nothing but exit status 2 is right.
+        earlier: Whether the output folder holds an earlier result and files of the user.
+    """
+
+    words: list[str]
+    about: str
+    refused: bool = False
+    earlier: bool = False
+
+
+@dataclass(frozen=True)
+class Valid:
+    """Valid results that some inputs are made of.
+
+    Attributes:
+        shape: Results folder of a named shape.
+        file: Results folder of a mesh file with names for its parts.
+        pencil: A folder for what generators want to make only once.
+    """
+
+    shape: Path
+    file: Path
+    pencil: Path
+
+
+type Generator = Callable[[random.Random, Path, Valid], Broken]
+type Damage = Callable[[random.Random, bytes], bytes]
+
+
+def flipped(rng: random.Random, data: bytes) -> bytes:
+    """Some bits of some bytes changed."""
+    found = bytearray(data)
+    for _ in range(rng.choice([1, 1, 2, 8, 64])):
+        if found:
+            found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
+    return bytes(found)
+
+
+def cut(rng: random.Random, data: bytes) -> bytes:
+    """The end lost."""
+    return data[: rng.randrange(len(data) + 1)]
+
+
+def dropped(rng: random.Random, data: bytes) -> bytes:
+    """A piece lost."""
+    at = rng.randrange(len(data) + 1)
+    return data[:at] + data[at + rng.choice([1, 4, 8, 100]) :]
+
+
+def doubled(rng: random.Random, data: bytes) -> bytes:
+    """A piece twice."""
+    at, size = rng.randrange(len(data) + 1), rng.choice([1, 8, 100, 5000])
+    return data[: at + size] + data[at : at + size] + data[at + size :]
+
+
+def noisy(rng: random.Random, data: bytes) -> bytes:
+    """Random bytes in between."""
+    at = rng.randrange(len(data) + 1)
+    return data[:at] + rng.randbytes(rng.choice([1, 4, 40, 400])) + data[at:]
+
+
+def renumbered(rng: random.Random, data: bytes) -> bytes:
+    """One or two numbers of a text are others."""
+    for _ in range(rng.choice([1, 1, 2])):
+        found = list(re.finditer(rb"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", data))
+        if found:
+            data = _with(data, rng.choice(found), rng.choice(NUMBERS).encode())
+    return data
+
+
+def reworded(rng: random.Random, data: bytes) -> bytes:
+    """A word of a text is another, or one from elsewhere in it."""
+    found = list(re.finditer(rb"[A-Za-z_]+", data))
+    if not found:
+        return data
+    word = rng.choice([rng.choice(found)[0], rng.choice(WORDS).encode()])
+    return _with(data, rng.choice(found), word)
+
+
+def mixed(rng: random.Random, data: bytes) -> bytes:
+    """Two lines of a text exchanged, one twice, or one lost."""
+    lines = data.split(b"\n")
+    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+    match rng.randrange(3):
+        case 0:
+            lines[i], lines[j] = lines[j], lines[i]
+        case 1:
+            lines.insert(i, lines[j])
+        case _:
+            del lines[i]
+    return b"\n".join(lines)
+
+
+def _with(data: bytes, place: re.Match[bytes], new: bytes) -> bytes:
+    return data[: place.start()] + new + data[place.end() :]
+
+
+BINARY: tuple[Damage, ...] = (flipped, flipped, cut, dropped, doubled, noisy)
+TEXT: tuple[Damage, ...] = (renumbered, renumbered, renumbered, reworded, reworded, mixed, mixed, *BINARY)
+
+
+def damaged(rng: random.Random, data: bytes, ways: tuple[Damage, ...] = TEXT) -> tuple[bytes, str]:
+    """Bytes broken in one to three ways, and the names of these."""
+    chosen = rng.choices(ways, k=rng.choice([1, 1, 2, 3]))
+    for way in chosen:
+        data = way(rng, data)
+    return data, "+".join(way.__name__ for way in chosen)

@@ -1,0 +1,330 @@
+"""Broken checkpoints: arrays of other widths, types and numbers, a story that does not fit them, strange archives."""
+
+import io
+import json
+import os
+import random
+import shutil
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fuzzing.broken import BINARY, OUTPUT, Broken, Valid, damaged
+
+type Arrays = dict[str, npt.NDArray]
+
+JUNK: tuple[Any, ...] = (
+    *(None, True, 0, -1, 3, 1e308, float("nan"), float("inf"), 10**400, "", "x", "\0", "é" * 300, [], [[]], {}, [None]),
+    *(
+        {"a": {"b": []}},
+        ["top"],
+        ["top", "bottom", "nowhere"],
+        "square",
+        "cube",
+        "2",
+        2.5,
+        [[0.5]],
+        "2^-1000",
+        "hybrid",
+    ),
+)
+
+
+def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A results folder whose checkpoint is broken; it is exported, compared with, or started from."""
+    source = rng.choice([valid.shape, valid.shape, valid.file])
+    shutil.copytree(source, folder / "res")
+    for name in ("square.msh", "mesh.toml"):
+        if (valid.file.parent / name).exists():
+            shutil.copyfile(valid.file.parent / name, folder / name)
+    path = folder / "res" / "checkpoint.npz"
+    way = rng.choice([_arrays, _arrays, _arrays, _story, _story, _archive, _bytes])
+    about, refused = way(rng, path, valid)
+    case = ["example1", "--h", "1/4"] if source == valid.shape else ["mesh.toml"]
+    other = os.path.relpath(source, folder)
+    words = rng.choice(
+        [
+            ["export", "res", "--output", OUTPUT],
+            ["export", "res", "--output", OUTPUT],
+            ["compare", *rng.choice([("res", other), (other, "res")]), "--output", OUTPUT],
+            ["solve", *case, "--start-from", "res", "--output", OUTPUT],
+        ]
+    )
+    return Broken(words, about, refused, earlier=rng.random() < 0.3)
+
+
+def _load(path: Path) -> Arrays:
+    with np.load(path, allow_pickle=False) as file:
+        return {key: file[key] for key in file.files}
+
+
+def _arrays(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
+    """One or two arrays are others; most lengths, types and numbers cannot be right."""
+    arrays = _load(path)
+    done = []
+    for _ in range(rng.choice([1, 1, 1, 2])):
+        key = rng.choice([name for name in arrays if name != "about"])
+        way = rng.choice(ARRAY_WAYS)
+        with np.errstate(all="ignore"):
+            done.append(f"{way(rng, arrays, key)} {way.__name__}")
+        arrays = {name: array for name, array in arrays.items() if name != "about"} | {"about": arrays["about"]}
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+    certain = any(word in text for text in done for word in ("missing", "narrow", "wide", "pickled", "words"))
+    return ", ".join(done), certain
+
+
+def missing(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Not there."""
+    if key.startswith(("part_", "inside", "facet_part", "facet_x", "facet_along", "facet_measure", "facet_u")):
+        key = "cells"  # the others are not needed by all commands
+    arrays.pop(key, None)
+    return key
+
+
+def narrow(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """A column less."""
+    key = rng.choice(["cells", "sigma", "facet_vertices", "points"])
+    if key in arrays and arrays[key].ndim > 1:
+        arrays[key] = arrays[key][:, :-1]
+    return key
+
+
+def wide(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """A column more."""
+    key = rng.choice(["cells", "sigma", "facet_vertices"])
+    if key in arrays and arrays[key].ndim > 1:
+        arrays[key] = np.column_stack([arrays[key], arrays[key][:, 0]])
+    return key
+
+
+def pickled(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Objects, which NumPy would unpickle if it were allowed to."""
+    arrays["cells"] = np.array([{"a": 1}, None], dtype=object)
+    return "cells"
+
+
+def words(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Text in the place of numbers."""
+    key = rng.choice(["cells", "points", "u", "sigma"])
+    arrays[key] = np.full(np.shape(arrays.get(key)), "é")
+    return key
+
+
+def short(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Fewer rows."""
+    arrays[key] = (
+        arrays[key][: rng.randrange(len(arrays[key]))] if arrays[key].ndim and len(arrays[key]) else arrays[key]
+    )
+    return key
+
+
+def long(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """More rows."""
+    arrays[key] = np.concatenate([arrays[key]] * rng.choice([2, 3])) if arrays[key].ndim else arrays[key]
+    return key
+
+
+def flat(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Of another number of axes."""
+    arrays[key] = rng.choice(
+        [arrays[key].ravel(), arrays[key].T, arrays[key][None], np.float64(1.0), arrays[key][..., None]]
+    )
+    return key
+
+
+def other_type(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Of another type."""
+    kind = rng.choice(["f4", "f2", "c16", "i1", "u8", "?", ">f8", ">i8", "S3", "M8[s]", "V8"])
+    try:
+        arrays[key] = arrays[key].astype(kind)
+    except (TypeError, ValueError):
+        arrays[key] = np.zeros(arrays[key].shape, kind)
+    return key
+
+
+def other_number(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """With a number that points nowhere, or is none."""
+    array = arrays[key].copy()
+    if array.size and array.dtype.kind in "fi":
+        values = (
+            [-1, 10**6, 2**31, 2**62, -(2**62), 0] if array.dtype.kind == "i" else [np.nan, np.inf, 1e308, -1e30, 0]
+        )
+        for _ in range(rng.choice([1, 1, 5])):
+            array.flat[rng.randrange(array.size)] = rng.choice(values)
+        arrays[key] = array
+    return key
+
+
+def scaled(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """All numbers others, and still numbers: no solution of the case any more."""
+    key = rng.choice(["sigma", "u", "facet_p", "facet_flux", "divergence"])
+    if key in arrays and arrays[key].dtype.kind == "f":
+        arrays[key] = arrays[key] * 5
+    return key
+
+
+def shuffled(rng: random.Random, arrays: Arrays, key: str) -> str:
+    """Rows in another order."""
+    if arrays[key].ndim:
+        arrays[key] = arrays[key][rng.sample(range(len(arrays[key])), len(arrays[key]))]
+    return key
+
+
+ARRAY_WAYS = (
+    *(missing, narrow, wide, pickled, words, short, long, flat, other_type, other_type, other_number, other_number),
+    *(scaled, shuffled),
+)
+
+
+def _story(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
+    """What the file says about its solution is changed somewhere, or is no JSON."""
+    arrays = _load(path)
+    text = str(arrays["about"])
+    if rng.random() < 0.25:
+        text, about = rng.choice(
+            [
+                ("[" * 100_000, "deep"),
+                ('{"a":' * 100_000, "deep"),
+                ("null", "null"),
+                ("[]", "a list"),
+                (text[:-1], "cut"),
+                ("9" * 5000, "long integer"),
+                (text.replace("0.25", "9" * 5000), "long integer within"),
+            ]
+        )
+        refused = True
+    else:
+        tree = json.loads(text)
+        place = rng.choice(list(_places(tree)))
+        about, refused = "/".join(map(str, place)), False
+        _change(rng, tree, place)
+        text = json.dumps(tree)
+    arrays["about"] = np.array(text)
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+    return f"about {about}", refused
+
+
+def _places(tree: Any, prefix: tuple = ()) -> list[tuple]:
+    """Paths of all entries of nested lists and dictionaries."""
+    pairs = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else []
+    return [place for key, value in pairs for place in [(*prefix, key), *_places(value, (*prefix, key))]]
+
+
+def _change(rng: random.Random, tree: Any, place: tuple) -> None:
+    for key in place[:-1]:
+        tree = tree[key]
+    if rng.random() < 0.25:
+        del tree[place[-1]]
+    else:
+        tree[place[-1]] = rng.choice(JUNK)
+
+
+def _bytes(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
+    data, about = damaged(rng, path.read_bytes(), BINARY)
+    path.write_bytes(data)
+    return about, False
+
+
+def _archive(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
+    """Archives that no NumPy writes."""
+    members = {name: zipfile.ZipFile(path).read(name) for name in zipfile.ZipFile(path).namelist()}
+    way = rng.choice(
+        [
+            *("empty", "not one", "folder", "device", "loop", "encrypted", "unknown compression", "twice", "bomb"),
+            *("long header", "huge shape", "code in the header", "outside", "compressed", "nothing in it", "wrong sum"),
+        ]
+    )
+    path.unlink()
+    match way:
+        case "empty":
+            path.touch()
+        case "not one":
+            path.write_bytes(b"\x93NUMPY\x01\x00v\x00" + b"x" * 200)
+        case "folder":
+            path.mkdir()
+        case "device":
+            path.symlink_to("/dev/zero")
+        case "loop":
+            path.symlink_to("checkpoint.npz")
+        case "long header" | "huge shape" | "code in the header":
+            text = {
+                "long header": "{'descr': '<f8', 'fortran_order': False, 'shape': (" + "1, " * 50_000 + "), }",
+                "huge shape": "{'descr': '<f8', 'fortran_order': False, 'shape': (4000000000000,), }",
+                "code in the header": "__import__('os').system('touch hacked')",
+            }[way]
+            head = b"\x93NUMPY\x02\x00" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\n"
+            _write(path, members | {"u.npy": head + b"\0" * 64})
+        case "bomb":
+            shutil.copyfile(_bomb(valid.pencil), path)
+        case "outside":
+            _write(path, members | {"../../../home/hacked.npy": members["u.npy"]})
+        case "compressed":
+            _write(path, members, zipfile.ZIP_LZMA)
+        case "nothing in it":
+            _write(path, {})
+        case _:
+            path.write_bytes(_patched(_written(members, way == "twice"), way))
+    certain = way not in ("outside", "compressed", "twice")
+    return way, certain
+
+
+def _written(members: dict[str, bytes], twice: bool) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        for name, data in members.items():
+            file.writestr(name, data)
+        if twice:
+            file.fp.seek(0, 2)
+            info = zipfile.ZipInfo("u.npy")
+            file.NameToInfo.pop("u.npy")
+            file.writestr(info, members["sigma.npy"])
+    return buffer.getvalue()
+
+
+def _patched(data: bytes, way: str) -> bytes:
+    """With flags, method, or check sum of the first member changed, there and in the archive's directory."""
+    if way == "twice":
+        return data
+    offset, value = {"encrypted": (6, 1), "unknown compression": (8, 77), "wrong sum": (14, 123)}[way]
+    found, start = bytearray(data), data.index(b"PK\x01\x02")
+    found[offset : offset + 2] = value.to_bytes(2, "little")
+    found[start + offset + 2 : start + offset + 4] = value.to_bytes(2, "little")
+    return bytes(found)
+
+
+def _write(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> None:
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, data in members.items():
+            file.writestr(name, data)
+
+
+def _bomb(folder: Path) -> Path:
+    """An archive of 2 MB that holds an array of 2 GB, made only once: its blocks are the same bytes."""
+    path = folder / "bomb.npz"
+    if not path.exists():
+        megabyte, count = bytes(2**20), 2048
+        text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({count * 2**17},), }}\n".encode()
+        head = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+        squeeze = zlib.compressobj(9, zlib.DEFLATED, -15)
+        blocks = [squeeze.compress(head) + squeeze.flush(zlib.Z_FULL_FLUSH)]
+        blocks += [squeeze.compress(megabyte) + squeeze.flush(zlib.Z_FULL_FLUSH)] * count
+        total = zlib.crc32(head)
+        for _ in range(count):
+            total = zlib.crc32(megabyte, total)
+        body, size = b"".join(blocks) + squeeze.flush(), len(head) + count * 2**20
+        fields = (20).to_bytes(2, "little") + bytes(2) + (8).to_bytes(2, "little") + bytes(4)
+        fields += (
+            b"".join(n.to_bytes(4, "little") for n in (total, len(body), size)) + (5).to_bytes(2, "little") + bytes(2)
+        )
+        local = b"PK\x03\x04" + fields + b"u.npy" + body
+        directory = b"PK\x01\x02" + (20).to_bytes(2, "little") + fields + bytes(14) + b"u.npy"
+        end = b"PK\x05\x06" + bytes(4) + 2 * (1).to_bytes(2, "little")
+        end += len(directory).to_bytes(4, "little") + len(local).to_bytes(4, "little") + bytes(2)
+        path.write_bytes(local + directory + end)
+    return path

@@ -1,0 +1,50 @@
+"""The kinds of inputs by name, and the valid results that some of them begin with."""
+
+from pathlib import Path
+
+from broken_input import msh_text, square_msh
+
+from fuzzing.broken import Generator, Valid
+from fuzzing.cases import case_file
+from fuzzing.checkpoints import checkpoint
+from fuzzing.expressions import expression
+from fuzzing.geometries import geometry
+from fuzzing.judge import Ending
+from fuzzing.meshes import CASE, mesh_file
+from fuzzing.options import option
+from fuzzing.runner import Runner
+from fuzzing.studies import study
+
+GENERATORS: dict[str, Generator] = {
+    "case": case_file,
+    "option": option,
+    "expression": expression,
+    "mesh": mesh_file,
+    "geo": geometry,
+    "checkpoint": checkpoint,
+    "study": study,
+}
+
+
+def make_valid(pencil: Path, runner: Runner) -> Valid:
+    """Let the program itself make two results.
+
+    Raises:
+        RuntimeError: If it does not.
+    """
+    root = pencil / "valid"
+    for folder in ("work", "home", "tmp", "said"):
+        (root / folder).mkdir(parents=True)
+    work = root / "work"
+    (work / "square.msh").write_text(msh_text(*square_msh(3)), encoding="utf-8")
+    text = CASE.format(file="square.msh").replace('["1"]', '["bottom"]')
+    (work / "mesh.toml").write_text(text, encoding="utf-8")
+
+    def check(ending: Ending) -> None:
+        if ending.status != 0:
+            raise RuntimeError(f"a valid case is not solved: {ending.said}")
+
+    for words in (["example1", "--h", "1/4", "--output", "shape"], ["mesh.toml", "--output", "file"]):
+        runner.start(["solve", *words], root, check)
+    runner.finish()
+    return Valid(work / "shape", work / "file", pencil)

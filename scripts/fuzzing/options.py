@@ -1,0 +1,173 @@
+"""Broken command lines: values of options, folders to write into, options of PETSc."""
+
+import os
+import random
+import shutil
+from pathlib import Path
+
+from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid
+from fuzzing.cases import KEYS, VALUES
+from signorini_fenicsx.algorithms import ALGORITHMS
+
+SIZES = (
+    *NUMBERS,
+    "2^-1000",
+    "2^0.5",
+    "1e-300",
+    "x",
+    "pi",
+    "1/4",
+    "0.3",
+    "1/3",
+    "9^9^9",
+    "not 1",
+    "-(1/4)",
+    "1/4 if 1 < 2 else 1",
+)
+PETSC = (
+    *(
+        "-mat_type nonsense",
+        "-ksp_type nonsense",
+        "-pc_type nonsense",
+        "-pc_type jacobi",
+        "-ksp_max_it 0",
+        "-ksp_rtol nan",
+    ),
+    *(
+        "-ksp_max_it 1 -ksp_type cg -pc_type none",
+        "-snes_type nonsense",
+        "-snes_max_it 0",
+        "-vec_type nonsense",
+        "-ksp_type",
+    ),
+    *(
+        "-pc_factor_mat_solver_type nonsense",
+        "-mat_mumps_icntl_7 99",
+        "-options_file missing",
+        "-options_file case.toml",
+    ),
+    *(
+        "-ksp_rtol x",
+        "nonsense",
+        "- -",
+        "-",
+        "-ksp_max_it 1e10",
+        "-ksp_atol -1",
+        "-mat_mumps_icntl_14 -100",
+        "-snes_rtol -1",
+    ),
+    *("-pc_type lu -pc_factor_zeropivot 1e300", "-sub_pc_type nonsense", "-options_left", "-ksp_monitor", "-ksp_view"),
+)
+"""Those that ask PETSc for other files, a debugger or an abort are left out: PETSc does as it is told."""
+OPTIONS = {
+    **dict.fromkeys(["--h", "--rho", "--eps", "--theta", "--target"], SIZES),
+    **dict.fromkeys(["--backend", "--algorithm", "--start-from"], WORDS),
+    "--max-cells": (*NUMBERS, "1", "50"),
+    "--levels": ("", "2", "2:", ":", "3:2", "2:99", "a:b", "1:1:1"),
+    "--reference": NUMBERS,
+    "--vary": ("", "eps", "eps=h^9", "x", "h,eps"),
+    "--plot": ("",),
+}
+COMMANDS = (
+    *(
+        ["solve", "example1"],
+        ["solve", "example1"],
+        ["solve", "example4", "--algorithm", "alg3"],
+        ["check", "example2"],
+    ),
+    *(["info", "example3"], ["adapt", "example1"], ["convergence", "example1"], ["compare", "a", "b"], ["export", "a"]),
+    *(["study", "iterations", "--dry-run"], ["methods"], ["version"], ["solve"], ["info"]),
+)
+SMALL = {
+    "solve": {"--h": "1/4"},
+    "adapt": {"--max-cells": "60"},
+    "convergence": {"--levels": "1:2", "--reference": "3"},
+}
+"""What keeps a command short that would be valid."""
+WRITING = ("solve", "adapt", "convergence", "compare", "export")
+HOSTILE_OUTPUTS = (
+    *("", ".", "..", "/", "notes.txt", "notes.txt/out", "photos", "../home", "/dev/null", "/proc/self/out", "x" * 300),
+    *("y/" * 3000 + "z", "loop", "loop/out", "readonly/out", "/dev/full/x"),
+)
+"""Folders that belong to the user, cannot be made, or are none."""
+
+
+def option(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A command with one to three broken options."""
+    ways = [_values, _values, _settings, _outputs, _petsc, _methods, _words]
+    return rng.choice(ways)(rng, folder)
+
+
+def _values(rng: random.Random, folder: Path) -> Broken:
+    """Values of the options that want a number or a name."""
+    words = list(rng.choice(COMMANDS))
+    usual = {
+        "solve": ["--h", "--rho", "--eps", "--backend", "--algorithm", "--start-from"],
+        "adapt": ["--target", "--max-cells", "--theta", "--h", "--rho", "--eps"],
+        "convergence": ["--levels", "--reference", "--vary", "--h", "--eps"],
+    }
+    own = usual.get(words[0], ["--h", "--algorithm", "--backend"])
+    for name in rng.choices(own if rng.random() < 0.9 else sorted(OPTIONS), k=rng.choice([1, 1, 2])):
+        words += [name, rng.choice(OPTIONS[name])]
+    for name, value in SMALL.get(words[0], {}).items():
+        words += [] if name in words else [name, value]
+    return _finished(rng, words, words[2:])
+
+
+def _settings(rng: random.Random, folder: Path) -> Broken:
+    """--set with keys and values of all sorts."""
+    words = [rng.choice(["check", "info", "info"]), rng.choice(["example1", "example5", "dam"])]
+    for _ in range(rng.choice([1, 1, 2, 3])):
+        value = rng.choice([*VALUES, *NUMBERS, *WORDS])
+        words += ["--set", rng.choice([f"{rng.choice(KEYS)}={value}", f"{rng.choice(KEYS)}={value}", value])]
+    return _finished(rng, words, words[2:])
+
+
+def _outputs(rng: random.Random, folder: Path) -> Broken:
+    """Folders for the results that are none, or somebody else's: all of them are refused."""
+    (folder / "photos").mkdir()
+    shutil.copyfile(folder / "notes.txt", folder / "photos" / "photo.png")
+    (folder / "loop").symlink_to("loop")
+    (folder / "readonly").touch()  # root may write into any folder, but nobody into a file
+    place = rng.choice(HOSTILE_OUTPUTS)
+    command = rng.choice([["solve", "example1", "--h", "1/4"], ["adapt", "example1", "--max-cells", "30"]])
+    return Broken([*command, "--output", place], f"output {place[:40]!r}", refused=True)
+
+
+def _petsc(rng: random.Random, folder: Path) -> Broken:
+    """Options after -- that PETSc does not know, or cannot solve with."""
+    (folder / "case.toml").write_text("-ksp_type = [nonsense\n-mat_type", encoding="utf-8")
+    chosen = rng.choice(PETSC)
+    algorithm = rng.choice(["alg1", "alg1", "alg3", "vi", "snes1"])
+    words = ["solve", "example4", "--h", "1/4", "--algorithm", algorithm, "--output", OUTPUT]
+    words += rng.choice([[], ["--backend", "mixed"]]) if algorithm.startswith("alg") else []
+    return Broken([*words, "--", *chosen.split()], f"{algorithm} -- {chosen}", earlier=rng.random() < 0.5)
+
+
+def _methods(rng: random.Random, folder: Path) -> Broken:
+    """Any algorithm with parameters at and beyond the ends of their ranges."""
+    words = ["solve", "example1", "--h", "1/3", "--algorithm", rng.choice(list(ALGORITHMS)), "--set"]
+    words += [f"solve.max_iterations={rng.choice(['1', '2', '200', '0', '1.5', '-1', 'true'])}"]
+    for name in rng.sample(["--rho", "--eps"], rng.choice([0, 1, 2])):
+        words += [name, rng.choice(["1e-100", "1e100", "1e-14", "1e6", "1e-320", "1e-13", "1e3", "1", "nan"])]
+    return _finished(rng, words, words[5:])
+
+
+def _words(rng: random.Random, folder: Path) -> Broken:
+    """Words in any order, twice, or of no meaning."""
+    words = list(rng.choice(COMMANDS)) + rng.choice([[], ["--quiet"], ["--json"], ["--plot"]])
+    for _ in range(rng.choice([1, 2, 3])):
+        at = rng.randrange(len(words) + 1)
+        words.insert(
+            at, rng.choice([rng.choice(words), rng.choice(WORDS), f"--{rng.choice(WORDS)}", "-x", "--h=", "--json"])
+        )
+    words += [word for pair in SMALL.get(words[0], {}).items() for word in pair]
+    return _finished(rng, words, words)
+
+
+def _finished(rng: random.Random, words: list[str], shown: list[str]) -> Broken:
+    """With a place for the results, and nothing that no command line can hold."""
+    writes = words[0] in WRITING
+    words = [word.replace("\0", "").encode(errors="ignore").decode()[:100_000] for word in words]
+    words = [word for word in words if word not in ("--", "--help")] + (["--output", OUTPUT] if writes else [])
+    return Broken(words, " ".join(shown)[:60].replace(os.linesep, " "), earlier=writes and rng.random() < 0.5)

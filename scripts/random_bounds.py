@@ -1,0 +1,201 @@
+"""The certified bound on random problems, against solutions on the mesh refined twice: how sharp, and never too low.
+
+uv run python scripts/random_bounds.py --seeds 100 --jumps aligned        (also under mpirun)
+
+A seed draws shape, mesh and boundary parts as `random_problems.py` does, at times without Γ_D, smooth or rough f, and
+waves for u_D ≥ ψ, ψ, q_S and g_N. κ is 1 (`none`), or jumps between 1 and 1e6: between coarse cells (`aligned`), or
+also within them (`across`). A row has ‖σ_f − σ_h‖ with σ_f from the finer mesh, and the ratio of the bound to it. Where
+this is below 1, the finer mesh's own bound tells whether σ_f is not good enough or the bound too low.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import dolfinx.mesh
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from random_problems import distort, random_case
+from ufl.core.expr import Expr
+
+from forms.mixed import flux_product
+from signorini_fenicsx.case import Case
+from signorini_fenicsx.certificate import certify
+from signorini_fenicsx.data import Problem
+from signorini_fenicsx.discretisation import mesh_case
+from signorini_fenicsx.domain import Domain
+from signorini_fenicsx.errors import InputError, NumericalFailure
+from signorini_fenicsx.geometry import SHAPES
+from signorini_fenicsx.parallel import collect_garbage
+from signorini_fenicsx.refinement import refine
+from signorini_fenicsx.sampling import of_unit_size, sampled
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
+
+CONTRAST = 1e6
+JUMPS = ("none", "aligned", "across")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a seed gave.
+
+    Attributes:
+        problem: In words.
+        difference: ‖σ_f − σ_h‖ in the energy norm.
+        bound: The bound of ‖σ − σ_h‖.
+        wrong: Whether the bound is proved to be too low, by the finer mesh's own bound.
+    """
+
+    problem: str
+    difference: float
+    bound: float
+    wrong: bool
+
+    @property
+    def ratio(self) -> float:
+        """Bound over error."""
+        return self.bound / self.difference
+
+
+class Wave:
+    """sin(k·x + a) on any mesh; numbers are constants of forms, which so are compiled once for all seeds."""
+
+    def __init__(self, rng: np.random.Generator, size: float, amplitude: float = 1.0):
+        self._k, self._a, self._amplitude = rng.uniform(1, 10, 3) / size, rng.uniform(0, 6), amplitude
+
+    def on(self, mesh: dolfinx.mesh.Mesh) -> Expr:
+        """Its expression."""
+        x = ufl.SpatialCoordinate(mesh)
+        k, a, amplitude = (fem.Constant(mesh, value) for value in (self._k[: len(x)], self._a, float(self._amplitude)))
+        return amplitude * ufl.sin(ufl.dot(k, x) + a)
+
+
+def problem_of(rng: np.random.Generator, coarse: Domain, jumps: str, *, pulled: bool) -> Callable[[Domain], Problem]:
+    """Data that are the same on the coarse mesh and on its refinements (collective)."""
+    size = float(np.ptp(coarse.box(), axis=0).max())
+    amplitudes = rng.uniform(0, 1, 4) * [1, 1, 1 / size, 1 / size]
+    u_D, psi, q_S, g_N = (Wave(rng, size, amplitude) for amplitude in amplitudes)
+    f, zone, noise = (Wave(rng, size, amplitude) for amplitude in (40 / size**2, 1, 1e3))
+    general, rough = rng.random() < 0.7, rng.random() < 0.5
+    cells = fem.functionspace(coarse.mesh, ("DG", 0))
+    zones, loads = fem.Function(cells), fem.Function(cells)
+    points = cells.element.interpolation_points
+    zones.interpolate(fem.Expression(zone.on(coarse.mesh), points))
+    loads.interpolate(fem.Expression(80 / size**2 * ufl.sin(noise.on(coarse.mesh)), points))
+
+    def on(domain: Domain) -> Problem:
+        mesh = domain.mesh
+        where = in_cells(zones, coarse, domain) if jumps == "aligned" else zone.on(mesh)
+        load = in_cells(loads, coarse, domain) if rough else f.on(mesh)
+        kappa = 1.0 if jumps == "none" else ufl.conditional(ufl.gt(where, 0), CONTRAST, 1.0)
+        problem = Problem(f=load - fem.Constant(mesh, 120 / size**2 * pulled), kappa=kappa)
+        if not general:
+            return problem
+        bound = psi.on(mesh)
+        u_D_too = bound + u_D.on(mesh) ** 2
+        return replace(problem, u_D=u_D_too, psi=bound, q_S=q_S.on(mesh), g_N=g_N.on(mesh))
+
+    return on
+
+
+def in_cells(function: fem.Function, source: Domain, domain: Domain) -> fem.Function:
+    """A P0 function on a refinement of its mesh (collective)."""
+    if domain is source:
+        return function
+    mesh = domain.mesh
+    fine = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    with of_unit_size(source, mesh, source.mesh):
+        search = fem.create_interpolation_data(fine.function_space, function.function_space, cells, padding=1e-12)
+        fine.interpolate_nonmatching(function, cells, search)
+    return fine
+
+
+def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Domain, Callable[[Domain], Problem]]:
+    """A case, its mesh, the same refined twice, and the data on each (collective)."""
+    rng = np.random.default_rng(seed)
+    case = random_case(rng)
+    if SHAPES[str(case.geometry.shape)].dim == 3:
+        case = case.with_values({"solve.h": 1.5 * case.solve.h})  # 64 times the cells come on top
+    pulled = bool(rng.random() < 0.2)
+    coarse = mesh_case(case, comm)
+    if pulled:
+        case = case.with_values({"boundary.signorini": list(coarse.parts), "boundary.neumann": []})
+    distort(rng, coarse)
+    coarse = replace(coarse, parts={name: replace(part, nearest=None) for name, part in coarse.parts.items()})
+    fine = coarse
+    for _ in range(2):
+        number = fine.mesh.topology.index_map(fine.mesh.topology.dim).size_local
+        fine = refine(fine, np.arange(number, dtype=np.int32))
+    return case, coarse, fine, problem_of(rng, coarse, jumps, pulled=pulled)
+
+
+def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
+    """Certify a solution and compare it with one on the finer mesh (collective).
+
+    Raises:
+        InputError: If the data of the seed have no solution.
+        NumericalFailure: If a solve fails.
+    """
+    case, coarse, fine, problem = random_pair(seed, jumps, comm)
+    solution = solve(case, domain=coarse, problem=problem(coarse))
+    finer = solve(
+        case.with_values({"solve.algorithm": "alg1", "solve.backend": "hybrid"}), domain=fine, problem=problem(fine)
+    )
+    boundary = case.boundary
+    words = f"{case.geometry.shape} {case.geometry.mesh} {case.solve.algorithm} Γ_S {boundary.signorini}"
+    bound, distance = certify(solution).sigma_bound, difference(solution, finer)
+    wrong = bound < distance and bound < (1 - 1e-9) * (distance - certify(finer).sigma_bound)
+    return Row(f"{words} Γ_N {boundary.neumann}", distance, bound, wrong)
+
+
+def difference(coarse: Solution, fine: Solution) -> float:
+    """‖σ_h − σ_f‖ on the finer mesh, in the energy norm (collective)."""
+    (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
+    form = flux_product(fine.sigma - sigma, fine.sigma - sigma, fine.data.kappa_h)
+    (integral,) = form.integrals()
+    metadata = {"quadrature_degree": 2, "quadrature_scheme": "default"}
+    return math.sqrt(fine.spaces.integrate(integral.integrand() * ufl.dx(metadata=metadata)))
+
+
+def main() -> int:
+    """Print a row per seed and the ratios' median and maximum; 1 if a bound is too low."""
+    arguments = argparse.ArgumentParser(description=main.__doc__)
+    arguments.add_argument("--seeds", type=int, default=100)
+    arguments.add_argument("--first", type=int, default=0)
+    arguments.add_argument("--jumps", choices=JUMPS, default="aligned")
+    options = arguments.parse_args()
+    comm, began = MPI.COMM_WORLD, time.monotonic()
+    say = print if comm.rank == 0 else lambda *words, **options: None
+    ratios, wrong, failed = [], 0, 0
+    for seed in range(options.first, options.first + options.seeds):
+        try:
+            row = examine(seed, options.jumps, comm)
+        except (InputError, NumericalFailure) as error:
+            failed += 1
+            say(f"{seed:4d} {error}")
+            continue
+        finally:
+            collect_garbage(comm)
+        ratios.append(row.ratio)
+        wrong += row.wrong
+        say(f"{seed:4d} error {row.difference:.3e} ratio {row.ratio:.3f} {row.problem}", flush=True)
+    values = np.array(ratios)
+    say(
+        f"{len(values)} problems ({failed} not solved), κ jumps: {options.jumps}; ratio: median "
+        f"{np.median(values):.3f}, largest {values.max():.3f}, infinite {np.isinf(values).sum()}, "
+        f"below 1 {(values < 1).sum()}, proved too low {wrong}; {time.monotonic() - began:.0f} s"
+    )
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

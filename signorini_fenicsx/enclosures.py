@@ -1,0 +1,292 @@
+"""What is certain of data on simplices: enclosures of an expression less a quadratic, by intervals and bisection.
+
+A simplex is bisected, longest edge first, until enough is known. On each part, with its vertices x_v, its centroid c,
+enclosures of e, ∇e and ∇²e over its bounding box and of e and ∇e in c, and d = e − p:
+
+    ∇d(x) ∈ ∇d(c) + [∇²d](x − c) =: G        and        d(x) ∈ d(c) + G·(x − c)
+
+by the mean value theorem, both as hulls over the vertices; what the box itself says is used where it says more. With
+G = G_m ± δ and V = Σ_v (x_v − c)(x_v − c)ᵀ/((k + 1)(k + 2)), the covariance of x on a simplex of dimension k, the mean
+of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its root mean square at most √(d(c)² + G_m·V G_m) +
+Σ δ_i √V_ii. Where a condition is undecided, ∇e is unknown, and d is in the hull of both branches.
+
+With proven bounds of elementary functions all this is proven, rounding included. Intervals are rounded outward, other
+sums of products have a slack that refers to the sum of absolute values. `Places` tells how far c and x_v are off the
+exact ones: that c is off the centroid by e adds G·e, and that V is that of stored vertices less than 3 |G|·pad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh, entities_to_geometry
+from mpi4py import MPI
+
+from signorini_fenicsx.expressions import Tree
+from signorini_fenicsx.expressions.intervals import WHOLE, Array, Elementary, FromNumPy, Interval, Mask, enclosing
+from signorini_fenicsx.expressions.quadratics import Quadratic, edges
+from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack, stacked
+
+CAP = 1000
+"""Boxes that one simplex may cost."""
+BUDGET, BUDGET_EACH = 50_000, 10
+"""Boxes that all simplices may cost together: so many, and so many more for each of them: some seconds."""
+WORST = 0.25
+"""Parts are cut whose share in what is not known is at least so much of the largest share in their simplex."""
+CLOSE = 0.5
+"""An upper bound of ‖d‖² that is at most so much too large, relative to itself, is good enough."""
+CHUNK = 20000
+"""Boxes evaluated at once."""
+
+
+def cell_vertices(mesh: Mesh) -> Array:
+    """Vertices of the owned cells, shape (cells, d + 1, d)."""
+    dim = mesh.geometry.dim
+    cells = mesh.geometry.dofmaps[0][: mesh.topology.index_map(dim).size_local]
+    return np.array(mesh.geometry.x[cells, :dim])
+
+
+def facet_vertices(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Array:
+    """Vertices of facets, shape (facets, d, d)."""
+    dim = mesh.geometry.dim
+    nodes = entities_to_geometry(mesh, dim - 1, facets) if len(facets) else np.empty((0, dim), dtype=np.int32)
+    return np.array(mesh.geometry.x[nodes, :dim])
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """What is certain of d = e − p on each of n simplices. Arrays of shape (n,), infinite where nothing is.
+
+    Attributes:
+        mean: The mean of d lies in it.
+        norm: Upper bound of the root mean square of d, which is ‖d‖/|T|^½ in L².
+        sup: Upper bound of |d|.
+        slope: Upper bound of |∇d|, along T and across it.
+        tilt: Upper bound of the root mean square of |∇d|.
+        rise: Upper bound of |∇d·e| for all edges e of T.
+        range: All values of e lie in it.
+        resolved: Where the bisection came to an end before its cap.
+        place: Centroid of the part of a simplex that adds most to the upper bound of ‖d‖, shape (n, d).
+        boxes: Parts that were looked at.
+    """
+
+    mean: Interval
+    norm: Array
+    sup: Array
+    slope: Array
+    tilt: Array
+    rise: Array
+    range: Interval
+    resolved: Mask
+    place: Array
+    boxes: int
+
+
+def enclose(
+    tree: Tree,
+    vertices: Array,
+    p: Quadratic,
+    tolerance: Array,
+    comm: MPI.Comm,
+    *,
+    scale: float,
+    by: Literal["norm", "sup", "slope", "mean", "tilt"] = "norm",
+    elementary: Elementary | None = None,
+) -> Enclosure:
+    """Enclose an expression less a quadratic on simplices, each by itself (collective).
+
+    A simplex is resolved where the upper bound of the root mean square of d, or of |∇d|, is below the tolerance, or not
+    much above a lower bound; or that of |d| or |∇d|, or the width of the mean, is below the tolerance. What was reached
+    elsewhere is valid too. Nothing depends on the number of ranks.
+
+    Args:
+        tree: The expression, in x, y and, in 3D, z.
+        vertices: Of the n simplices of this rank, of any dimension k ≥ 1 in d dimensions, shape (n, k + 1, d).
+        p: What is to be taken off.
+        tolerance: For each simplex, shape (n,).
+        comm: The ranks.
+        scale: Size of the whole domain: decides what is rounding in the place of a discontinuity; 0: nothing is.
+        by: What the tolerance is for: `Enclosure.norm`, `sup`, `slope`, `tilt` or the width of `mean`.
+        elementary: Bounds of sin, exp, …; by default those of NumPy.
+    """
+    algebra = elementary or FromNumPy()
+
+    def look(parts: Parts) -> Array:
+        starts = range(0, max(len(parts.own), 1), CHUNK)
+        return np.concatenate(
+            [_known(tree, parts.take(slice(a, a + CHUNK)), vertices, p, scale, algebra) for a in starts]
+        )
+
+    with np.errstate(all="ignore"):
+        work = _Bisection(vertices, tolerance, by)
+        parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
+        known = look(parts)
+        left = (BUDGET_EACH - 1) * comm.allreduce(len(vertices)) + BUDGET
+        while True:
+            active, cut = work.decide(parts, known)
+            wanted = 2 * comm.allreduce(np.count_nonzero(cut))
+            if not 0 < wanted <= left:
+                work.add(parts, known, unresolved=cut)
+                return work.result()
+            left -= wanted
+            work.add(parts.take(~active), known[~active], unresolved=np.zeros(np.count_nonzero(~active), dtype=bool))
+            halves = parts.halves(cut)
+            kept = active & ~cut
+            parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
+
+
+MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, RISE, LO, HI = range(12)
+"""Columns of what is known of a part: d's mean and its absolute value, the mean square of d and of |∇d| from above and
+below, |d|, |∇d|, |∇d·e|; e's range."""
+
+
+class _Bisection:
+    """The decision which parts are cut, and sums over the parts of simplices that are done."""
+
+    def __init__(self, vertices: Array, tolerance: Array, by: str):
+        n = len(vertices)
+        self._tolerance = tolerance
+        self._bounded = {"sup": SUP, "slope": SLOPE}.get(by)
+        self._above, self._below = {"mean": (MEAN_HI, MEAN_LO), "tilt": (STEEP, FLAT)}.get(by, (SQUARE, LEAST))
+        self._cost = np.ones(n, dtype=np.int64)
+        self._sums = np.zeros((n, 5))
+        self._most = np.zeros((n, 3))
+        self._range = np.tile([np.inf, -np.inf], (n, 1))
+        self._resolved = np.ones(n, dtype=bool)
+        self._place = vertices.mean(axis=1)
+
+    def decide(self, parts: Parts, known: Array) -> tuple[Mask, Mask]:
+        """Parts of simplices that too little is known of, and the worst of them, which are to be cut."""
+        own, n = parts.own, len(self._cost)
+        if self._bounded is not None:
+            bound = known[:, self._bounded]
+            gap = np.where(bound <= self._tolerance[own], 0.0, bound)
+            needy = np.bincount(own, gap > 0, n) > 0
+        else:
+            gap = parts.share * (known[:, self._above] - known[:, self._below])
+            left = np.bincount(own, gap, n)
+            if self._above == MEAN_HI:
+                needy = ~(left <= self._tolerance)
+            else:
+                upper = np.bincount(own, parts.share * known[:, self._above], n)
+                needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= self._tolerance**2))
+        largest = np.zeros(n)
+        np.maximum.at(largest, own, gap)
+        cut = needy[own] & (gap >= WORST * largest[own])
+        cost = self._cost + 2 * np.bincount(own, cut, n).astype(np.int64)
+        capped = needy & (cost > CAP)
+        self._resolved &= ~capped
+        needy &= ~capped
+        self._cost = np.where(needy, cost, self._cost)
+        return needy[own], cut & needy[own]
+
+    def add(self, parts: Parts, known: Array, unresolved: Mask) -> None:
+        """Sum up all parts of simplices that are done."""
+        own, n = parts.own, len(self._cost)
+        self._resolved[own[unresolved]] = False
+        for column, name in enumerate((MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)):
+            self._sums[:, column] += np.bincount(own, parts.share * known[:, name], n)
+        for column, name in enumerate((SUP, SLOPE, RISE)):
+            np.maximum.at(self._most[:, column], own, known[:, name])
+        np.minimum.at(self._range[:, 0], own, known[:, LO])
+        np.maximum.at(self._range[:, 1], own, known[:, HI])
+        order = np.argsort(parts.share * known[:, SQUARE], kind="stable")  # the last of each simplex is its worst
+        self._place[own[order]] = parts.vertices[order].mean(axis=1)
+
+    def result(self) -> Enclosure:
+        """The sums, inflated by their rounding: boxes are not fewer than the additions."""
+        rounding = self._cost * 2.0**-52
+        mean_lo, mean_hi, mean, *squares = self._sums.T
+        norm, tilt = (np.sqrt(square) * (1 + rounding) for square in squares)
+        return Enclosure(
+            mean=Interval(mean_lo - rounding * mean, mean_hi + rounding * mean),
+            norm=norm,
+            sup=self._most[:, 0],
+            slope=self._most[:, 1],
+            tilt=tilt,
+            rise=self._most[:, 2],
+            range=Interval(self._range[:, 0], self._range[:, 1]),
+            resolved=self._resolved & np.isfinite(norm),
+            place=self._place,
+            boxes=int(self._cost.sum()),
+        )
+
+
+def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, scale: float, elementary: Elementary) -> Array:
+    """What one box each says of the parts of simplices."""
+    places = parts.within(simplices)
+    e = evaluated(tree, places, scale, elementary)
+
+    # p in the centres, and how it changes from there
+    gradient, hessian = p.gradient[parts.own], p.hessian[parts.own]
+    steepness, curvature = np.abs(gradient), np.abs(hessian)
+    offset = places.centre - simplices[parts.own].mean(axis=1)
+    bend = np.einsum("nij,nj->ni", hessian, offset)
+    value = p.value[parts.own] + ((gradient + bend / 2) * offset).sum(axis=1)
+    distance = np.abs(offset)
+    bent = np.einsum("nij,nj->ni", curvature, distance)
+    size = np.abs(p.value[parts.own]) + ((steepness + bent) * distance).sum(axis=1)
+    p_here = _around(value, slack(size, size > 0))
+    reach = np.abs(places.arms).max(axis=1)
+    turned = np.einsum("nij,nj->ni", curvature, reach)
+    slope = _around(gradient + bend, slack(steepness + bent, steepness + curvature.sum(axis=2) > 0))
+    turns = np.einsum("nij,nvj->nvi", hessian, places.arms)
+    blur = slack(turned, turned > 0) + (1 + ROUNDING) * curvature.sum(axis=2) * places.pad
+    turn = Interval(turns.min(axis=1) - blur, turns.max(axis=1) + blur)
+    arch = (turned + 3 * curvature.sum(axis=2) * places.pad) * (reach + 3 * places.pad)
+    arch = (1 + ROUNDING) * arch.sum(axis=1) / 2
+
+    # ∇d, d(c) and d
+    curved = stacked([places.all_changes(h - enclosing(hessian[:, i])) for i, h in enumerate(e.hessian)])
+    G = (e.gradient - slope - turn).meet(e.middle_gradient - slope + curved)
+    at_centre = e.middle - p_here
+    d = (e.value - p_here - places.all_changes(slope) - Interval(-arch, arch)).meet(at_centre + places.all_changes(G))
+    ends = np.array(edges(simplices.shape[1])).T
+    rise = changes(G, simplices[:, ends[0]][parts.own] - simplices[:, ends[1]][parts.own], np.zeros_like(places.pad))
+    return _summary(d, at_centre, G, rise, places, e.value.meet(e.middle + places.all_changes(e.gradient)))
+
+
+def _around(value: Array, radius: Array) -> Interval:
+    return Interval(value - radius, value + radius)
+
+
+def _summary(d: Interval, at_centre: Interval, G: Interval, rise: Interval, places: Places, every: Interval) -> Array:
+    """The columns, from d and d(c), ∇d, ∇d·e and e."""
+    arms, reach = places.arms, np.abs(places.arms).max(axis=1)
+    corners = arms.shape[1]
+    count = corners * (corners + 1)
+    deviation = np.sqrt((arms**2).sum(axis=1) / count)
+    half = (G.hi + G.lo) / 2
+    radius = np.maximum(G.hi - half, half - G.lo)
+    rest = (radius * deviation + G.largest * (4 * places.pad + ROUNDING * reach)).sum(axis=1) * (1 + ROUNDING)
+    rest += np.where((G.largest > 0).any(axis=1), TINY, 0.0)
+    tilt = np.sqrt((np.einsum("nvi,ni->nv", arms, half) ** 2).sum(axis=1) / count)
+    mean = d.meet(at_centre + Interval(-rest, rest))
+    norm = np.fmin(d.largest, np.hypot(at_centre.largest, tilt) + rest) * (1 + ROUNDING)
+    least = np.fmax(mean.smallest, np.hypot(at_centre.smallest, tilt) - rest)
+    mean = mean.where(~np.isnan(mean.lo + mean.hi), WHOLE)
+    every = every.where(~np.isnan(every.lo + every.hi), WHOLE)
+    steep = _square(G.largest).sum(axis=1) * (1 + ROUNDING)
+    columns = [
+        mean.lo,
+        mean.hi,
+        mean.largest,
+        _square(norm),
+        np.minimum(np.fmax(least, 0.0), norm) ** 2,
+        steep,
+        (G.smallest**2).sum(axis=1),
+        d.largest,
+        np.sqrt(steep) * (1 + ROUNDING),
+        rise.largest.max(axis=1),
+        every.lo,
+        every.hi,
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _square(a: Array) -> Array:
+    """a², more than 0 where a is."""
+    return np.maximum(a * a * (1 + ROUNDING), np.where(a > 0, TINY, 0.0))

@@ -1,0 +1,25 @@
+"""Expressions: text is read once into a tree; the tree serves UFL, NumPy with gradients, and intervals.
+
+Text → `read` → tree; `to_ufl`, `values`, `values_and_gradient`, `interval` and `interval_and_gradient` evaluate it. A
+function of the language is one row of the table in `functions`.
+"""
+
+from signorini_fenicsx.expressions.evaluation import interval, interval_and_gradient, values, values_and_gradient
+from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
+from signorini_fenicsx.expressions.symbolic import to_ufl
+from signorini_fenicsx.expressions.tree import TREES, Tree, exactly, polynomial_degree
+
+__all__ = [
+    "TREES",
+    "Tree",
+    "exactly",
+    "interval",
+    "interval_and_gradient",
+    "parse_expression",
+    "parse_number",
+    "polynomial_degree",
+    "read",
+    "to_ufl",
+    "values",
+    "values_and_gradient",
+]

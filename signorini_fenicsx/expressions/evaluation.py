@@ -1,0 +1,158 @@
+"""Trees in NumPy and in intervals, with gradients.
+
+Variables are given by name, so `{"x": ..., "y": ...}`; a gradient has one entry for each of them, in that order. Where
+min, max, abs or a condition change branch there is no gradient: in NumPy it is that of the branch taken, in intervals
+that of both (Clarke's, which the mean value theorem allows) where they meet continuously for sure, and else everything.
+"""
+
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.expressions import intervals
+from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
+from signorini_fenicsx.expressions.functions import FUNCTIONS
+from signorini_fenicsx.expressions.intervals import Array, Elementary, FromNumPy, Interval, Mask, Truth, enclosing
+from signorini_fenicsx.expressions.tree import Number, Tree, evaluate
+
+_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+
+
+class _Logic:
+    """Conditions that have & | ~."""
+
+    def both(self, left: Any, right: Any) -> Any:
+        return left & right
+
+    def either(self, left: Any, right: Any) -> Any:
+        return left | right
+
+    def opposite(self, condition: Any) -> Any:
+        return ~condition
+
+
+class Numeric(_Logic):
+    """Arrays."""
+
+    def __init__(self, names: Mapping[str, Array]):
+        self._names = names
+
+    def constant(self, value: float) -> Any:
+        return np.float64(value)
+
+    def number(self, number: Number) -> Any:
+        return np.float64(number.value)
+
+    def coordinate(self, name: str) -> Array:
+        return self._names[name]
+
+    def power(self, base: Array, exponent: Array) -> Any:
+        return np.power(base, exponent)
+
+    def call(self, name: str, arguments: Sequence[Array]) -> Any:
+        return FUNCTIONS[name].numeric(*arguments)
+
+    def compare(self, sign: str, left: Array, right: Array) -> Mask:
+        return np.asarray(_COMPARISONS[sign](left, right))
+
+    def choose(self, condition: Mask, then: Array, otherwise: Array) -> Any:
+        return np.where(condition, then, otherwise)
+
+    jump = choose
+    """The gradient of a choice between discontinuous things."""
+
+
+class Intervals(_Logic):
+    """Intervals."""
+
+    def __init__(self, names: Mapping[str, Interval], elementary: Elementary):
+        self._names = names
+        self._elementary = elementary
+
+    def constant(self, value: float) -> Interval:
+        return enclosing(value)
+
+    def number(self, number: Number) -> Interval:
+        if number.below == number.above:
+            return enclosing(number.value)
+        return Interval(np.asarray(number.below), np.asarray(number.above))
+
+    def coordinate(self, name: str) -> Interval:
+        return self._names[name]
+
+    def power(self, base: Interval, exponent: Interval) -> Interval:
+        return intervals.power(self._elementary, base, exponent)
+
+    def call(self, name: str, arguments: Sequence[Interval]) -> Interval:
+        return FUNCTIONS[name].enclosure(self._elementary, *arguments)
+
+    def compare(self, sign: str, left: Interval, right: Interval) -> Truth:
+        match sign:
+            case "<":
+                return Truth(left.hi < right.lo, ~(left.lo >= right.hi))
+            case "<=":
+                return Truth(left.hi <= right.lo, ~(left.lo > right.hi))
+            case "==":
+                return self.compare("<=", left, right) & self.compare("<=", right, left)
+            case "!=":
+                return ~self.compare("==", left, right)
+        return self.compare(sign.replace(">", "<"), right, left)
+
+    def choose(self, condition: Truth, then: Interval, otherwise: Interval) -> Interval:
+        undecided = then.hull(otherwise)
+        return then.where(condition.surely, undecided.where(condition.possibly, otherwise))
+
+    def jump(self, condition: Truth, then: Interval, otherwise: Interval) -> Interval:
+        return then.where(condition.surely, intervals.WHOLE.where(condition.possibly, otherwise))
+
+
+def values(tree: Tree, points: Mapping[str, Array]) -> Array:
+    """Values in points, whose coordinates are arrays of one shape; NaN or ±inf where there is none."""
+    with np.errstate(all="ignore"):
+        found = evaluate(tree, Numeric(points))
+    return np.array(np.broadcast_to(found, _shape(points)))
+
+
+def values_and_gradient(tree: Tree, points: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Values in points, and the derivatives with respect to each name as a last axis."""
+    with np.errstate(all="ignore"):
+        found: Dual = evaluate(tree, Differentiated(Numeric({}), _variables(points, np.float64(1.0))))
+    shape = _shape(points)
+    gradient = [np.broadcast_to(found.gradient.get(name, 0.0), shape) for name in points]
+    return np.array(np.broadcast_to(found.values[0], shape)), np.stack(gradient, axis=-1)
+
+
+def interval(tree: Tree, box: Mapping[str, Interval], elementary: Elementary | None = None) -> Interval:
+    """An enclosure of all values on boxes; NaN where the expression may be undefined somewhere in a box."""
+    with np.errstate(all="ignore"):
+        found: Interval = evaluate(tree, Intervals(box, elementary or FromNumPy()))
+    return found.on(next(iter(box.values())).lo.shape)
+
+
+def interval_and_gradient(
+    tree: Tree, box: Mapping[str, Interval], elementary: Elementary | None = None
+) -> tuple[Interval, list[Interval]]:
+    """Enclosures of all values, and of all derivatives with respect to each name."""
+    algebra = Differentiated(Intervals({}, elementary or FromNumPy()), _variables(box, enclosing(1.0)))
+    with np.errstate(all="ignore"):
+        found: Dual = evaluate(tree, algebra)
+    shape = next(iter(box.values())).lo.shape
+    zero = enclosing(0.0)
+    return found.values[0].on(shape), [found.gradient.get(name, zero).on(shape) for name in box]
+
+
+def _shape(points: Mapping[str, Array]) -> tuple[int, ...]:
+    return np.shape(next(iter(points.values())))
+
+
+def _variables(names: Mapping[str, Any], one: Any) -> dict[str, Dual]:
+    return {name: Dual((value,), {name: one}) for name, value in names.items()}

@@ -1,0 +1,320 @@
+"""Interval arithmetic over many boxes at once, rounded outward.
+
++ − * / and √ of IEEE arithmetic are correctly rounded, so a float to either side contains the true result. exp, sin, …
+are not: `Elementary` says between which floats their values are. Its default takes NumPy's and adds ULPS units in the
+last place, which is what their authors measured and not a theorem; a library with proven bounds can take its place.
+
+NaN at an end says that nothing is known: the expression may be undefined there. It spreads like all NaN.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+type Array = npt.NDArray[np.float64]
+type Mask = npt.NDArray[np.bool_]
+
+ULPS = 8
+"""NumPy's vectorised functions keep to 4 units in the last place."""
+LARGE = 1e6
+"""sin, cos and tan of larger arguments are not reduced: nothing is said of them but their range."""
+LARGEST_POWER = 2**20
+"""Integer powers up to this are products."""
+
+
+def _down(value: Array) -> Array:
+    return np.nextafter(value, -np.inf)
+
+
+def _up(value: Array) -> Array:
+    return np.nextafter(value, np.inf)
+
+
+def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """fl(a + b) and a + b − fl(a + b), both exact (Knuth), the latter NaN where the sum is not finite."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+def _extremes(candidates: list[Array]) -> tuple[Array, Array]:
+    return functools.reduce(np.minimum, candidates), functools.reduce(np.maximum, candidates)
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """All numbers from lo to hi, arrays of one shape; ±inf where unbounded, NaN where nothing is known."""
+
+    lo: Array
+    hi: Array
+
+    __array_ufunc__ = None  # array + Interval is Interval.__radd__
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.hi, -self.lo)
+
+    def __add__(self, other: Interval | float | Array) -> Interval:
+        other = enclosing(other)
+        lo, error = _two_sum(self.lo, other.lo)
+        hi, error_above = _two_sum(self.hi, other.hi)
+        return Interval(np.where(error >= 0, lo, _down(lo)), np.where(error_above <= 0, hi, _up(hi)))
+
+    def __sub__(self, other: Interval | float | Array) -> Interval:
+        return self + -enclosing(other)
+
+    def __mul__(self, other: Interval | float | Array) -> Interval:
+        if other is self:
+            return _size_power(absolute(self), 2)
+        other = enclosing(other)
+        lowest, highest = _extremes([a * b for a in self._ends for b in other._ends])
+        exact = self.is_zero | other.is_zero
+        return Interval(np.where(exact, lowest, _down(lowest)), np.where(exact, highest, _up(highest)))
+
+    def __truediv__(self, other: Interval | float | Array) -> Interval:
+        other = enclosing(other)
+        lowest, highest = _extremes([a / b for a in self._ends for b in other._ends])
+        unknown = np.where(~((other.lo > 0) | (other.hi < 0)), np.nan, 0.0)
+        exact = self.is_zero
+        return Interval(
+            np.where(exact, lowest, _down(lowest)) + unknown, np.where(exact, highest, _up(highest)) + unknown
+        )
+
+    def __radd__(self, other: float | Array) -> Interval:
+        return self + other
+
+    def __rsub__(self, other: float | Array) -> Interval:
+        return -self + other
+
+    def __rmul__(self, other: float | Array) -> Interval:
+        return self * other
+
+    def __rtruediv__(self, other: float | Array) -> Interval:
+        return enclosing(other) / self
+
+    @property
+    def _ends(self) -> tuple[Array, ...]:
+        return (self.lo,) if self.lo is self.hi else (self.lo, self.hi)
+
+    @property
+    def is_zero(self) -> Mask:
+        """Where it is the number 0."""
+        return (self.lo == 0) & (self.hi == 0)
+
+    @property
+    def finite(self) -> Mask:
+        """Where both ends are finite."""
+        return np.isfinite(self.lo) & np.isfinite(self.hi)
+
+    @property
+    def largest(self) -> Array:
+        """Bound of the absolute value, infinite where nothing is known."""
+        return np.nan_to_num(np.maximum(-self.lo, self.hi), nan=np.inf, posinf=np.inf)
+
+    @property
+    def smallest(self) -> Array:
+        """Lower bound of the absolute value, 0 where nothing is known."""
+        return np.fmax(np.fmax(self.lo, -self.hi), 0.0) * ~np.isnan(self.lo + self.hi)
+
+    def hull(self, other: Interval) -> Interval:
+        """The smallest interval that contains both."""
+        return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
+
+    def meet(self, other: Interval) -> Interval:
+        """What both contain; two enclosures of one thing, of which one may know nothing."""
+        return Interval(np.fmax(self.lo, other.lo), np.fmin(self.hi, other.hi))
+
+    def on(self, shape: tuple[int, ...]) -> Interval:
+        """With ends of this shape."""
+        return Interval(np.array(np.broadcast_to(self.lo, shape)), np.array(np.broadcast_to(self.hi, shape)))
+
+    def where(self, mask: Mask, other: Interval) -> Interval:
+        """Itself where the mask is set, the other elsewhere."""
+        return Interval(np.where(mask, self.lo, other.lo), np.where(mask, self.hi, other.hi))
+
+
+def enclosing(value: Interval | float | Array) -> Interval:
+    """An interval as it is; a float as the interval of that number."""
+    if isinstance(value, Interval):
+        return value
+    array = np.asarray(value, dtype=np.float64)
+    return Interval(array, array)
+
+
+WHOLE = Interval(np.asarray(-np.inf), np.asarray(np.inf))
+UNKNOWN = enclosing(np.nan)
+PI = Interval(np.asarray(np.pi), np.nextafter(np.pi, np.inf))
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Whether a condition holds on all of a box, and whether it may hold somewhere in it."""
+
+    surely: Mask
+    possibly: Mask
+
+    def __and__(self, other: Truth) -> Truth:
+        return Truth(self.surely & other.surely, self.possibly & other.possibly)
+
+    def __or__(self, other: Truth) -> Truth:
+        return Truth(self.surely | other.surely, self.possibly | other.possibly)
+
+    def __invert__(self) -> Truth:
+        return Truth(~self.possibly, ~self.surely)
+
+
+class Elementary(Protocol):
+    """Bounds of elementary functions at floats."""
+
+    def bounds(self, name: str, *arguments: Array) -> tuple[Array, Array]:
+        """Floats below and above exp, log, sin, cos, tan, tanh (of one argument), atan2 or pow (of two)."""
+
+
+class FromNumPy:
+    """NumPy's functions, ULPS units in the last place to either side."""
+
+    _FUNCTIONS: dict[str, Callable[..., Array]] = {  # noqa: RUF012
+        "exp": np.exp,
+        "log": np.log,
+        "sin": np.sin,
+        "cos": np.cos,
+        "tan": np.tan,
+        "tanh": np.tanh,
+        "atan2": np.arctan2,
+        "pow": np.power,
+    }
+
+    def bounds(self, name: str, *arguments: Array) -> tuple[Array, Array]:
+        """See `Elementary`."""
+        values = self._FUNCTIONS[name](*arguments)
+        slack = ULPS * np.spacing(np.abs(values))
+        slack = np.where(np.isinf(values), 0.0, slack)
+        return _down(values - slack), _up(values + slack)
+
+
+def monotone(name: str, elementary: Elementary, a: Interval) -> Interval:
+    """A function that grows with its argument."""
+    return Interval(elementary.bounds(name, a.lo)[0], elementary.bounds(name, a.hi)[1])
+
+
+def exp(elementary: Elementary, a: Interval) -> Interval:
+    """The exponential."""
+    result = monotone("exp", elementary, a)
+    return Interval(np.maximum(result.lo, 0.0), result.hi)
+
+
+def log(elementary: Elementary, a: Interval) -> Interval:
+    """The logarithm; nothing is known where a may be negative."""
+    return UNKNOWN.where(a.lo < 0, monotone("log", elementary, a))
+
+
+def tanh(elementary: Elementary, a: Interval) -> Interval:
+    """The hyperbolic tangent."""
+    result = monotone("tanh", elementary, a)
+    return Interval(np.maximum(result.lo, -1.0), np.minimum(result.hi, 1.0))
+
+
+def sqrt(_: Elementary, a: Interval) -> Interval:
+    """The square root; nothing is known where a may be negative."""
+    lo, hi = np.sqrt(a.lo), np.sqrt(a.hi)
+    roots = Interval(np.where(lo == 0, 0.0, _down(lo)), np.where(hi == 0, 0.0, _up(hi)))
+    return UNKNOWN.where(a.lo < 0, roots)
+
+
+def absolute(a: Interval) -> Interval:
+    """The absolute value."""
+    lo = np.maximum(np.maximum(a.lo, -a.hi), 0.0)
+    return Interval(lo, np.maximum(-a.lo, a.hi))
+
+
+def smaller(a: Interval, b: Interval) -> Interval:
+    """The smaller of two numbers."""
+    return Interval(np.minimum(a.lo, b.lo), np.minimum(a.hi, b.hi))
+
+
+def larger(a: Interval, b: Interval) -> Interval:
+    """The larger of two numbers."""
+    return Interval(np.maximum(a.lo, b.lo), np.maximum(a.hi, b.hi))
+
+
+def sin(elementary: Elementary, a: Interval) -> Interval:
+    """The sine, largest in (1/4 + k) 2π and smallest in (3/4 + k) 2π."""
+    return _wave("sin", 0.25, elementary, a)
+
+
+def cos(elementary: Elementary, a: Interval) -> Interval:
+    """The cosine, largest in k 2π and smallest in (1/2 + k) 2π."""
+    return _wave("cos", 0.0, elementary, a)
+
+
+def _wave(name: str, peak: float, elementary: Elementary, a: Interval) -> Interval:
+    large = ~((a.lo > -LARGE) & (a.hi < LARGE))
+    ends = [elementary.bounds(name, np.where(large, 0.0, end)) for end in (a.lo, a.hi)]
+    turns = a / (2.0 * PI)
+    highest = large | _has_integer(turns - peak)
+    lowest = large | _has_integer(turns - (peak + 0.5))
+    lo = np.where(lowest, -1.0, np.maximum(np.minimum(ends[0][0], ends[1][0]), -1.0))
+    hi = np.where(highest, 1.0, np.minimum(np.maximum(ends[0][1], ends[1][1]), 1.0))
+    unknown = np.where(np.isnan(a.lo) | np.isnan(a.hi), np.nan, 0.0)
+    return Interval(lo + unknown, hi + unknown)
+
+
+def _has_integer(a: Interval) -> Mask:
+    return np.floor(a.hi) >= np.ceil(a.lo)
+
+
+def tan(elementary: Elementary, a: Interval) -> Interval:
+    """The tangent, which grows between its poles (1/2 + k) π; nothing is known where one may be."""
+    pole = _has_integer(a / PI - 0.5) | ~((a.lo > -LARGE) & (a.hi < LARGE))
+    safe = Interval(np.where(pole, 0.0, a.lo), np.where(pole, 0.0, a.hi))
+    return UNKNOWN.where(pole, monotone("tan", elementary, safe))
+
+
+def atan2(elementary: Elementary, y: Interval, x: Interval) -> Interval:
+    """The angle of (x, y) in (−π, π]: π, not −π, where y = 0 and x < 0, whatever the sign of that 0; 0 in the origin.
+
+    Away from the cut and the origin it is largest and smallest in corners of the box.
+    """
+    corners = [elementary.bounds("atan2", b + 0.0, a + 0.0) for b in (y.lo, y.hi) for a in (x.lo, x.hi)]
+    result = Interval(np.minimum.reduce([c[0] for c in corners]), np.maximum.reduce([c[1] for c in corners]))
+    limit = Interval(-PI.hi, PI.hi).where(x.lo < 0, Interval(-PI.hi / 2, PI.hi / 2))
+    on_cut = (y.lo < 0) & (y.hi >= 0) & (x.lo < 0)
+    origin = (y.lo <= 0) & (y.hi >= 0) & (x.lo <= 0) & (x.hi >= 0)
+    unknown = np.where(np.isnan(y.lo) | np.isnan(y.hi) | np.isnan(x.lo) | np.isnan(x.hi), np.nan, 0.0)
+    result = limit.where(on_cut | origin, result)
+    return Interval(result.lo + unknown, result.hi + unknown)
+
+
+def power(elementary: Elementary, base: Interval, exponent: Interval) -> Interval:
+    """Of any base if the exponent is one integer; else nothing is known where the base may be negative."""
+    if exponent.lo.ndim == 0 and exponent.lo == exponent.hi and float(exponent.lo).is_integer():
+        n = int(exponent.lo)
+        if abs(n) <= LARGEST_POWER:
+            return _integer_power(base, n) if n >= 0 else 1.0 / _integer_power(base, -n)
+    corners = [elementary.bounds("pow", a, b) for a in (base.lo, base.hi) for b in (exponent.lo, exponent.hi)]
+    lo = np.maximum(np.minimum.reduce([c[0] for c in corners]), 0.0)
+    hi = np.maximum.reduce([c[1] for c in corners])
+    known = (base.lo > 0) | ((base.lo == 0) & (exponent.lo > 0))
+    return Interval(lo, hi).where(known, UNKNOWN)
+
+
+def _integer_power(base: Interval, n: int) -> Interval:
+    if n % 2 == 0:
+        return _size_power(absolute(base), n)
+    lowest, highest = (enclosing(end) * _size_power(enclosing(np.abs(end)), n - 1) for end in (base.lo, base.hi))
+    return Interval(lowest.lo, highest.hi)
+
+
+def _size_power(size: Interval, n: int) -> Interval:
+    """A power of numbers ≥ 0, by squaring."""
+    if n == 0:
+        return enclosing(np.ones_like(size.lo))
+    half = _size_power(size, n // 2)
+    square = Interval(_down(half.lo * half.lo), _up(half.hi * half.hi))
+    product = square * size if n % 2 else square
+    return Interval(np.maximum(product.lo, 0.0), np.where(size.hi == 0, 0.0, product.hi))

@@ -1,0 +1,79 @@
+"""Quadratic functions on single simplices of any dimension, without a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.expressions.evaluation import values
+from signorini_fenicsx.expressions.tree import Tree
+
+type Array = npt.NDArray[np.float64]
+
+INSIDE = 0.75
+"""Nodes of an interpolant are so much nearer to the centroid than those of P2."""
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """p(x) = value + gradient·(x − x_T) + ½(x − x_T)·hessian (x − x_T) on each simplex T with centroid x_T.
+
+    Attributes:
+        value: Shape (n,).
+        gradient: Shape (n, d), along T.
+        hessian: Shape (n, d, d), symmetric, along T.
+    """
+
+    value: Array
+    gradient: Array
+    hessian: Array
+
+
+def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadratic:
+    """The quadratic with given values.
+
+    Args:
+        vertices: Of n simplices of dimension k, shape (n, k + 1, d).
+        at_vertices: Shape (n, k + 1).
+        at_midpoints: Of edges, in the order of `edges`, shape (n, (k + 1)k/2).
+    """
+    corners = vertices.shape[1]
+    slopes = barycentric_gradients(vertices)
+    # p = Σ a_v λ_v + 4 Σ_{v<w} b_vw λ_v λ_w, b_vw what the midpoint has above the mean of its ends
+    bend = np.zeros((len(vertices), corners, corners))
+    for column, (v, w) in enumerate(edges(corners)):
+        bend[:, v, w] = bend[:, w, v] = 4 * (at_midpoints[:, column] - (at_vertices[:, v] + at_vertices[:, w]) / 2)
+    value = at_vertices.mean(axis=1) + bend.sum(axis=(1, 2)) / (2 * corners**2)
+    gradient = np.einsum("nv,nvi->ni", at_vertices + bend.sum(axis=2) / corners, slopes)
+    return Quadratic(value, gradient, np.einsum("nvi,nvw,nwj->nij", slopes, bend, slopes))
+
+
+def interpolated(tree: Tree, vertices: Array) -> Quadratic:
+    """The quadratic that has the values of a tree in six points inside each simplex, ten in 3D (three on an edge).
+
+    They are nodes of P2, moved inside: data that jump between simplices have the values of the simplex there.
+    """
+    centre = vertices.mean(axis=1, keepdims=True)
+    ends = np.array(edges(vertices.shape[1])).T
+    corners = centre + INSIDE * (vertices - centre)
+    midpoints = (corners[:, ends[0]] + corners[:, ends[1]]) / 2
+    in_nodes = [values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))) for x in (corners, midpoints)]
+    return quadratic(corners, *in_nodes)
+
+
+def constant(means: Array, dim: int) -> Quadratic:
+    """The constants."""
+    return Quadratic(means, np.zeros((len(means), dim)), np.zeros((len(means), dim, dim)))
+
+
+def edges(corners: int) -> list[tuple[int, int]]:
+    """Pairs of vertices of a simplex."""
+    return [(v, w) for v in range(corners) for w in range(v + 1, corners)]
+
+
+def barycentric_gradients(vertices: Array) -> Array:
+    """Gradients of the barycentric coordinates along each simplex, shape (n, k + 1, d)."""
+    inverse = np.linalg.pinv((vertices[:, 1:] - vertices[:, :1]).transpose(0, 2, 1))
+    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)

@@ -1,0 +1,191 @@
+"""Trees over simplices: values, gradients and Hessians over bounding boxes, values and gradients in centroids."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
+from signorini_fenicsx.expressions.evaluation import Intervals
+from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, Mask, Truth, enclosing
+from signorini_fenicsx.expressions.quadratics import edges
+from signorini_fenicsx.expressions.tree import Tree, evaluate
+
+NEAR = 1e-12
+"""Distance, relative to the size of the domain, at which a mesh fits a discontinuity of the data."""
+ROUNDING = 1e-13
+"""What rounding may leave of sums of up to 100 products, relative to that of absolute values: 450 times 2⁻⁵²."""
+TINY = 1e-300
+"""More than what underflow leaves of such a sum that is not 0."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of simplices: vertices, the simplex they are of, and their share of its measure."""
+
+    vertices: Array
+    own: np.ndarray[tuple[int], np.dtype[np.int64]]
+    share: Array
+
+    def within(self, simplices: Array) -> Places:
+        """Where they are; the vertices are those of all simplices."""
+        whole = simplices[self.own]
+        generations = -np.log2(self.share)
+        pad = ((generations + 4) * np.spacing(np.abs(whole).max(axis=(1, 2))))[:, None]
+        lo = np.maximum(self.vertices.min(axis=1) - pad, whole.min(axis=1))
+        hi = np.minimum(self.vertices.max(axis=1) + pad, whole.max(axis=1))
+        centre = np.clip(self.vertices.mean(axis=1), lo, hi)
+        return Places(centre, self.vertices - centre[:, None], pad, Interval(lo, hi))
+
+    def take(self, which: slice | Mask) -> Parts:
+        """Some of them."""
+        return Parts(self.vertices[which], self.own[which], self.share[which])
+
+    def and_(self, other: Parts) -> Parts:
+        """These and others."""
+        pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
+        return Parts(*(np.concatenate(pair) for pair in pairs))
+
+    def halves(self, which: Mask) -> Parts:
+        """Both halves of some of them, cut through the middle of their longest edge."""
+        chosen = self.take(which)
+        pairs = np.array(edges(self.vertices.shape[1]))
+        lengths = [((chosen.vertices[:, v] - chosen.vertices[:, w]) ** 2).sum(axis=1) for v, w in pairs]
+        v, w = pairs[np.stack(lengths, axis=1).argmax(axis=1)].T
+        rows = np.arange(len(chosen.own))
+        middle = (chosen.vertices[rows, v] + chosen.vertices[rows, w]) / 2
+        first, second = chosen.vertices.copy(), chosen.vertices.copy()
+        first[rows, v] = middle
+        second[rows, w] = middle
+        own, share = np.tile(chosen.own, 2), np.tile(chosen.share / 2, 2)
+        return Parts(np.concatenate([first, second]), own, share)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where parts are, whose exact vertices are bisection's of the floats that are those of the simplex.
+
+    Rounding of a midpoint adds at most a unit in the last place of the simplex's largest coordinate, so what is stored
+    is off by at most one per generation. pad has four more for rounding of the centroid. The exact part lies in the
+    box, that of the stored vertices with the pad, but not more than that of the simplex.
+
+    Attributes:
+        centre: A float in the box, off the exact centroid by at most the pad, shape (n, d).
+        arms: Vertices as seen from there, off by at most the pad and a relative rounding, shape (n, k + 1, d).
+        pad: Shape (n, 1).
+        box: Shape (n, d).
+    """
+
+    centre: Array
+    arms: Array
+    pad: Array
+    box: Interval
+
+    def all_changes(self, slope: Interval) -> Interval:
+        """All values of slope·(x − c) on the exact parts."""
+        return _hull(changes(slope, self.arms, self.pad))
+
+
+class _OnSimplices(Differentiated):
+    """Values, gradients and Hessians over boxes, values and gradients in centres; conditions by the mean value form."""
+
+    def __init__(self, inner: Differentiated, names: Mapping[str, Dual], places: Places, near: Array):
+        super().__init__(inner, names)
+        self._where = places
+        self._near = near
+
+    def compare(self, sign: str, left: Dual, right: Dual) -> tuple[Any, ...]:
+        """Almost everywhere: where one side changes along T for sure, equality is a set of measure 0."""
+        over_box, at_centre = super().compare(sign, left, right)
+        difference = left - right
+        if not difference.gradient:
+            return over_box, at_centre
+        shape = (len(self._where.pad),)
+        box, centre = (value.values[0].on(shape) for value in difference.values)
+        slopes = [difference.gradient[name].values[0].on(shape) for name in difference.gradient]
+        axes = [list(self._names).index(name) for name in difference.gradient]
+        along = changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
+        all_values = box.meet(centre + _hull(along))
+        change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
+        varies = change > 0
+        slack = np.where(varies, self._near * change, 0.0)
+        below, above = varies & (all_values.hi <= slack), varies & (all_values.lo >= -slack)
+        truth: Truth = over_box[0]
+        match sign:
+            case "==":
+                known = Truth(~varies & truth.surely, ~varies & truth.possibly)
+            case "!=":
+                known = Truth(varies | truth.surely, varies | truth.possibly)
+            case _:
+                holds, fails = (below, above) if sign[0] == "<" else (above, below)
+                known = Truth(truth.surely | (holds & ~fails), truth.possibly & ~(fails & ~holds))
+        return (known,), at_centre
+
+
+def stacked(columns: Sequence[Interval]) -> Interval:
+    """Intervals side by side."""
+    return Interval(np.stack([a.lo for a in columns], axis=1), np.stack([a.hi for a in columns], axis=1))
+
+
+def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
+    """slope·arm for each exact arm, shape (n, arms); entries are off by at most the pad and a relative rounding."""
+    ends = [end[:, None, :] * arms for end in (slope.lo, slope.hi)]
+    lo, hi = np.minimum(*ends), np.maximum(*ends)
+    steepness = np.maximum(np.abs(slope.lo), np.abs(slope.hi))[:, None, :]
+    left = slack((steepness * np.abs(arms)).sum(axis=2), steepness.sum(axis=2) > 0)
+    left = left + (1 + ROUNDING) * (steepness * pad[:, None]).sum(axis=2)
+    return Interval(lo.sum(axis=2) - left, hi.sum(axis=2) + left)
+
+
+def slack(size: Array, some: Mask) -> Array:
+    """What rounding and underflow leave of sums of products whose absolute values sum up to this, if some are not 0."""
+    return np.asarray(ROUNDING * size + np.where(some, TINY, 0.0))
+
+
+def _hull(columns: Interval) -> Interval:
+    return Interval(columns.lo.min(axis=1), columns.hi.max(axis=1))
+
+
+@dataclass(frozen=True)
+class Local:
+    """Enclosures of e over parts and in their centres, as arrays."""
+
+    value: Interval
+    gradient: Interval
+    hessian: list[Interval]
+    middle: Interval
+    middle_gradient: Interval
+
+    @staticmethod
+    def of(found: Dual, n: int, names: str) -> Local:
+        def row(gradient: Mapping[str, Interval]) -> Interval:
+            return stacked([gradient.get(name, enclosing(0.0)).on((n,)) for name in names])
+
+        derivatives = [found.gradient.get(name, Dual((enclosing(0.0),), {})) for name in names]
+        over_box, middle = found.values
+        return Local(
+            over_box.values[0].on((n,)),
+            stacked([derivative.values[0].on((n,)) for derivative in derivatives]),
+            [row(derivative.gradient) for derivative in derivatives],
+            middle.values[0].on((n,)),
+            row(middle.gradient),
+        )
+
+
+def evaluated(tree: Tree, places: Places, scale: float, elementary: Elementary) -> Local:
+    """A tree over boxes with first and second derivatives, and in centres with first ones."""
+    centre, lo, hi = places.centre, places.box.lo, places.box.hi
+    names = "xyz"[: centre.shape[1]]
+    near = NEAR * scale / np.maximum((hi - lo).max(axis=1), 1e-300)
+    one = enclosing(1.0)
+    both_of = {name: (Interval(lo[:, i], hi[:, i]), enclosing(centre[:, i])) for i, name in enumerate(names)}
+    inner = Differentiated(Intervals({}, elementary), {name: Dual((box,), {}) for name, (box, _) in both_of.items()})
+    variables = {
+        name: Dual(tuple(Dual((a,), {name: one}) for a in both), {name: Dual((one,), {})})
+        for name, both in both_of.items()
+    }
+    found: Dual = evaluate(tree, _OnSimplices(inner, variables, places, near))
+    return Local.of(found, len(centre), names)

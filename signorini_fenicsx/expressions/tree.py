@@ -1,0 +1,190 @@
+"""The expression tree, and the one walk over it that all evaluations share."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A literal, or pi: the nearest float, and floats on both sides of the number itself, equal if it is a float."""
+
+    value: float
+    below: float
+    above: float
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinate:
+    """A name of the text that stands for a variable."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Negative:
+    """−a."""
+
+    operand: Tree
+
+
+@dataclass(frozen=True, slots=True)
+class Binary:
+    """A sum, difference, product or quotient, as its sign says, or ^, a power."""
+
+    sign: str
+    left: Tree
+    right: Tree
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A function of the language."""
+
+    name: str
+    arguments: tuple[Tree, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Conditional:
+    """`then` where the condition holds, else `otherwise`."""
+
+    condition: Condition
+    then: Tree
+    otherwise: Tree
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One of < <= > >= == !=; a chain of them is an `And`."""
+
+    sign: str
+    left: Tree
+    right: Tree
+
+
+@dataclass(frozen=True, slots=True)
+class And:
+    """All of them hold."""
+
+    operands: tuple[Condition, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Or:
+    """One of them holds."""
+
+    operands: tuple[Condition, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Not:
+    """It does not hold."""
+
+    operand: Condition
+
+
+type Tree = Number | Coordinate | Negative | Binary | Call | Conditional
+type Condition = Comparison | And | Or | Not
+
+
+TREES = Number | Coordinate | Negative | Binary | Call | Conditional
+"""For isinstance."""
+
+
+def exactly(value: float) -> Number:
+    """The number that a float is."""
+    return Number(float(value), float(value), float(value))
+
+
+class Algebra(Protocol):
+    """What a tree is evaluated in. Its values have + − * / and the unary −.
+
+    `number` and `coordinate` are the leaves, `both`, `either` and `opposite` join conditions made by `compare`.
+    """
+
+    def number(self, number: Number) -> Any: ...
+
+    def coordinate(self, name: str) -> Any: ...
+
+    def power(self, base: Any, exponent: Any) -> Any: ...
+
+    def call(self, name: str, arguments: Sequence[Any]) -> Any: ...
+
+    def compare(self, sign: str, left: Any, right: Any) -> Any: ...
+
+    def both(self, left: Any, right: Any) -> Any: ...
+
+    def either(self, left: Any, right: Any) -> Any: ...
+
+    def opposite(self, condition: Any) -> Any: ...
+
+    def choose(self, condition: Any, then: Any, otherwise: Any) -> Any: ...
+
+
+ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+
+
+def evaluate(tree: Tree, algebra: Algebra) -> Any:
+    """The value of a tree in an algebra."""
+    match tree:
+        case Number():
+            return algebra.number(tree)
+        case Coordinate(name=name):
+            return algebra.coordinate(name)
+        case Negative(operand=operand):
+            return -evaluate(operand, algebra)
+        case Binary(sign=sign, left=left, right=right):
+            if sign == "^":
+                return algebra.power(evaluate(left, algebra), evaluate(right, algebra))
+            return ARITHMETIC[sign](evaluate(left, algebra), evaluate(right, algebra))
+        case Call(name=name, arguments=arguments):
+            return algebra.call(name, [evaluate(argument, algebra) for argument in arguments])
+        case Conditional(condition=condition, then=then, otherwise=otherwise):
+            return algebra.choose(_holds(condition, algebra), evaluate(then, algebra), evaluate(otherwise, algebra))
+
+
+def _holds(condition: Condition, algebra: Algebra) -> Any:
+    match condition:
+        case Comparison(sign=sign, left=left, right=right):
+            return algebra.compare(sign, evaluate(left, algebra), evaluate(right, algebra))
+        case And(operands=operands) | Or(operands=operands):
+            join = algebra.both if isinstance(condition, And) else algebra.either
+            return functools.reduce(join, (_holds(operand, algebra) for operand in operands))
+        case Not(operand=operand):
+            return algebra.opposite(_holds(operand, algebra))
+
+
+def polynomial_degree(tree: Tree) -> int | None:
+    """The degree of what is a polynomial by its look; None for anything else."""
+    match tree:
+        case Number():
+            return 0
+        case Coordinate():
+            return 1
+        case Negative(operand=operand):
+            return polynomial_degree(operand)
+        case Binary(sign=sign, left=left, right=right):
+            a, b = polynomial_degree(left), polynomial_degree(right)
+            if a is None or b is None:
+                return None
+            if sign == "^" and isinstance(right, Number) and right.value.is_integer() and right.value >= 0:
+                return a * int(right.value)
+            if sign == "*":
+                return a + b
+            if sign in "+-":
+                return max(a, b)
+            return a if sign == "/" and b == 0 else 0 if a == b == 0 else None
+        case Call(arguments=arguments):
+            return 0 if all(polynomial_degree(argument) == 0 for argument in arguments) else None
+        case Conditional():
+            return None

@@ -1,0 +1,73 @@
+"""Quadratics near an expression on simplices, with nodes as Basix numbers them: vertices, then midpoints of edges."""
+
+from __future__ import annotations
+
+import basix
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.expressions import Tree, values, values_and_gradient
+from signorini_fenicsx.expressions.quadratics import Quadratic, edges, quadratic
+
+type Array = npt.NDArray[np.float64]
+
+POINTS = 8
+"""Least degree of the quadratures that see data."""
+
+
+def edge_order(corners: int) -> list[int]:
+    """Where Basix has the edges of a simplex that `edges` lists."""
+    cell = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}[corners]
+    order = [tuple(sorted(edge)) for edge in basix.topology(cell)[1]]
+    return [corners + order.index(edge) for edge in edges(corners)]
+
+
+def quadratic_of(vertices: Array, nodes: Array) -> Quadratic:
+    """The quadratics with these values in the nodes of P2 as Basix numbers them."""
+    corners = vertices.shape[1]
+    return quadratic(vertices, nodes[:, :corners], nodes[:, edge_order(corners)])
+
+
+def in_nodes(tree: Tree, vertices: Array) -> Array:
+    """Values in the vertices and then the midpoints of edges, as Basix numbers them, shape (n, nodes)."""
+    corners = vertices.shape[1]
+    ends = np.empty((corners * (corners - 1) // 2, 2), dtype=np.int64)
+    ends[np.array(edge_order(corners)) - corners] = edges(corners)
+    x = np.concatenate([vertices, (vertices[:, ends[:, 0]] + vertices[:, ends[:, 1]]) / 2], axis=1)
+    return values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+
+
+def _points(vertices: Array, degree: int) -> tuple[Array, Array, Array]:
+    """Points of a quadrature in each simplex, the same as seen from its centroid, and weights with sum 1."""
+    cells = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
+    points, weights = basix.make_quadrature(cells[vertices.shape[1]], degree)
+    x = vertices[:, :1] + points @ (vertices[:, 1:] - vertices[:, :1])
+    return x, x - vertices.mean(axis=1, keepdims=True), weights / weights.sum()
+
+
+def mean_above(tree: Tree, vertices: Array, p: Quadratic, degree: int) -> Array:
+    """Mean of e − p by a quadrature of this degree."""
+    x, arms, weights = _points(vertices, degree)
+    found = values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+    of_p = p.value[:, None] + np.einsum("nqi,ni->nq", arms, p.gradient)
+    return (found - of_p - np.einsum("nqi,nij,nqj->nq", arms, p.hessian, arms) / 2) @ weights
+
+
+def seen_slope(tree: Tree, vertices: Array, p: Quadratic) -> Array:
+    """Root mean square of |∇(e − p)| over the points of a quadrature."""
+    x, arms, weights = _points(vertices, POINTS)
+    _, slope = values_and_gradient(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+    slope = slope - p.gradient[:, None] - np.einsum("nij,nqj->nqi", p.hessian, arms)
+    return np.sqrt(np.maximum((slope**2).sum(axis=2) @ weights, 0.0))
+
+
+def bernstein(p: Quadratic, vertices: Array) -> Array:
+    """Coefficients of a quadratic, shape (n, nodes): all its values are means of them."""
+    corners = vertices.shape[1]
+    first, second = np.array(edges(corners)).T
+    arms = vertices - vertices.mean(axis=1, keepdims=True)
+    slope = np.einsum("nvi,ni->nv", arms, p.gradient)
+    bend = np.einsum("nvi,nij,nwj->nvw", arms, p.hessian, arms) / 2
+    of_vertices = p.value[:, None] + slope + np.einsum("nvv->nv", bend)
+    of_edges = p.value[:, None] + (slope[:, first] + slope[:, second]) / 2 + bend[:, first, second]
+    return np.concatenate([of_vertices, of_edges], axis=1)

@@ -1,0 +1,94 @@
+"""Where the boundary of a mesh lies on itself: cracks, hanging nodes, pieces not joined, sheets on one another.
+
+There, facets that should be inside the domain belong to one cell each and count as boundary. They are found by a few
+points of each facet that lie inside another facet. Lengths are compared with the heights of the cells only, so nothing
+depends on the unit of length, and flat cells do not count as cracks.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+type Array = npt.NDArray[np.float64]
+type Indices = npt.NDArray[np.int64]
+
+NEAR = 1e-5
+"""Two facets nearer than this part of the heights of their cells lie on one another; single precision is that exact."""
+WEIGHTS = {
+    2: np.array([[0.71, 0.29], [0.29, 0.71]]),
+    3: np.array([[0.62, 0.27, 0.11], [0.11, 0.62, 0.27], [0.27, 0.11, 0.62]]),
+}
+"""Barycentric coordinates of the points of a facet that are tried: where facets meet, not on a line of symmetry."""
+PAIRS = 10**6
+"""Pairs of facets and points looked at in one go."""
+
+
+def seams(corners: Array, apexes: Array) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Which facets of the boundary lie on others.
+
+    Args:
+        corners: Of the facets of the boundary, shape (facets, dim, dim).
+        apexes: Of the cell of each facet, the vertex opposite to it, shape (facets, dim).
+
+    Returns:
+        For each facet whether it lies on another one with its cell on the other side, as at a crack, and whether with
+        its cell on the same side, where cells overlap.
+    """
+    count, dim = apexes.shape
+    edges = corners[:, 1:] - corners[:, :1]
+    normals = _normals(edges)
+    heights = np.einsum("fi,fi->f", apexes - corners[:, 0], normals)
+    tried = np.einsum("wc,fci->fwi", WEIGHTS[dim], corners).reshape(-1, dim)
+    crack, overlap = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    for facet, point in _near(corners, tried):
+        other = point // dim
+        facet, point, other = (rows[other != facet] for rows in (facet, point, other))
+        offset = tried[point] - corners[facet, 0]
+        above = np.einsum("pi,pi->p", offset, normals[facet])
+        near = np.abs(above) <= NEAR * np.minimum(np.abs(heights[facet]), np.abs(heights[other]))
+        facet, other, offset = facet[near], other[near], offset[near]
+        inside = _is_inside(edges[facet], offset)
+        facet, other = facet[inside], other[inside]
+        side = np.einsum("pi,pi->p", apexes[other] - corners[facet, 0], normals[facet]) * heights[facet]
+        crack[facet[side <= 0]] = crack[other[side <= 0]] = True
+        overlap[facet[side > 0]] = overlap[other[side > 0]] = True
+    return crack, overlap
+
+
+def _normals(edges: Array) -> Array:
+    """Unit normals of facets with these edges from their first corner."""
+    if edges.shape[2] == 2:
+        normals = np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
+    else:
+        scale = np.abs(edges).max(axis=(1, 2), keepdims=True)  # squares of lengths could be out of range
+        normals = np.cross(*np.moveaxis(edges / scale, 1, 0))
+    normals = normals / np.abs(normals).max(axis=1, keepdims=True)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _is_inside(edges: Array, offset: Array) -> npt.NDArray[np.bool_]:
+    """Whether points of facets' planes, from the first corner, are inside of the facets."""
+    scale = np.abs(edges).max(axis=(1, 2), keepdims=True)
+    edges, offset = edges / scale, offset / scale[:, :, 0]
+    gram = edges @ edges.transpose(0, 2, 1)
+    share = np.linalg.solve(gram, (edges @ offset[:, :, None]))[:, :, 0]
+    return np.all(share > 0, axis=1) & (share.sum(axis=1) < 1)
+
+
+def _near(corners: Array, tried: Array) -> Iterator[tuple[Indices, Indices]]:
+    """Facets and points in the smallest ball around the middle of the facet that holds it."""
+    from scipy.spatial import cKDTree  # slow to import, and needed for meshes from files only
+
+    middle = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+    tree = cKDTree(tried)
+    ends = np.cumsum(tree.query_ball_point(middle, radius, return_length=True))
+    start = 0
+    while start < len(middle):
+        before = ends[start - 1] if start > 0 else 0
+        stop = max(start + 1, int(np.searchsorted(ends, before + PAIRS)))
+        found = tree.query_ball_point(middle[start:stop], radius[start:stop])
+        facet = np.repeat(np.arange(start, stop), [len(points) for points in found])
+        yield facet, np.concatenate([np.asarray(points, dtype=np.int64) for points in found])
+        start = stop

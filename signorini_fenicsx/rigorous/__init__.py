@@ -1,0 +1,1 @@
+"""The error bound as a theorem about the stored floats, rounding included."""

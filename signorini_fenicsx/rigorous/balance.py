@@ -1,0 +1,97 @@
+"""Fluxes that balance the load of every cell exactly: what rounding and quadrature left is led out along a tree."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions.intervals import Interval
+
+type Indices = npt.NDArray[np.int64]
+
+
+def balanced(facets: Indices, outlets: npt.NDArray[np.bool_], fluxes: Interval, load: Interval) -> Interval:
+    """The fluxes plus a correction with Σ_i Φ_i = −∫_T f in every cell T, as real numbers.
+
+    The correction is 0 but on the facets of a tree that joins every cell with an outlet. What a cell and those behind
+    it leave over flows through one facet, so there is exactly one such correction, and it is enclosed.
+
+    Args:
+        facets: Number of each facet of each cell, shape (cells, d + 1).
+        outlets: Of each facet of each cell, whether it is on the boundary and any flux may leave there.
+        fluxes: Outward fluxes, shape (cells, d + 1), those of two cells that share a facet the negative of each other.
+        load: ∫_T f.
+
+    Raises:
+        InputError: If a part of the domain has no outlet.
+    """
+    cells, width = facets.shape
+    surplus = load
+    for i in range(width):
+        surplus = surplus + Interval(fluxes.lo[:, i], fluxes.hi[:, i])
+    order, parents, through = _tree(facets, outlets)
+    depth = np.zeros(cells + 1, dtype=np.int64)
+    for cell in order[1:]:
+        depth[cell] = depth[parents[cell]] + 1
+    carried = -surplus
+    lo, hi = fluxes.lo.copy(), fluxes.hi.copy()
+    inner = order[1:]
+    for level in range(int(depth.max(initial=0)), 0, -1):
+        chosen = inner[depth[inner] == level]
+        leaving = Interval(carried.lo[chosen], carried.hi[chosen])
+        _add(lo, hi, (chosen, through[chosen]), leaving)
+        if level == 1:
+            break
+        above = parents[chosen]
+        entry = np.argmax(facets[above] == facets[chosen, through[chosen]][:, None], axis=1)
+        _add(lo, hi, (above, entry), -leaving)
+        for place in range(width):  # several children of one parent, one after the other
+            rank = _rank_among_equals(above)
+            now = rank == place
+            part = Interval(leaving.lo[now], leaving.hi[now])
+            _add(carried.lo, carried.hi, (above[now],), part)
+    return Interval(lo, hi)
+
+
+def _add(lo: npt.NDArray[np.float64], hi: npt.NDArray[np.float64], index: tuple[Indices, ...], more: Interval) -> None:
+    """Add to the entries of an interval in place; no entry may be named twice."""
+    found = Interval(lo[index], hi[index]) + more
+    lo[index], hi[index] = found.lo, found.hi
+
+
+def _rank_among_equals(values: Indices) -> Indices:
+    """0 for the first of each value, 1 for the second and so on."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    first = np.searchsorted(ordered, ordered, side="left")
+    rank = np.empty_like(values)
+    rank[order] = np.arange(len(values)) - first
+    return rank
+
+
+def _tree(facets: Indices, outlets: npt.NDArray[np.bool_]) -> tuple[Indices, Indices, Indices]:
+    """Cells in breadth-first order from the outside, which is node number `cells`; parents, and the facet towards them.
+
+    Raises:
+        InputError: If a cell cannot be reached.
+    """
+    cells, width = facets.shape
+    flat = facets.ravel()
+    order = np.argsort(flat, kind="stable")
+    same = flat[order][1:] == flat[order][:-1]
+    one, other = order[:-1][same], order[1:][same]
+    left, right = (one // width).astype(np.int64), (other // width).astype(np.int64)
+    out_cell = np.flatnonzero(outlets.any(axis=1))
+    rows = np.concatenate([left, out_cell])
+    columns = np.concatenate([right, np.full(len(out_cell), cells)])
+    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(cells + 1, cells + 1)).tocsr()
+    visited, parents = breadth_first_order(graph, cells, directed=False)
+    if len(visited) <= cells:
+        count = connected_components(graph, directed=False)[0] - 1
+        raise InputError(f"{count} part(s) of the domain have no facet through which flux may leave")
+    through = np.argmax(outlets, axis=1)
+    inner = parents[:cells] != cells
+    shared = facets[inner][:, :, None] == facets[parents[:cells][inner]][:, None, :]
+    through[inner] = np.argmax(shared.any(axis=2), axis=1)
+    return visited.astype(np.int64), parents.astype(np.int64), through.astype(np.int64)

@@ -1,0 +1,280 @@
+"""The data of a case for the theorem: enclosed, never sampled."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.data import Rows
+from signorini_fenicsx.enclosures import enclose
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import Tree, interval, values
+from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, enclosing, larger
+from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, constant, edges, quadratic
+from signorini_fenicsx.rigorous.discrete import Discrete
+from signorini_fenicsx.rigorous.simplices import (
+    EDGES,
+    Simplices,
+    at,
+    root,
+    squared,
+    total,
+    with_midpoints,
+)
+
+FINE = {"norm": 1e-9, "tilt": 1e-3, "mean": 1e-9}
+"""What is left of the data below this share of their size, or of their slope, is not worth more boxes."""
+IN_MEANS = 1e-2
+"""So much of the variation on a simplex, times h over the size of the domain: means are off together on the tree."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """An expression e on simplices, as a polynomial p and what is certain of e − p.
+
+    Attributes:
+        nodes: p in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
+        mean: Mean of e − p.
+        norm: Upper bound of the root mean square of e − p.
+        largest: Upper bound of |e − p|.
+        slope: Upper bound of |∇(e − p)|.
+        tilt: Upper bound of the root mean square of |∇(e − p)|.
+        rise: Upper bound of |∇(e − p)·s| for all edges s.
+    """
+
+    nodes: Interval
+    mean: Interval
+    norm: Array
+    largest: Array
+    slope: Array
+    tilt: Array
+    rise: Array
+
+
+def deviation(
+    tree: Tree,
+    vertices: Array,
+    elementary: Elementary,
+    *,
+    name: str,
+    by: Literal["mean", "norm", "tilt"] = "norm",
+    degree: int = 2,
+    wanted: Array | None = None,
+) -> Deviation:
+    """Enclose an expression on simplices, shape (n, k + 1, d).
+
+    Args:
+        tree: The expression.
+        vertices: Of the simplices.
+        elementary: Proven bounds of exp, sin, ….
+        name: What it is called in the case.
+        by: What is bisected for.
+        degree: Of p, 1 or 2.
+        wanted: Values that p should have in the nodes of P2, if not those of the expression.
+
+    Raises:
+        InputError: If there are no finite bounds.
+    """
+    dim = vertices.shape[1] - 1
+    middle = vertices.mean(axis=1, keepdims=True)
+    inside = middle + INSIDE * (vertices - middle)  # data that jump between simplices have the values of this one there
+    sampled = values(tree, places(with_midpoints(enclosing(inside)))) if wanted is None else wanted
+    if degree == 1:
+        ends = np.array(EDGES[dim]).T
+        sampled[:, dim + 1 :] = (sampled[:, ends[0]] + sampled[:, ends[1]]) / 2
+    p = _polynomial(inside if wanted is None else vertices, sampled, linear=degree == 1)
+    size = float(np.nan_to_num(np.abs(sampled)).max(initial=0.0))
+    extent = float(np.ptp(vertices.reshape(-1, vertices.shape[-1]), axis=0).max()) if vertices.size else 1.0
+    tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
+    if by == "mean" and len(vertices):
+        tolerance += IN_MEANS * len(vertices) ** (-1 / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
+    found = enclose(tree, vertices, p, tolerance, MPI.COMM_SELF, scale=0.0, by=by, elementary=elementary)
+    known = found.norm + (found.tilt if by == "tilt" else 0.0)
+    if not np.isfinite(known).all():
+        what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
+        raise InputError(f"{name} has {what} {_near(found.place[:, None], np.where(np.isfinite(known), 0, -1))}")
+    nodes = _in_nodes(p, vertices, with_midpoints(enclosing(vertices)))
+    return Deviation(nodes, found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
+
+
+def places(x: Interval) -> dict[str, Array]:
+    """Coordinates of floats in the middle."""
+    return dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False))
+
+
+def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
+    """Lower bound of an expression on each of some simplices, which may be points."""
+    if vertices.shape[1] == 1:
+        point = {name: enclosing(vertices[:, 0, i]) for i, name in enumerate("xyz"[: vertices.shape[2]])}
+        lowest = interval(tree, point, elementary).lo
+    else:
+        p = constant(np.zeros(len(vertices)), vertices.shape[2])
+        none = np.zeros(len(vertices))
+        lowest = enclose(tree, vertices, p, none, MPI.COMM_SELF, scale=0.0, elementary=elementary).range.lo
+    return np.where(np.isnan(lowest), -np.inf, lowest)
+
+
+def _polynomial(vertices: Array, sampled: Array, *, linear: bool) -> Quadratic:
+    """Floats that make the polynomial with about these values in the nodes; a constant exactly."""
+    dim = vertices.shape[1] - 1
+    order = [EDGES[dim].index(edge) + dim + 1 for edge in edges(dim + 1)]
+    p = quadratic(vertices, sampled[:, : dim + 1], sampled[:, order])
+    same = (sampled == sampled[:, :1]).all(axis=1)
+    value = np.where(same, sampled[:, 0], p.value)
+    gradient = np.where(same[:, None], 0.0, p.gradient)
+    return Quadratic(value, gradient, np.where((same | linear)[:, None, None], 0.0, p.hessian))
+
+
+def _in_nodes(p: Quadratic, vertices: Array, x: Interval) -> Interval:
+    """The polynomial, whose coefficients are floats, in the nodes of P2."""
+    arms = x - vertices.mean(axis=1)[:, None]
+    linear = total(arms * p.gradient[:, None])
+    bent = total(total(at(arms, np.s_[..., :, None]) * at(arms, np.s_[..., None, :]) * (p.hessian / 2)[:, None]))
+    return linear + bent + p.value[:, None]
+
+
+@dataclass(frozen=True)
+class Given:
+    """The trees of a case's data, and what bounds elementary functions.
+
+    Attributes:
+        f, u_D, g_N, psi, q_S: As `data.Problem` has them.
+        kappa: κ as a matrix of trees, one row and column for a scalar; by region, or under "" for all of Ω. What is
+            below the diagonal is not looked at: it is taken for what is above.
+        elementary: Proven bounds of exp, sin, ….
+    """
+
+    f: Tree
+    u_D: Tree
+    g_N: Tree
+    psi: Tree
+    q_S: Tree
+    kappa: Mapping[str, Rows]
+    elementary: Elementary
+
+    @classmethod
+    def of(cls, trees: Mapping[str, Tree | Rows], elementary: Elementary) -> Self:
+        """What `data.Data.trees` has.
+
+        Raises:
+            InputError: If something is no expression.
+        """
+        names = ("f", "u_D", "g_N", "psi", "q_S")
+        kappa = {
+            name.removeprefix("kappa").removeprefix("."): value if isinstance(value, tuple | list) else [[value]]
+            for name, value in trees.items()
+            if name.startswith("kappa")
+        }
+        missing = [name for name in names if name not in trees] + ["kappa"] * (not kappa)
+        if missing:
+            raise InputError(f"{', '.join(missing)} must be an expression, as in a case file")
+        return cls(**{name: trees[name] for name in names}, kappa=kappa, elementary=elementary)  # type: ignore[arg-type]
+
+    def conductivity(self, cells: Simplices, discrete: Discrete) -> Conductivity:
+        """κ on all cells.
+
+        Raises:
+            InputError: If it is not positive definite for sure, or varies too much within a cell.
+        """
+        names, inside = discrete.regions
+        count, size = len(cells.vertices), max(len(rows) for rows in self.kappa.values())
+        corners = Interval(*np.zeros((2, count, cells.dim + 1, size, size)))
+        deviations = np.zeros((count, size, size))
+        known = np.zeros(count, dtype=bool)
+        for region, rows in self.kappa.items():
+            chosen = np.arange(count) if region == "" else np.flatnonzero(inside[:, names.index(region)])
+            known[chosen] = True
+            for i, j in itertools.combinations_with_replacement(range(size), 2):
+                if len(rows) == 1 < size and i != j:
+                    continue
+                tree = rows[i % len(rows)][j % len(rows)]
+                found = deviation(tree, cells.vertices[chosen], self.elementary, name="kappa", degree=1)
+                for k, m in ((i, j), (j, i)):
+                    corners.lo[chosen, :, k, m] = found.nodes.lo[:, : cells.dim + 1]
+                    corners.hi[chosen, :, k, m] = found.nodes.hi[:, : cells.dim + 1]
+                    deviations[chosen, k, m] = found.largest
+        if not known.all():
+            raise InputError("kappa must be an expression in all regions, as in a case file")
+        return Conductivity(cells, corners, root(total(total(squared(enclosing(deviations))))).hi)
+
+
+class Conductivity:
+    """κ on cells by its linear interpolant κ̃, which has size 1 × 1 where κ is a scalar.
+
+    Attributes:
+        theta: θ > 0 with LᵀκL ≥ θ.
+        root_largest: Upper bound of √ of the largest eigenvalue.
+    """
+
+    def __init__(self, cells: Simplices, corners: Interval, deviation: Array):
+        """Choose L, the inverse of the transposed Cholesky factor of κ̃ in the centroid.
+
+        Args:
+            cells: The cells.
+            corners: κ̃ in their vertices, shape (cells, d + 1, size, size).
+            deviation: Upper bound of |κ − κ̃|, Frobenius.
+        """
+        self._corners, self._deviation = corners, deviation
+        size = corners.lo.shape[-1]
+        middle = corners.lo.mean(axis=1)
+        smallest = np.linalg.eigvalsh(middle).min(axis=1)
+        if not (smallest > 0).all():
+            raise InputError(f"kappa is not positive {_near(cells.vertices, smallest)}")
+        lower = np.linalg.inv(np.linalg.cholesky(middle))
+        self._half = enclosing(np.swapaxes(lower, -1, -2))
+        self._half_size = total(total(squared(self._half)))
+        scaled = _product(_product(enclosing(lower[:, None]), corners), at(self._half, np.s_[:, None]))
+        if size == 1:
+            least = scaled.lo[..., 0, 0].min(axis=1)
+        else:
+            least = (1.0 - root(total(total(squared(scaled - np.eye(size))))).hi).min(axis=1)
+        self.theta = enclosing(least) - self._half_size * deviation
+        if not (self.theta.lo > 0).all():
+            where = _near(cells.vertices, self.theta.lo)
+            raise InputError(f"kappa varies too much within a cell {where}; choose a smaller h")
+        largest = root(total(total(squared(corners)))).hi.max(axis=1)
+        self.root_largest = root(enclosing(largest) + deviation)
+        self._cells = cells
+
+    def times(self, slopes: Interval) -> Interval:
+        """κ̃∇v in the nodes of P2, from ∇v there, shape (cells, nodes, d)."""
+        return _applied(with_midpoints(self._corners), slopes)
+
+    def half(self, field: Interval) -> Interval:
+        """Lᵀq, shape (cells, nodes, d)."""
+        return _applied(enclosing(np.swapaxes(self._half.lo, -1, -2)[:, None]), field)
+
+    def deviation_norm(self, slopes: Interval) -> Interval:
+        """Bound of ‖Lᵀ(κ − κ̃)∇v‖ per cell, from ‖∇v‖²."""
+        return root(self._half_size * slopes) * self._deviation
+
+    @functools.cached_property
+    def diameter(self) -> Interval:
+        """ĥ: the longest edge in the coordinates Lᵀx."""
+        x = self.half(enclosing(self._cells.vertices))
+        pairs = itertools.combinations(range(self._cells.dim + 1), 2)
+        squares = [total(squared(at(x, np.s_[:, i]) - at(x, np.s_[:, j]))) for i, j in pairs]
+        return root(functools.reduce(larger, squares))
+
+
+def _near(vertices: Array, values: Array) -> str:
+    """Words for the simplex whose value is smallest or NaN."""
+    return f"near ({', '.join(f'{x:.4g}' for x in vertices[np.argmin(values)].mean(axis=0))})"
+
+
+def _product(a: Interval, b: Interval) -> Interval:
+    """The product of matrices in the last two axes."""
+    return total(at(a, np.s_[..., :, :, None]) * at(b, np.s_[..., None, :, :]), axis=-2)
+
+
+def _applied(matrix: Interval, vector: Interval) -> Interval:
+    """A matrix, or a scalar as matrix of size 1, times a vector."""
+    if matrix.lo.shape[-1] == 1:
+        return at(matrix, np.s_[..., 0]) * vector
+    return total(matrix * at(vector, np.s_[..., None, :]))

@@ -1,0 +1,185 @@
+"""A discrete flux and trace as arrays of floats on one process: all that the theorem needs to know of a solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from signorini_fenicsx.domain import membership
+from signorini_fenicsx.expressions.intervals import Array, Interval
+from signorini_fenicsx.parallel import gather_rows
+from signorini_fenicsx.rigorous.simplices import EDGES, facet_measures
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.spaces import Spaces
+
+type Indices = npt.NDArray[np.int64]
+
+INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
+"""Kinds of facets."""
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """A mesh, a flux in RT0 and a continuous function in P2.
+
+    Attributes:
+        vertices: Of the cells, shape (cells, d + 1, d).
+        corners: Numbers of these vertices, equal for equal vertices.
+        facets: Numbers of the facets, that opposite to each vertex.
+        kinds: What each facet is.
+        fluxes: Of σ_h out of the cell through each facet; two cells that share one have opposite numbers.
+        v: Values in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
+        regions: Names of the regions and whether each cell is in them, shape (cells, regions).
+    """
+
+    vertices: Array
+    corners: Indices
+    facets: Indices
+    kinds: npt.NDArray[np.int8]
+    fluxes: Array
+    v: Array
+    regions: tuple[tuple[str, ...], npt.NDArray[np.bool_]]
+
+    @property
+    def dim(self) -> int:
+        """The dimension d."""
+        return self.vertices.shape[2]
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Boundary facets of one kind.
+
+    Attributes:
+        cells: Their cells.
+        local: Which of its facets each is.
+        nodes: Its nodes among the nodes of P2 of the cell, vertices first, shape (facets, nodes).
+        corners: Their vertices, shape (facets, d, d).
+        measure: |e|.
+    """
+
+    cells: Indices
+    local: Indices
+    nodes: Indices
+    corners: Array
+    measure: Interval
+
+
+def boundary(discrete: Discrete, kind: int) -> Facets:
+    """All facets of one kind."""
+    dim = discrete.dim
+    number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
+    table = []
+    for opposite in range(dim + 1):
+        vertices = [k for k in range(dim + 1) if k != opposite]
+        table.append(vertices + [number[vertices[a], vertices[b]] for a, b in EDGES[dim - 1]])
+    cells, local = np.nonzero(discrete.kinds == kind)
+    nodes = np.array(table, dtype=np.int64)[local]
+    corners = discrete.vertices[cells[:, None], nodes[:, :dim]]
+    return Facets(cells, local, nodes, corners, facet_measures(corners))
+
+
+def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
+    """A solution and a function in P2 on rank 0, cells in the order of their making; None elsewhere (collective).
+
+    Args:
+        solution: The solution.
+        v: By Bernstein's coefficients, as `certificate.Certificate` has it.
+    """
+    spaces, mesh = solution.spaces, solution.spaces.mesh
+    comm, dim = mesh.comm, mesh.topology.dim
+    cells = mesh.topology.index_map(dim).size_local
+    corners = mesh.geometry.dofmaps[0][:cells]
+    inside = membership(spaces.domain)
+    columns = {
+        "order": mesh.topology.original_cell_index[:cells, None],
+        "corners": mesh.geometry.input_global_indices[corners],
+        "vertices": mesh.geometry.x[corners, :dim].reshape(cells, -1),
+        "fluxes": _outward_fluxes(solution, cells),
+        "kinds": _kinds(spaces)[mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[:cells]],
+        "v": v.x.array[v.function_space.dofmap.list[:cells]],
+        "inside": inside[:cells],
+    }
+    rows = {name: gather_rows(comm, column) for name, column in columns.items()}
+    if any(values is None for values in rows.values()):
+        return None
+    whole = {name: np.asarray(values)[np.argsort(rows["order"][:, 0])] for name, values in rows.items()}  # type: ignore[index]
+    numbers = whole["corners"]
+    facets = np.stack([np.sort(np.delete(numbers, i, axis=1), axis=1) for i in range(dim + 1)], axis=1)
+    _, facet = np.unique(facets.reshape(-1, dim), axis=0, return_inverse=True)
+    facet = facet.reshape(-1, dim + 1)
+    return Discrete(
+        vertices=_alike(numbers, whole["vertices"].reshape(-1, dim + 1, dim)),
+        corners=numbers,
+        facets=facet,
+        kinds=whole["kinds"],
+        fluxes=_opposite(facet, whole["fluxes"]),
+        v=_nodal(numbers, whole["v"]),
+        regions=(tuple(spaces.domain.regions), whole["inside"].astype(bool)),
+    )
+
+
+def _alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The first of the values of each number, for all: ranks might have floats that differ by rounding."""
+    _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
+    return values.reshape(-1, *values.shape[2:])[first][own.reshape(numbers.shape)]
+
+
+def _opposite(facets: Indices, fluxes: Array) -> Array:
+    """The flux out of the first cell of each facet, and its negative for the other."""
+    _, first = np.unique(facets, return_index=True)
+    other = np.ones(facets.size, dtype=bool)
+    other[first] = False
+    return np.where(other.reshape(facets.shape), -1.0, 1.0) * _alike(facets, fluxes)
+
+
+def pairs(one: Indices, other: Indices) -> Indices:
+    """One number for an unordered pair."""
+    return np.minimum(one, other) << 32 | np.maximum(one, other)
+
+
+def alike_in_nodes(corners: Indices, values: Array) -> Array:
+    """The first of the values in each node of P2, for all cells."""
+    dim = corners.shape[1] - 1
+    ends = np.array(EDGES[dim]).T
+    edges = _alike(pairs(corners[:, ends[0]], corners[:, ends[1]]), values[:, dim + 1 :])
+    return np.column_stack([_alike(corners, values[:, : dim + 1]), edges])
+
+
+def _nodal(corners: Indices, coefficients: Array) -> Array:
+    """Values in the nodes of P2, those of two cells the same floats, from Bernstein's coefficients."""
+    dim = corners.shape[1] - 1
+    ends = np.array(EDGES[dim]).T
+    found = alike_in_nodes(corners, coefficients)
+    found[:, dim + 1 :] = found[:, dim + 1 :] / 2 + (found[:, ends[0]] + found[:, ends[1]]) / 4
+    return found
+
+
+def _outward_fluxes(solution: Solution, cells: int) -> Array:
+    """Fluxes out of each cell of this rank: a sign times one float per facet (collective)."""
+    spaces, sigma = solution.spaces, solution.sigma
+    form = fem.form(ufl.div(ufl.TrialFunction(spaces.V)) * ufl.TestFunction(spaces.Q) * ufl.dx)
+    of_basis = fem.assemble_matrix(form).to_scipy().tocsr()  # ∫_T ∇·φ: the flux of a basis function out of a cell
+    dofs = spaces.V.dofmap.list[:cells]
+    flux = np.asarray(of_basis[np.arange(cells)[:, None], dofs].todense())
+    size = spaces.mesh.comm.bcast(float(np.abs(flux).flat[0]) if flux.size else 0.0)
+    return np.sign(flux) * (size * sigma.x.array[dofs])
+
+
+def _kinds(spaces: Spaces) -> npt.NDArray[np.int8]:
+    """Kind of each facet of this rank."""
+    topology = spaces.mesh.topology
+    index_map = topology.index_map(topology.dim - 1)
+    kinds = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int8)
+    for kind, facets in (
+        (SIGNORINI, spaces.facets),
+        (DIRICHLET, spaces.dirichlet_facets),
+        (NEUMANN, spaces.neumann_facets),
+    ):
+        kinds[facets] = kind
+    return kinds

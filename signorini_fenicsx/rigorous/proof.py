@@ -1,0 +1,76 @@
+"""The rigorous bound of a solution: rank 0 proves it, the others wait."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from dolfinx import fem
+
+from signorini_fenicsx.case import Case
+from signorini_fenicsx.discretisation import rough_cells
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.parallel import Stopwatch, on_root
+from signorini_fenicsx.rigorous.data import Given
+from signorini_fenicsx.rigorous.discrete import gathered
+from signorini_fenicsx.rigorous.elementary import FromArb
+from signorini_fenicsx.rigorous.theorem import Proven, prove
+from signorini_fenicsx.solution import Solution
+
+MOST_CELLS = 500_000
+"""What is enclosed of them takes some 4 GB of one process in 3D, and 1 GB in 2D."""
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What came of it.
+
+    Attributes:
+        proven: The bounds, None if there is no proof.
+        reason: Why there is none.
+        seconds: What it took.
+    """
+
+    proven: Proven | None
+    reason: str
+    seconds: float
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers, ready for JSON; floats there are written with all digits."""
+        if self.proven is None:
+            return {"proved": None, "not_proved": self.reason}
+        return {"proved": asdict(self.proven) | {"seconds": self.seconds}}
+
+
+def check_size(case: Case) -> None:
+    """Refuse what one process cannot hold, before it is solved (rank 0).
+
+    Raises:
+        InputError: If there are too many cells.
+    """
+    _check(rough_cells(case))
+
+
+def _check(cells: float) -> None:
+    if cells > MOST_CELLS:
+        raise InputError(f"--rigorous: one process has room for {MOST_CELLS} cells, not {cells:.3g}; choose a larger h")
+
+
+def proof_of(solution: Solution, v: fem.Function) -> Proof:
+    """Prove a bound for a solution of any algorithm (collective).
+
+    Args:
+        solution: The solution.
+        v: As `certificate.Certificate` has it.
+    """
+    watch = Stopwatch()
+    comm = solution.spaces.mesh.comm
+    try:
+        _check(solution.spaces.Q.dofmap.index_map.size_global)
+        given = Given.of(solution.data.trees, FromArb())
+        discrete = gathered(solution, v)
+        proven, reason = on_root(comm, lambda: None if discrete is None else prove(discrete, given)), ""
+    except InputError as error:
+        proven, reason = None, str(error)
+    watch.lap("proof")
+    return Proof(proven, reason, watch.longest(comm)["proof"])

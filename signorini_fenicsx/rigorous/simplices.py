@@ -1,0 +1,220 @@
+"""Simplices, linear and quadratic functions on them, and their integrals, in interval arithmetic.
+
+Vertices are the stored floats. Arrays run over cells first. A quadratic is given by its values in the nodes of P2,
+vertices first, then the midpoints of the edges in Basix's order; a field has one axis more, its components.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
+
+EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
+"""Vertices of each edge of an interval, a triangle and a tetrahedron, as Basix numbers them."""
+
+
+def at(a: Interval, index: Any) -> Interval:
+    """Some of the entries."""
+    return Interval(a.lo[index], a.hi[index])
+
+
+def total(a: Interval, axis: int = -1) -> Interval:
+    """Sum over an axis."""
+    parts = [Interval(lo, hi) for lo, hi in zip(np.moveaxis(a.lo, axis, 0), np.moveaxis(a.hi, axis, 0), strict=True)]
+    return sum(parts[1:], parts[0])
+
+
+def stacked(parts: Sequence[Interval], axis: int = -1) -> Interval:
+    """Intervals of one shape along a new axis."""
+    parts = [part.on(np.broadcast_shapes(*(other.lo.shape for other in parts))) for part in parts]
+    return Interval(np.stack([part.lo for part in parts], axis), np.stack([part.hi for part in parts], axis))
+
+
+def root(a: Interval) -> Interval:
+    """√a of numbers ≥ 0; an enclosure may reach below 0 by rounding."""
+    lo, hi = np.sqrt(np.maximum(a.lo, 0.0)), np.sqrt(np.maximum(a.hi, 0.0))
+    return Interval(np.maximum(np.nextafter(lo, -np.inf), 0.0), np.where(hi == 0, 0.0, np.nextafter(hi, np.inf)))
+
+
+def squared(a: Interval) -> Interval:
+    """a², entry by entry."""
+    return a * a  # an interval times itself is a square
+
+
+def total_above(values: Array) -> float:
+    """A float not below the sum of floats ≥ 0."""
+    if not values.any():
+        return 0.0
+    found = math.fsum(values.tolist())  # correctly rounded
+    return math.nextafter(found, math.inf) if math.isfinite(found) else math.inf
+
+
+def root_above(value: float) -> float:
+    """A float not below √value."""
+    if value == 0:
+        return 0.0
+    return math.nextafter(math.sqrt(value), math.inf) if math.isfinite(value) else math.inf
+
+
+@dataclass(frozen=True)
+class Simplices:
+    """Cells and what follows from their vertices.
+
+    Attributes:
+        vertices: Shape (cells, d + 1, d).
+        measure: |T|.
+        gradients: Of the barycentric coordinates, shape (cells, d + 1, d).
+    """
+
+    vertices: Array
+    measure: Interval
+    gradients: Interval
+
+    @property
+    def dim(self) -> int:
+        """The dimension d."""
+        return self.vertices.shape[2]
+
+    def some(self, which: npt.NDArray[np.int64]) -> Simplices:
+        """Some of the cells."""
+        return Simplices(self.vertices[which], at(self.measure, which), at(self.gradients, which))
+
+
+def simplices(vertices: Array) -> Simplices:
+    """Their geometry.
+
+    Raises:
+        InputError: If a cell is so flat that the sign of its volume is lost in rounding.
+    """
+    dim = vertices.shape[2]
+    x = enclosing(vertices)
+    edges = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, dim + 1)]
+    if dim == 2:
+        (a, b), (c, d) = (_components(edge) for edge in edges)
+        determinant = a * d - b * c
+        normals = [stacked([d, -c]), stacked([-b, a])]
+    else:
+        normals = [_cross(edges[1], edges[2]), _cross(edges[2], edges[0]), _cross(edges[0], edges[1])]
+        determinant = total(edges[0] * normals[0])
+    if ((determinant.lo <= 0) & (determinant.hi >= 0)).any():
+        raise InputError("a cell of the mesh is flat up to rounding")
+    across = at(determinant, np.s_[:, None])
+    gradients = [normal / across for normal in normals]
+    size = Interval(np.minimum(abs(determinant.lo), abs(determinant.hi)), determinant.largest)
+    return Simplices(
+        vertices,
+        size / math.factorial(dim),
+        stacked([-sum(gradients[1:], gradients[0]), *gradients], axis=1),
+    )
+
+
+def _components(a: Interval) -> list[Interval]:
+    return [at(a, np.s_[..., i]) for i in range(a.lo.shape[-1])]
+
+
+def _cross(a: Interval, b: Interval) -> Interval:
+    (a0, a1, a2), (b0, b1, b2) = _components(a), _components(b)
+    return stacked([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
+def facet_measures(corners: Array) -> Interval:
+    """|e| of facets with these vertices, shape (facets, d, d)."""
+    x = enclosing(corners)
+    spans = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, corners.shape[1])]
+    if len(spans) == 1:
+        return root(total(squared(spans[0])))
+    return root(total(squared(_cross(*spans)))) / 2.0
+
+
+def with_midpoints(vertices: Interval) -> Interval:
+    """The values in the nodes of P2 of something linear, from those in the vertices (axis 1)."""
+    dim = vertices.lo.shape[1] - 1
+    middle = [(at(vertices, np.s_[:, i]) + at(vertices, np.s_[:, j])) / 2.0 for i, j in EDGES[dim]]
+    return stacked([*(at(vertices, np.s_[:, k]) for k in range(dim + 1)), *middle], axis=1)
+
+
+def gradient_in_vertices(cells: Simplices, values: Interval) -> Interval:
+    """∇v in the vertices, shape (cells, d + 1, d), of a quadratic with these values in the nodes of P2."""
+    dim = cells.dim
+    slopes = [at(cells.gradients, np.s_[:, i]) for i in range(dim + 1)]
+    found = []
+    for k in range(dim + 1):
+        terms = [at(values, np.s_[:, i, None]) * slopes[i] * (3.0 if i == k else -1.0) for i in range(dim + 1)]
+        for number, (i, j) in enumerate(EDGES[dim]):
+            if k in (i, j):
+                terms.append(at(values, np.s_[:, dim + 1 + number, None]) * slopes[j if i == k else i] * 4.0)
+        found.append(sum(terms[1:], terms[0]))
+    return stacked(found, axis=1)
+
+
+def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
+    """RT0 fields y in the vertices, shape (cells, d + 1, d), from the fluxes out through facet i, opposite to vertex i.
+
+    y(x) = Σ_i Φ_i (x − x_i)/(d|T|): its normal component is constant on facets, and its divergence ΣΦ_i/|T|.
+    """
+    x = enclosing(cells.vertices)
+    found = []
+    for k in range(cells.dim + 1):
+        arms = at(x, np.s_[:, k, None, :]) - x
+        found.append(
+            total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None])
+        )
+    return stacked(found, axis=1)
+
+
+def _mass(dim: int) -> npt.NDArray[np.float64]:
+    """∫φ_iφ_j/|T| of P2 times 180 (d = 2) or 420 (d = 3): integers."""
+    edges = EDGES[dim]
+    nodes = dim + 1 + len(edges)
+    mass = np.zeros((nodes, nodes))
+    own, other = (6, -1) if dim == 2 else (6, 1)
+    mass[: dim + 1, : dim + 1] = other + (own - other) * np.eye(dim + 1)
+    for a, edge in enumerate(edges):
+        for k in range(dim + 1):
+            at_edge = k in edge
+            mass[dim + 1 + a, k] = mass[k, dim + 1 + a] = (
+                (0 if at_edge else -4) if dim == 2 else (-4 if at_edge else -6)
+            )
+        for b, second in enumerate(edges):
+            shared = len(set(edge) & set(second))
+            mass[dim + 1 + a, dim + 1 + b] = {2: 32, 1: 16, 0: 8}[shared]
+    return mass
+
+
+def square_norm(cells: Simplices, nodes: Interval) -> Interval:
+    """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2."""
+    if nodes.lo.ndim == 2:
+        nodes = at(nodes, np.s_[..., None])
+    mass, scale = _mass(cells.dim), {2: 180.0, 3: 420.0}[cells.dim]
+    found = enclosing(np.zeros(len(nodes.lo)))
+    for i in range(len(mass)):
+        row = total(nodes * mass[i][:, None], axis=1)
+        found = found + total(at(nodes, np.s_[:, i]) * row)
+    positive = Interval(np.maximum(found.lo, 0.0), np.maximum(found.hi, 0.0))
+    return positive * cells.measure / scale
+
+
+def mean(nodes: Interval, dim: int) -> Interval:
+    """Mean of a quadratic over simplices of this dimension, 1, 2 or 3, from its values in the nodes of P2."""
+    vertices, middle = total(at(nodes, np.s_[:, : dim + 1])), total(at(nodes, np.s_[:, dim + 1 :]))
+    if dim == 1:
+        return (vertices + middle * 4.0) / 6.0
+    return middle / 3.0 if dim == 2 else (middle * 4.0 - vertices) / 20.0
+
+
+def bernstein(nodes: Interval, dim: int) -> Interval:
+    """Bernstein coefficients of a quadratic: its values in the vertices, and 2q_m − (q_i + q_j)/2 for each edge."""
+    columns = [at(nodes, np.s_[:, k]) for k in range(dim + 1)]
+    columns += [
+        at(nodes, np.s_[:, dim + 1 + number]) * 2.0 - (columns[i] + columns[j]) / 2.0
+        for number, (i, j) in enumerate(EDGES[dim])
+    ]
+    return Interval(np.column_stack([c.lo for c in columns]), np.column_stack([c.hi for c in columns]))

@@ -1,0 +1,187 @@
+"""The error bound as a theorem: the gap identity with every number in it enclosed.
+
+What is proved. Ω is the union of the simplices whose vertices are the stored floats, Γ_D, Γ_N and Γ_S are its facets as
+marked, f, κ, u_D, g_N, ψ, q_S are the functions that the case file writes, literals and pi exact. u solves Signorini's
+problem, σ = κ∇u, and σ_h is the RT0 field whose fluxes through facets are the stored floats. Then the numbers found are
+upper bounds of ‖σ − σ_h‖, and of that and |∇(v − u)|, in energy norms. How σ_h and v were computed plays no part.
+
+How. `certificate` has the argument; here each of its ingredients is exact.
+
+- *Flux.* y has the mean of g_N on facets of Γ_N, at least that of q_S on those of Γ_S, and ∇·y + mean of f is 0 in all
+  cells, see `balance`: so there is no C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed. r is 0 where
+  y·n ≥ q_S for sure, and ⟨r − s, v − ψ⟩ at most its integral times sup (v − ψ); elsewhere r is q_S less its mean.
+- *Trace.* See `trace`: v = u_D on Γ_D and v ≥ ψ on Γ_S, up to a function whose gradient is bounded.
+- *κ.* With L in floats and LᵀκL ≥ θ > 0 on T, ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) + (κ − κ̃)∇v with κ̃ the
+  linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: Poincaré's
+  constant for energy norms is ĥ/(π√θ), and the trace constant of `forms.certificate` takes ĥ/√θ for h_T/√κ_T.
+- *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
+from signorini_fenicsx.rigorous.balance import balanced
+from signorini_fenicsx.rigorous.data import Conductivity, Given, deviation
+from signorini_fenicsx.rigorous.discrete import DIRICHLET, INSIDE, NEUMANN, SIGNORINI, Discrete, Facets, boundary
+from signorini_fenicsx.rigorous.simplices import (
+    Simplices,
+    at,
+    bernstein,
+    flux_in_vertices,
+    gradient_in_vertices,
+    mean,
+    root,
+    root_above,
+    simplices,
+    square_norm,
+    squared,
+    total_above,
+    with_midpoints,
+)
+from signorini_fenicsx.rigorous.trace import admissible
+
+VARIES = 1e-3
+"""q_S is taken for a constant, whose r is 0 anyway, if it varies by less than this part of the flux."""
+
+
+@dataclass(frozen=True)
+class Proven:
+    """Upper bounds, as `certificate.Certificate` has them.
+
+    Attributes:
+        bound: Of ‖σ − σ_h‖ and of |∇(v − u)|.
+        sigma_bound: Of ‖σ − σ_h‖.
+        gap: Of the gap.
+        oscillation: Of what the means of f, g_N and q_S leave.
+        remainder: Of ‖y − σ_h‖.
+    """
+
+    bound: float
+    sigma_bound: float
+    gap: float
+    oscillation: float
+    remainder: float
+
+
+def prove(discrete: Discrete, given: Given) -> Proven:
+    """Bound the error of a discrete flux and trace, whatever they are.
+
+    Raises:
+        InputError: If the data or the mesh are such that there is no bound by this argument.
+    """
+    if (np.bincount(discrete.facets.ravel())[discrete.facets] != np.where(discrete.kinds == INSIDE, 2, 1)).any():
+        raise InputError("conditions are given on facets inside the domain, or facets have three cells")
+    cells = simplices(discrete.vertices)
+    kappa = given.conductivity(cells, discrete)
+    constant = kappa.diameter / PI
+    load, oscillation = _load(cells, constant, given)
+    fluxes, least, pressed, on_facets = _boundary_fluxes(discrete, cells, kappa, given)
+    outlets = _outlets(discrete, fluxes, least)
+    y = balanced(discrete.facets, outlets, fluxes, load)
+    excess = _excess(discrete, y, least)
+    trace = admissible(discrete, cells, given)
+
+    slopes = with_midpoints(gradient_in_vertices(cells, trace.nodes))
+    y_nodes, left_nodes = (with_midpoints(flux_in_vertices(cells, f)) for f in (y, y - discrete.fluxes))
+    mismatch = root(square_norm(cells, kappa.half(kappa.times(slopes) - y_nodes)))
+    mismatch = (mismatch + kappa.deviation_norm(square_norm(cells, slopes))) / root(kappa.theta)
+    mismatch = mismatch + kappa.root_largest * trace.extra
+    contact = 2.0 * excess * trace.highest.where(pressed, trace.height)
+    oscillation = (oscillation + on_facets) / root(kappa.theta)
+    left = root_above(total_above((square_norm(cells, kappa.half(left_nodes)) / kappa.theta).hi))
+
+    if not np.isfinite(total_above(np.concatenate([mismatch.hi, contact.hi, oscillation.hi])) + left):
+        raise InputError("the data have no certain finite bounds, or not finite gradients, near Γ_D or Γ_S")
+    twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, contact.hi]))
+    square = total_above(squared(oscillation).hi)
+    return Proven(
+        bound=total_above(np.array([root_above(twice_the_gap), root_above(square), left])),
+        sigma_bound=total_above(np.array([root_above(total_above(np.array([twice_the_gap, square]))), left])),
+        gap=twice_the_gap / 2,
+        oscillation=root_above(square),
+        remainder=left,
+    )
+
+
+def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval, Interval]:
+    """∫_T f, and a bound of constant ‖f − its mean‖_T: ‖f − c‖ ≤ ‖p − c‖ + ‖f − p‖ for any number c."""
+    f = deviation(given.f, cells.vertices, given.elementary, by="mean", name="f")
+    nodes = f.nodes
+    middle = mean(nodes, cells.dim)
+    spread = root(square_norm(cells, nodes - at(middle, np.s_[:, None])))
+    return cells.measure * (middle + f.mean), constant * (spread + root(cells.measure) * f.norm)
+
+
+def _boundary_fluxes(
+    discrete: Discrete, cells: Simplices, kappa: Conductivity, given: Given
+) -> tuple[Interval, Interval, npt.NDArray[np.bool_], Interval]:
+    """Fluxes that suit g_N and q_S; ∫q_S on the facets of Γ_S, and where r = 0; the oscillation per cell.
+
+    The flux is the integral of g_N on Γ_N; on Γ_S it stays where it is at least the integral of q_S, else it is that.
+    """
+    lo, hi = discrete.fluxes.copy(), discrete.fluxes.copy()
+    oscillation = np.zeros(len(lo))
+    least, pressed = enclosing(np.empty(0)), np.empty(0, dtype=bool)
+    for kind, name in ((NEUMANN, "g_N"), (SIGNORINI, "q_S")):
+        facets = boundary(discrete, kind)
+        if len(facets.cells) == 0:
+            continue
+        g = deviation(getattr(given, name), facets.corners, given.elementary, by="mean", name=name)
+        dim = discrete.dim - 1
+        wanted = facets.measure * (mean(g.nodes, dim) + g.mean)
+        place = (facets.cells, facets.local)
+        if kind == SIGNORINI:
+            least, flux = wanted, enclosing(discrete.fluxes[place])
+            wanted = flux.where(flux.lo >= least.hi, least)
+        lo[place], hi[place] = wanted.lo, wanted.hi
+        coefficients = bernstein(g.nodes, dim)
+        highest, lowest = enclosing(coefficients.hi.max(axis=1)), enclosing(coefficients.lo.min(axis=1))
+        spread = (highest - lowest) / 2.0 + g.norm
+        found = (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi
+        if kind == SIGNORINI:
+            varies = spread.hi * facets.measure.hi > VARIES * np.abs(discrete.fluxes[place])
+            pressed = varies & (discrete.fluxes[place] >= (facets.measure * (highest + g.largest)).hi)
+            pressed &= (discrete.kinds == DIRICHLET).any()  # else what is left over leaves through such facets
+            found[pressed] = 0.0
+        np.add.at(oscillation, facets.cells, found)
+        oscillation = np.where(oscillation > 0, np.nextafter(oscillation, np.inf), 0.0)
+    return Interval(lo, hi), least, pressed, enclosing(oscillation)
+
+
+def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> npt.NDArray[np.bool_]:
+    """Facets that what is left over may leave through: Γ_D, or else those of Γ_S where much more flows than need be."""
+    outlets = discrete.kinds == DIRICHLET
+    if not outlets.any() and len(least.lo):
+        on_signorini = discrete.kinds == SIGNORINI
+        more = fluxes.lo[on_signorini] - least.hi
+        outlets[on_signorini] = more >= max(more.max() / 2, np.finfo(float).tiny)
+    return outlets
+
+
+def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
+    """What flows through each facet of Γ_S more than the integral of q_S, which must be ≥ 0.
+
+    Raises:
+        InputError: If it may be < 0 by more than the width of that integral.
+    """
+    if len(least.lo) == 0:
+        return enclosing(0.0)
+    place = np.nonzero(discrete.kinds == SIGNORINI)
+    flux = at(y, place)
+    more = flux - least
+    same = (flux.lo == least.lo) & (flux.hi == least.hi)  # the very number
+    if not (same | (more.lo >= 0)).all():
+        raise InputError("the flux cannot be balanced: what rounding leaves is more than what flows out through Γ_S")
+    return enclosing(np.zeros(len(same))).where(same, more)
+
+
+def _trace_constant(cells: Simplices, kappa: Conductivity, facets: Facets) -> Interval:
+    """C_e of `forms.certificate.flux_oscillation`, with ĥ for h_T."""
+    factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
+    return root(facets.measure / at(cells.measure, facets.cells) * factor) * at(kappa.diameter, facets.cells)

@@ -1,0 +1,63 @@
+"""Compiled forms: what a killed process left in the cache, living ones, no compiler."""
+
+import fcntl
+import os
+import time
+from pathlib import Path
+
+import dolfinx.mesh
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.compiling import LOCK, QUIET, clear_if_left, compiled
+
+COMM = MPI.COMM_WORLD
+
+
+def small_form(comm: MPI.Comm) -> ufl.Form:
+    return fem.Constant(dolfinx.mesh.create_unit_square(comm, 2, 2), 1.0) * ufl.dx
+
+
+def as_killed(cache: Path, age: float) -> Path:
+    """Leave the cache as a process does that is killed while it compiles its only form."""
+    (ready,) = cache.glob("*.c.cached")
+    ready.unlink()
+    for path in cache.iterdir():
+        os.utime(path, (time.time() - age,) * 2)
+    return ready.with_suffix("")
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_form_left_by_a_killed_process_is_compiled_again(folder: Path):
+    form = small_form(COMM)
+    compiled(COMM, form, jit_options={"cache_dir": folder})
+    COMM.Barrier()
+    if COMM.rank == 0:
+        as_killed(folder, 2 * QUIET)
+    assert compiled(COMM, form, jit_options={"cache_dir": folder})[0] is not None
+    assert len(list(folder.glob("*.c.cached"))) == 1
+
+
+def test_a_form_that_may_be_alive_is_left_alone(tmp_path: Path):
+    compiled(MPI.COMM_SELF, small_form(MPI.COMM_SELF), jit_options={"cache_dir": tmp_path})
+    form = as_killed(tmp_path, 0)
+    assert not clear_if_left(form)
+    for path in tmp_path.iterdir():
+        os.utime(path, (time.time() - 2 * QUIET,) * 2)
+    with (tmp_path / LOCK).open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)  # as any process that compiles does
+        assert not clear_if_left(form)
+    assert form.exists()
+    assert clear_if_left(form)
+    assert not form.exists()
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("compiler", ["/nowhere/cc", "gcc -include nowhere.h"])
+def test_no_compiler(folder: Path, monkeypatch: pytest.MonkeyPatch, compiler: str):
+    monkeypatch.setenv("CC", compiler)
+    with pytest.raises(OSError, match=r"cannot compile the forms .*; install one and Python's headers") as caught:
+        compiled(COMM, small_form(COMM), jit_options={"cache_dir": folder})
+    assert "-Wall" not in str(caught.value)

@@ -1,0 +1,197 @@
+"""Checkpoints that are damaged, or made to break the program: each is refused in one sentence."""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx.case import load_case
+from signorini_fenicsx.checkpoint import FILE, load_solution
+from signorini_fenicsx.errors import InputError, NumericalFailure
+from signorini_fenicsx.output import write_solution
+from signorini_fenicsx.solver import solve
+
+type Arrays = dict[str, Any]
+
+COMM = MPI.COMM_SELF
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a solution on a structured L-shape."""
+    folder = tmp_path_factory.mktemp("good")
+    case = load_case("example2").with_values({"solve.h": 0.5, "geometry.mesh": "structured"})
+    write_solution(solve(case, COMM), folder, fields=False)
+    return folder
+
+
+def arrays_of(folder: Path) -> Arrays:
+    with np.load(folder / FILE) as file:
+        return dict(file)
+
+
+def entry(name: str, value: float) -> Callable[[Arrays], Arrays]:
+    """The first entry of an array replaced."""
+
+    def change(arrays: Arrays) -> Arrays:
+        array = arrays[name].copy()
+        array.flat[0] = value
+        return {name: array}
+
+    return change
+
+
+def about(**values: Any) -> Callable[[Arrays], Arrays]:
+    """Some of the words replaced."""
+    return lambda arrays: {"about": np.array(json.dumps(json.loads(str(arrays["about"])) | values))}
+
+
+def whole(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], Arrays]:
+    return lambda arrays: {name: change(arrays[name])}
+
+
+DAMAGE = {
+    "sigma": (whole("sigma", lambda x: 5 * x), "is damaged: its KKT residual stationarity is .*, and was"),
+    "u": (entry("u", np.nan), "is damaged: u is not finite"),
+    "p": (whole("facet_p", lambda x: x + 1), "is damaged: its KKT residual"),
+    "conditions": (whole("facet_condition", lambda x: 1 - x), "is damaged: its facet conditions"),
+    "data": (about(case={"geometry": {"shape": "square"}}), "its case is from another version"),
+    "points": (whole("points", lambda x: 2 * x), "is damaged: its KKT residual"),
+    "flat": (whole("points", lambda x: x[:, 0]), "points has type float64 and shape"),
+    "space": (whole("points", lambda x: np.pad(x, ((0, 0), (0, 1)))), "cells has type int64 and shape"),
+    "single": (whole("points", lambda x: x.astype(np.float32)), "points has type float32"),
+    "narrow": (whole("cells", lambda x: x[:, :2]), "cells has type int64 and shape"),
+    "negative": (entry("cells", -1), "has a point that the file does not hold"),
+    "huge": (entry("cells", 2**63 - 1), "has a point that the file does not hold"),
+    "repeated": (whole("cells", lambda x: np.repeat(x[:, :1], 3, axis=1)), "without volume"),
+    "short": (whole("u", lambda x: x[:-1]), "u has type float64 and shape"),
+    "object": (whole("u", lambda x: x.astype(object)), "does not have the size that it says"),
+    "vertices": (entry("facet_vertices", 10**6), "facets with values are not those of Γ_S"),
+    "condition": (entry("facet_condition", 256), "holds what is no condition"),
+    "part": (entry("part_0", 10**6), "has a point that the file does not hold"),
+    "deep": (lambda arrays: {"about": np.array('{"a":' * 10**5)}, "recursion limit"),
+    "words": (lambda arrays: {"about": np.array(3)}, "must be a section"),
+    "history": (about(history=[{"x": 1}]), "missing key 'iteration'"),
+    "beta": (about(beta=0), "greater than 0"),
+    "regions": (about(regions=["a"]), "it holds no inside"),
+    "parts": (about(parts={"left": "y"}), "boundary parts are not those of 'lshape'"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_damage_is_told(good: Path, tmp_path: Path, kind: str):
+    change, message = DAMAGE[kind]
+    arrays = arrays_of(good)
+    np.savez(tmp_path / FILE, **(arrays | change(arrays)))
+    with pytest.raises(InputError, match=message) as caught:
+        load_solution(tmp_path, COMM)
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize("missing", ["about", "u", "cells", "facet_condition", "part_3"])
+def test_what_is_missing_is_told(good: Path, tmp_path: Path, missing: str):
+    np.savez(tmp_path / FILE, **{name: array for name, array in arrays_of(good).items() if name != missing})
+    with pytest.raises(InputError, match="not a readable solution"):
+        load_solution(tmp_path, COMM)
+
+
+def test_archives_that_take_memory_are_refused(tmp_path: Path):
+    """By what they say of themselves, before anything is unpacked."""
+    path = tmp_path / FILE
+    for compression, shape in [
+        (zipfile.ZIP_DEFLATED, (2**20,)),
+        (zipfile.ZIP_LZMA, (2**20,)),
+        (zipfile.ZIP_STORED, (2**40,)),
+        (zipfile.ZIP_STORED, (10**30, 3)),
+        (zipfile.ZIP_STORED, (-1,)),
+    ]:
+        with zipfile.ZipFile(path, "w", compression) as archive, archive.open("u.npy", "w") as file:
+            header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(file, header)
+            file.write(bytes(2**20))
+        with pytest.raises(InputError, match="not a readable solution"):
+            load_solution(tmp_path, COMM)
+
+
+def test_encrypted_and_unknown_archives_are_refused(good: Path, tmp_path: Path):
+    content = (good / FILE).read_bytes()
+    directory = content.rindex(b"PK\x01\x02")
+    for place, byte in ((directory + 8, 1), (directory + 10, 99)):
+        (tmp_path / FILE).write_bytes(content[:place] + bytes([byte]) + content[place + 1 :])
+        with pytest.raises(InputError, match="compressed or encrypted"):
+            load_solution(tmp_path, COMM)
+
+
+@pytest.mark.parametrize(
+    "header", ["{'descr': '<f8", "{'descr': '<f8', 'fortran_order': False, 'shape': (0L,), }", "'"]
+)
+def test_headers_that_are_not_python_are_refused(tmp_path: Path, header: str):
+    text = header.encode() + b"\n"
+    with zipfile.ZipFile(tmp_path / FILE, "w") as file:
+        file.writestr("u.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+    with pytest.raises(InputError, match="not a readable solution"):
+        load_solution(tmp_path, COMM)
+
+
+@pytest.mark.parallel([1, 2])
+def test_all_ranks_refuse(folder: Path):
+    comm = MPI.COMM_WORLD
+    write_solution(solve(load_case("example1").with_values({"solve.h": 0.25}), comm), folder, fields=False)
+    comm.Barrier()
+    if comm.rank == 0:
+        arrays = arrays_of(folder)
+        np.savez(folder / FILE, **(arrays | {"sigma": 5 * arrays["sigma"]}))
+    comm.Barrier()
+    with pytest.raises(InputError, match="is damaged: its KKT residual"):
+        load_solution(folder, comm)
+
+
+def test_the_state_of_a_failed_run_is_read(tmp_path: Path):
+    case = load_case("example2").with_values({"solve.h": 0.25, "solve.max_iterations": 1})
+    with pytest.raises(NumericalFailure) as caught:
+        solve(case, COMM)
+    assert caught.value.solution is not None
+    write_solution(caught.value.solution, tmp_path, fields=False)
+    read = load_solution(tmp_path, COMM)
+    assert not read.converged
+    assert read.kkt.violation() is not None
+    arrays = arrays_of(tmp_path)
+    np.savez(tmp_path / FILE, **(arrays | entry("u", np.nan)(arrays)))
+    with pytest.raises(InputError, match="is damaged: its KKT residual"):
+        load_solution(tmp_path, COMM)
+
+
+def test_a_structured_lshape_keeps_its_facets(good: Path):
+    """Its grid has points in the notch, which a file does not hold."""
+    read = load_solution(good, COMM)
+    assert read.spaces.facet_measure.sum() == pytest.approx(4)
+
+
+def test_methods_with_residuals_of_their_own(tmp_path: Path):
+    """Their solutions violate (9), which is no damage, and other changes are."""
+    case = load_case("example1").with_values({"solve.h": 0.25, "solve.algorithm": "primal-pdas"})
+    write_solution(solve(case, COMM), tmp_path, fields=False)
+    read = load_solution(tmp_path, COMM)
+    assert read.own_residual is not None
+    assert read.kkt.violation() is not None
+    arrays = arrays_of(tmp_path)
+    np.savez(tmp_path / FILE, **(arrays | {"sigma": 5 * arrays["sigma"]}))
+    with pytest.raises(InputError, match="is damaged: its KKT residual"):
+        load_solution(tmp_path, COMM)
+
+
+def test_nothing_is_read_that_is_no_file(tmp_path: Path, good: Path):
+    shutil.copyfile(good / FILE, tmp_path / "x")
+    for target in (FILE, "/dev/zero", "missing"):
+        (tmp_path / FILE).symlink_to(target)
+        with pytest.raises(InputError, match=f"holds no {FILE}"):
+            load_solution(tmp_path, COMM)
+        (tmp_path / FILE).unlink()
+    with pytest.raises(InputError, match="name too long"):
+        load_solution("x" * 5000, COMM)

@@ -1,0 +1,182 @@
+"""Enclosures hold, wherever one looks, find what quadrature does not see, and are sharp where data are smooth."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import make_case
+from fuzz_expressions import valid
+from mpi4py import MPI
+
+from signorini_fenicsx.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.enclosures import cell_vertices, enclose, facet_vertices
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.expressions import read, values, values_and_gradient
+from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
+from signorini_fenicsx.spaces import build_spaces
+
+COMM = MPI.COMM_SELF
+
+
+def squares(n: int) -> np.ndarray:
+    """The structured mesh of the unit square, shape (2n², 3, 2)."""
+    corner = np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 1, 2)
+    lower, upper = np.array([[0, 0], [1, 0], [1, 1]]), np.array([[0, 0], [1, 1], [0, 1]])
+    return np.concatenate([corner + lower, corner + upper]) / n
+
+
+def inside(vertices: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Random points of each simplex, shape (count, n, d)."""
+    weights = rng.dirichlet(np.full(vertices.shape[1], 0.7), (count, len(vertices)))
+    return np.einsum("cnv,nvi->cni", weights, vertices)
+
+
+def value_of(p: Quadratic, vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
+    offset = points - vertices.mean(axis=1)
+    bend = np.einsum("nij,cnj->cni", p.hessian, offset)
+    return p.value + ((p.gradient + bend / 2) * offset).sum(axis=2)
+
+
+@pytest.mark.parametrize("corners", [2, 3, 4])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_enclosures_hold(dim: int, corners: int):
+    """Of random expressions on random simplices: sampled values and slopes."""
+    if corners > dim + 1:
+        return
+    known = 0
+    names = "xyz"[:dim]
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        try:
+            tree = read(valid(random.Random(seed), int(rng.integers(2, 8))), names)
+        except InputError:
+            continue
+        sizes = 10.0 ** rng.uniform(-3, 0.5, (12, 1, 1))
+        vertices = rng.uniform(-1, 1, (12, 1, dim)) + sizes * rng.uniform(-1, 1, (12, corners, dim))
+        p = interpolated(tree, vertices)
+        p = p if np.isfinite(p.value).all() else constant(np.zeros(12), dim)
+        found = enclose(tree, vertices, p, np.full(12, 1e-2), COMM, scale=0.0)
+        points = inside(vertices, 400, rng)
+        e, gradient = values_and_gradient(tree, dict(zip(names, np.moveaxis(points, 2, 0), strict=True)))
+        d = e - value_of(p, vertices, points)
+        bend = np.einsum("nij,cnj->cni", p.hessian, points - vertices.mean(axis=1))
+        slope = np.linalg.norm(gradient - p.gradient - bend, axis=2)
+        noise = 1e-12 * (1 + np.abs(p.value))
+        assert not (e < found.range.lo).any()
+        assert not (e > found.range.hi).any()
+        assert not (np.abs(d) > found.sup + noise).any()
+        assert not (slope > found.slope * (1 + 1e-9) + noise / sizes[:, 0, 0]).any()
+        assert not (found.norm > found.sup * (1 + 1e-9) + noise).any()
+        known += np.isfinite(found.norm).sum()
+    assert known > 50
+
+
+def test_means_and_norms():
+    """Against sums over many points, for p of degree 0, 1 and 2."""
+    vertices = squares(2)
+    n = 200
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+    first, second = (i + 1 / 3) / n, (j + 1 / 3) / n
+    fold = first + second > 1
+    a, b = np.where(fold, 1 - first, first), np.where(fold, 1 - second, second)
+    for text in ("sin(3*x)*exp(y)", "1 if (x - 0.4)^2 + (y - 0.3)^2 < 0.04 else 0", "abs(x - 0.3)*y"):
+        tree = read(text, "xy")
+        full = interpolated(tree, vertices)
+        parts = [full, Quadratic(full.value, full.gradient, 0 * full.hessian), constant(full.value, 2)]
+        for p in parts:
+            found = enclose(tree, vertices, p, np.full(8, 1e-4), COMM, scale=0.0)
+            for cell, (o, v, w) in enumerate(vertices):
+                points = o + a[:, None] * (v - o) + b[:, None] * (w - o)
+                one = Quadratic(p.value[[cell]], p.gradient[[cell]], p.hessian[[cell]])
+                d = values(tree, {"x": points[:, 0], "y": points[:, 1]})
+                d = d - value_of(one, vertices[[cell]], points[:, None])[:, 0]
+                mean, norm = d.mean(), np.sqrt((d**2).mean())
+                assert found.mean.lo[cell] - 1e-3 <= mean <= found.mean.hi[cell] + 1e-3
+                assert 0.999 * norm - 1e-3 <= found.norm[cell] <= 1.45 * norm + 1e-2
+
+
+def test_what_quadrature_does_not_see():
+    """A disc, a peak and a wave on a coarse mesh; of the wave it is said where too little is known."""
+    vertices = squares(5)
+    area = 0.02
+    zero = constant(np.zeros(50), 2)
+    for text, norm, integral in [
+        ("1e4 if (x-0.515)^2+(y-0.54)^2 < 2.5e-5 else 0", 1e4 * np.sqrt(np.pi * 2.5e-5), 1e4 * np.pi * 2.5e-5),
+        ("1e5*exp(-2e5*((x-.515)^2+(y-.54)^2))", 1e5 * np.sqrt(np.pi / 4e5), 1e5 * np.pi / 2e5),
+    ]:
+        found = enclose(read(text, "xy"), vertices, zero, np.full(50, 1e-2), COMM, scale=1.0)
+        assert found.resolved.all()
+        total = np.sqrt(area * (found.norm**2).sum())
+        assert norm <= total <= 1.42 * norm
+        assert area * found.mean.lo.sum() <= integral <= area * found.mean.hi.sum()
+        np.testing.assert_allclose(found.place[found.norm.argmax()], [0.515, 0.54], atol=0.01)
+    wave = read("3000*sin(40*pi*x)*sin(40*pi*y)", "xy")
+    found = enclose(wave, vertices, interpolated(wave, vertices), np.full(50, 1.0), COMM, scale=1.0)
+    assert not found.resolved.any()
+    assert np.isfinite(found.norm).all()
+    hole = read("sqrt((x - 0.515)^2 + (y - 0.54)^2 - 1e-5)", "xy")
+    found = enclose(hole, vertices, zero, np.full(50, 1e-2), COMM, scale=1.0)
+    assert np.count_nonzero(~found.resolved) == 1
+    assert np.isinf(found.norm).sum() == 1
+
+
+def test_smooth_data_are_cheap():
+    """One box a cell, and remainders of third order; exact for quadratics, also in pieces that the mesh fits."""
+    tree = read("40*(x-0.6) + sin(5*x)*exp(y)", "xy")
+    norms = []
+    for n in (8, 16):
+        vertices = squares(n)
+        found = enclose(tree, vertices, interpolated(tree, vertices), np.full(len(vertices), 0.1), COMM, scale=1.0)
+        assert found.boxes == len(vertices)
+        assert found.resolved.all()
+        norms.append(np.sqrt((found.norm**2).mean()))
+    assert norms[1] < norms[0] / 6
+    vertices = squares(10)
+    for text in ("50*(1/2 - x)*(1/2 - y)", "x^2 if x < 0.3 and y <= 0.7 else 3 - x*y", "7 if x > y else abs(x - 0.6)"):
+        tree = read(text, "xy")
+        found = enclose(tree, vertices, interpolated(tree, vertices), np.full(200, 1e-3), COMM, scale=1.0)
+        assert found.norm.max() < 1e-4
+        assert found.resolved.all()
+
+
+def test_gradients_by_tolerance():
+    """The quadratic with the nodal values of a function, and how far its gradient is."""
+    vertices = squares(8)
+    tree = read("sin(3*x)*y^3 + abs(x - 1/4)", "xy")
+    ends = np.array([(0, 1), (0, 2), (1, 2)]).T
+    nodes = [vertices, (vertices[:, ends[0]] + vertices[:, ends[1]]) / 2]
+    p = quadratic(vertices, *(values(tree, {"x": x[..., 0], "y": x[..., 1]}) for x in nodes))
+    for x in np.moveaxis(np.concatenate(nodes, axis=1), 1, 0):
+        np.testing.assert_allclose(
+            value_of(p, vertices, x[None])[0], values(tree, {"x": x[:, 0], "y": x[:, 1]}), atol=1e-14
+        )
+    found = enclose(tree, vertices, p, np.full(128, 0.3), COMM, scale=1.0, by="slope")
+    assert found.resolved.all()
+    assert found.slope.max() <= 0.3
+    kappa = read("1 - 0.99*exp(-((x - 0.515)/0.01)^2)", "xy")
+    found = enclose(kappa, vertices, interpolated(kappa, vertices), np.full(128, 0.2), COMM, scale=1.0, by="sup")
+    assert 0 < found.range.lo.min() <= 0.01
+    assert found.range.lo.min() > 0.005
+
+
+@pytest.mark.parallel([1, 2])
+def test_partition_changes_nothing(folder: Path):
+    """The same for each cell and facet, also where the budget or the cap ends the bisection."""
+    case = make_case(folder, parts=["bottom"], f="1 if (x-0.4)^2 + y^2 < 0.01 else sin(300*x*y)", h=0.3)
+    case = case.with_values({"problem.q_S": "-abs(x - 0.3)", "problem.kappa": [["2", "x/9"], ["x/9", "1"]]})
+    spaces = build_spaces(mesh_case(case, MPI.COMM_WORLD), ["bottom"])
+    data = discrete_data(case, spaces)
+    assert set(data.trees) == {"f", "kappa", "u_D", "g_N", "psi", "q_S"}
+    comm = MPI.COMM_WORLD
+    for tree, vertices in [
+        (data.trees["f"], cell_vertices(spaces.mesh)),
+        (data.trees["q_S"], facet_vertices(spaces.mesh, spaces.facets)),
+        (data.trees["kappa"][0][1], cell_vertices(spaces.mesh)),
+    ]:
+        found = enclose(tree, vertices, interpolated(tree, vertices), np.full(len(vertices), 0.01), comm, scale=1.0)
+        alone = [
+            enclose(tree, v[None], interpolated(tree, v[None]), np.full(1, 0.01), COMM, scale=1.0) for v in vertices
+        ]
+        np.testing.assert_array_equal(found.norm, np.array([one.norm[0] for one in alone]))
+        assert found.boxes == sum(one.boxes for one in alone)

@@ -1,0 +1,152 @@
+"""Ends that are not the program's choice: signals, full disks, readers that go away."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from test_cli import run, signorini
+
+from signorini_fenicsx import report, solver
+from signorini_fenicsx.cli import main
+from signorini_fenicsx.signals import Interruption, listening
+
+SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
+
+
+def told_to_end(monkeypatch: pytest.MonkeyPatch, module: object, name: str, call: int, number: int) -> None:
+    """Let the program get a signal in the so many-th call of a function."""
+    function: Callable[..., object] = getattr(module, name)
+    calls = [0]
+
+    def signalled(*arguments: object, **options: object) -> object:
+        calls[0] += 1
+        if calls[0] == call:
+            os.kill(os.getpid(), number)
+        return function(*arguments, **options)
+
+    monkeypatch.setattr(module, name, signalled)
+
+
+def ended(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
+    """Exit status of a command in this process."""
+    monkeypatch.setattr(sys, "argv", ["signorini", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    return end.value.code
+
+
+@pytest.mark.parametrize("algorithm", ["alg1", "snes2", "vi", "primal-pdas", "mixed-uzawa1"])
+def test_a_signal_in_the_loop_keeps_its_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], algorithm: str
+):
+    monkeypatch.chdir(tmp_path)
+    with monkeypatch.context() as during:
+        told_to_end(during, report, "step", 2, signal.SIGTERM)
+        during.setattr(sys, "argv", ["signorini"])
+        assert ended(during, *SOLVE, "--algorithm", algorithm) == 1
+    assert "failed: interrupted by SIGTERM; the last state is in" in " ".join(capsys.readouterr().err.split())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.failed"]
+    if algorithm == "alg1":
+        assert ended(monkeypatch, *SOLVE, "--start-from", "x.failed") == 0
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["x"]
+
+
+def test_a_signal_to_one_rank_ends_all_in_order(tmp_path: Path):
+    script = tmp_path / "told.py"
+    script.write_text(
+        "import os, signal, sys\n"
+        "from mpi4py import MPI\n"
+        "from signorini_fenicsx import cli, report\n"
+        "step = report.step\n"
+        "def signalled(row):\n"
+        "    step(row)\n"
+        "    if row.iteration == 2 and MPI.COMM_WORLD.rank == 1:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "report.step = signalled\n"
+        "cli.main()\n"
+    )
+    done = run(tmp_path, sys.executable, str(script), *SOLVE, ranks=2)
+    assert done.returncode == 1
+    assert done.stderr.count("interrupted by SIGINT; the last state is in") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["told.py", "x.failed"]
+
+
+def test_a_signal_before_the_loop_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    told_to_end(monkeypatch, solver, "discrete_data", 1, signal.SIGTERM)  # after Gmsh, which sets handlers of its own
+    assert ended(monkeypatch, *SOLVE) == 1
+    assert capsys.readouterr().err.strip() == "failed: interrupted by SIGTERM"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_in_a_destructor_is_not_lost():
+    class Dying:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def wait() -> None:
+        Dying()
+        time.sleep(30)
+
+    with listening(), pytest.raises(Interruption, match="SIGTERM"):
+        wait()
+
+
+def test_a_signal_to_the_program(tmp_path: Path):
+    """As a shell sends it: PETSc has handlers of its own. The sweeps would not end soon."""
+    far = ("--algorithm", "psor", "--set", "problem.psi=-1e8")
+    with subprocess.Popen(
+        ["signorini", *SOLVE, *far], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as solve:
+        assert solve.stdout is not None
+        assert solve.stderr is not None
+        while (line := solve.stdout.readline()) and not line.startswith("   2"):
+            pass
+        solve.terminate()
+        said = solve.stderr.read()
+    assert solve.returncode == 1
+    assert (said.count("\n"), said.count("interrupted by SIGTERM; the last state is in")) == (1, 1)
+
+
+def test_a_reader_that_goes_away(tmp_path: Path):
+    """The results are written all the same, and nothing is said about it."""
+    with subprocess.Popen(
+        ["signorini", *SOLVE], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as solve:
+        assert solve.stdout is not None
+        assert solve.stderr is not None
+        solve.stdout.readline()
+        solve.stdout.close()
+        assert solve.stderr.read() == ""
+    assert solve.returncode == 0
+    assert (tmp_path / "x" / "summary.json").exists()
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_a_full_disk_keeps_the_state(tmp_path: Path, checked: bool):
+    """No file may grow beyond some bytes: said before ADIOS2 begins, and also if it is ADIOS2 that fails."""
+    script = tmp_path / "limited.py"
+    script.write_text(
+        "import resource\n"
+        "from signorini_fenicsx import cli, output\n"
+        + ("" if checked else "output._check_room = lambda *arguments: None\n")
+        + "resource.setrlimit(resource.RLIMIT_FSIZE, (150000, 150000))\n"
+        "cli.main()\n"
+    )
+    done = run(tmp_path, sys.executable, str(script), *SOLVE, "-q", ranks=1)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.count("the state is in") == 1
+    assert ("File too large" in done.stderr) or not checked
+    assert checked is False or done.stderr.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["limited.py", "x.failed"]
+    assert sorted(path.name for path in (tmp_path / "x.failed").iterdir()) == ["checkpoint.npz", "files.json"]
+    if checked:
+        done = signorini(tmp_path, "export", "x.failed", "--output", "x")
+        assert done.returncode == 0, done.stderr

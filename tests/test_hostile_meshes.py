@@ -1,0 +1,267 @@
+"""Mesh files in XML and HDF5 that are wrong or refer to others, and meshes that are not joined: one sentence each."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.mesh_checks import FileMesh, check_boundary, checked
+from signorini_fenicsx.meshio_files import read_with_meshio
+
+POINTS, CELLS = "0 0 1 0 0 1", "0 1 2"
+VTU = """<?xml version="1.0"?>{head}<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">
+<UnstructuredGrid><Piece NumberOfPoints="{count}" NumberOfCells="1"><Points>
+<DataArray type="Float64" NumberOfComponents="{width}" format="ascii">{points}</DataArray></Points><Cells>
+<DataArray type="Int64" Name="connectivity" format="ascii">{cells}</DataArray>
+<DataArray type="Int64" Name="offsets" format="ascii">{end}</DataArray>
+<DataArray type="Int64" Name="types" format="ascii">{kind}</DataArray>{more}
+</Cells></Piece></UnstructuredGrid></VTKFile>
+"""
+FACES = """<DataArray type="Int64" Name="faces" format="ascii">4 3 0 1 2 3 0 1 3 3 0 2 3 3 1 2 3</DataArray>
+<DataArray type="Int64" Name="faceoffsets" format="ascii">17</DataArray>"""
+TRIANGLE = {
+    "head": "",
+    "count": 3,
+    "width": 3,
+    "points": "0 0 0 1 0 0 0 1 0",
+    "cells": CELLS,
+    "end": 3,
+    "kind": 5,
+    "more": "",
+}
+TETRAHEDRON = {"count": 4, "points": "0 0 0 1 0 0 0 1 0 0 0 1", "cells": "0 1 2 3", "end": 4}
+BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">' + "".join(
+    f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+HEADS = {
+    "bomb": BOMB + "]>",
+    "a file as entity": '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]>',
+    "parameters": '<!DOCTYPE x [<!ENTITY % a SYSTEM "file:///etc/passwd"> %a;]>',
+    "defaults": '<!DOCTYPE x [<!ATTLIST DataArray more CDATA "' + "a" * 1000 + '">]>',
+}
+
+
+def vtu(**changes: object) -> str:
+    """A triangle in VTK's XML format, with changes."""
+    return VTU.format(**TRIANGLE | changes)
+
+
+def grid(name: str, kind: str, cells: str, shape: str, more: str) -> str:
+    """A grid as DOLFINx writes it."""
+    return (
+        f'<Grid Name="{name}"><Topology TopologyType="{kind}"><DataItem Dimensions="{shape}" Format="XML">{cells}'
+        f"</DataItem></Topology>{more}</Grid>"
+    )
+
+
+def numbers(values: str) -> str:
+    """The numbers of `MeshTags`."""
+    count = len(values.split())
+    item = f'<DataItem Dimensions="{count} 1" Format="XML">{values}</DataItem>'
+    return f'<Attribute Name="t" Center="Cell">{item}</Attribute>'
+
+
+def xdmf(
+    points: str = POINTS,
+    shape: str = "3 2",
+    triangle: tuple[str, str] = (CELLS, "1 3"),
+    sides: tuple[str, str] = ("0 1 1 2", "2 2"),
+    tags: str = "7 8",
+    cell: tuple[str, str] = (CELLS, "1 3"),
+    item: str = 'Format="XML"',
+) -> str:
+    """A triangle with numbers on two sides and on itself, as DOLFINx writes it, with changes."""
+    where = f'<Geometry GeometryType="XY"><DataItem Dimensions="{shape}" {item}>{points}</DataItem></Geometry>'
+    return (
+        '<?xml version="1.0"?><!DOCTYPE Xdmf SYSTEM "Xdmf.dtd" []><Xdmf Version="3.0"><Domain>'
+        + grid("mesh", "Triangle", *triangle, where)
+        + grid("sides", "PolyLine", *sides, numbers(tags))
+        + grid("cells", "Triangle", *cell, numbers("3"))
+        + "</Domain></Xdmf>"
+    )
+
+
+def hdf(name: str) -> str:
+    """An XDMF file whose points are in an HDF5 file."""
+    return xdmf(points=f"{name}:/points", item='Format="HDF"')
+
+
+REFUSED = {
+    "polyhedra": ("vtu", vtu(**TETRAHEDRON, kind=42, more=FACES), "1 element of kind 'polyhedron4'; only triangles"),
+    "a polygon": ("vtu", vtu(kind=7), "polygon"),
+    "one coordinate": ("vtu", vtu(width=1, points="0 1 2"), r"shape \(3, 1\); 2 or 3 coordinates"),
+    "four coordinates": ("vtu", vtu(width=4, points="0 " * 12), r"shape \(3, 4\); 2 or 3 coordinates"),
+    "a point that is not there": ("vtu", vtu(cells="0 1 9"), "a point that the file does not hold"),
+    "offsets of another mesh": ("vtu", vtu(end=-5), "mesh|cannot be read|points for each|holds"),
+    "xdmf: cells too wide": (
+        "xdmf",
+        xdmf(triangle=("0 1 2 0", "1 4")),
+        r"kind 'triangle' has the shape \(1, 4\); 3 points",
+    ),
+    "xdmf: cells in a row": ("xdmf", xdmf(triangle=(CELLS, "3")), r"kind 'triangle' has the shape \(3,\); 3 points"),
+    "xdmf: sides too wide": (
+        "xdmf",
+        xdmf(sides=("0 1 2 0", "1 4"), tags="7"),
+        r"'line' has the shape \(1, 4\); 2 points",
+    ),
+    "xdmf: tagged cells too wide": ("xdmf", xdmf(cell=("0 1 2 0", "1 4")), r"'triangle' has the shape \(1, 4\)"),
+    "xdmf: other cells": ("xdmf", xdmf(cell=("0 1 1", "1 3")), "a cell that the mesh does not have"),
+    "xdmf: one coordinate": ("xdmf", xdmf(points="0 1 2", shape="3 1"), r"shape \(3, 1\); 2 or 3 coordinates"),
+    "xdmf: points in a row": ("xdmf", xdmf(shape="6"), r"shape \(6,\); 2 or 3 coordinates"),
+    "xdmf: numbers missing": ("xdmf", xdmf(tags="7"), "the grid 'sides' has 1 numbers for 2 elements"),
+    "xdmf: sides out of range": ("xdmf", xdmf(sides=("0 1 1 9", "2 2")), "a point that the file does not hold"),
+    "xdmf: not a number": ("xdmf", xdmf(points="0 0 1 0 0 x"), "cannot be read"),
+    "xdmf: too few": ("xdmf", xdmf(points="0 0 1"), "cannot be read"),
+    "xdmf: a file elsewhere": ("xdmf", hdf("/etc/passwd"), "'/etc/passwd', which is outside the folder of the mesh"),
+    "xdmf: a file above": ("xdmf", hdf("../x.h5"), "'../x.h5', which is outside the folder"),
+    "xdmf: through a link": ("xdmf", hdf("link/x.h5"), "'link/x.h5', which is outside the folder"),
+    "xdmf: no such file": ("xdmf", hdf("none.h5"), "'none.h5', and there is no such file"),
+    "xdmf: bytes of a file": ("xdmf", xdmf(points="/etc/passwd", item='Format="Binary"'), "in the format 'Binary'"),
+    "xdmf: an external link": ("xdmf", hdf("external.h5"), "'points' in external.h5 is a link to another file"),
+    "xdmf: a link to a link": ("xdmf", hdf("soft.h5"), "'out' in soft.h5 is a link to another file"),
+    "xdmf: values elsewhere": ("xdmf", hdf("raw.h5"), "the values of 'points' in raw.h5 are in another file"),
+    "xdmf: a virtual array": ("xdmf", hdf("virtual.h5"), "the values of 'points' in virtual.h5 are in another file"),
+    "xdmf: another element": ("xdmf", hdf("../x.h5").replace("DataItem", "Item"), "'../x.h5', which is outside"),
+    "xdmf: in capitals": ("XDMF", hdf("external.h5"), "is a link to another file"),
+    "xdmf: in capitals, a bomb": (
+        "XDMF",
+        xdmf().replace('<!DOCTYPE Xdmf SYSTEM "Xdmf.dtd" []>', BOMB + "]>"),
+        "declares",
+    ),
+    "xdmf: not HDF5": ("xdmf", hdf("mesh.xdmf"), "cannot be read"),
+    "not XML": ("vtu", "\0\1\2", "is not XML"),
+    **{f"vtu: {name}": ("vtu", vtu(head=head), "declares entities or defaults") for name, head in HEADS.items()},
+    **{
+        f"xdmf: {name}": ("xdmf", xdmf().replace('<!DOCTYPE Xdmf SYSTEM "Xdmf.dtd" []>', head), "declares entities")
+        for name, head in HEADS.items()
+    },
+}
+
+
+def write_hdf5(folder: Path) -> None:
+    """HDF5 files that refer to others in all the ways there are."""
+    (folder / "link").symlink_to(folder.parent)
+    values = np.array([[0, 0], [1, 0], [0, 1]], dtype=float)
+    with h5py.File(folder / "good.h5", "w") as file:
+        file["points"] = values
+        file["again"] = file["/"]  # a loop
+    with h5py.File(folder / "external.h5", "w") as file:
+        file["points"] = h5py.ExternalLink("good.h5", "/points")
+    with h5py.File(folder / "soft.h5", "w") as file:
+        file["points"] = h5py.SoftLink("/group/out/points")
+        file.create_group("group")["out"] = h5py.ExternalLink("good.h5", "/")
+    with h5py.File(folder / "raw.h5", "w") as file:
+        file.create_dataset("points", shape=(3, 2), dtype=float, external=[("/etc/passwd", 0, 48)])
+    with h5py.File(folder / "virtual.h5", "w") as file:
+        layout = h5py.VirtualLayout((3, 2), float)
+        layout[:] = h5py.VirtualSource("good.h5", "points", (3, 2))
+        file.create_virtual_dataset("points", layout)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_files_are_refused(tmp_path: Path, name: str):
+    suffix, text, message = REFUSED[name]
+    write_hdf5(tmp_path)
+    file = tmp_path / f"mesh.{suffix}"
+    file.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        checked(read_with_meshio(file))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("suffix", "text"), [("vtu", vtu()), ("xdmf", xdmf()), ("xdmf", hdf("good.h5"))])
+def test_what_was_changed_is_a_mesh(tmp_path: Path, suffix: str, text: str):
+    write_hdf5(tmp_path)
+    (tmp_path / f"mesh.{suffix}").write_text(text)
+    mesh = checked(read_with_meshio(tmp_path / f"mesh.{suffix}"))
+    assert len(mesh.cells) == 1
+    assert mesh.parts.keys() == ({"7", "8"} if suffix == "xdmf" else set())
+
+
+def strip(n: int, left: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Points and cells of n squares on top of each other, of n triangles on each side."""
+    low = np.stack([np.full(n + 1, left), np.linspace(y, y + 1, n + 1)], axis=1)
+    points = np.concatenate([low, low + np.array([1, 0])])
+    a = np.arange(n)
+    b, c, d = a + n + 1, a + n + 2, a + 1
+    return points, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def pieces(*parts: tuple[np.ndarray, np.ndarray], join: bool = True) -> FileMesh:
+    """One mesh of several; those of their points that are equal become one."""
+    starts = np.cumsum([0] + [len(points) for points, _ in parts])
+    points = np.concatenate([points for points, _ in parts])
+    cells = np.concatenate([cells + start for (_, cells), start in zip(parts, starts, strict=False)])
+    if join:
+        points, number = np.unique(points, axis=0, return_inverse=True)
+        cells = number.ravel()[cells]
+    return FileMesh(points, cells, {}, {})
+
+
+def cube(points: list[list[float]], flipped: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Tetrahedra from the middle over the two triangles of each face, which is split in one of two ways."""
+    corners = np.array(points, dtype=float)
+    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    triangles = []
+    for a, b, c, d in quads:
+        triangles += [(a, b, d), (b, c, d)] if flipped else [(a, b, c), (a, c, d)]
+    return np.vstack([corners, corners.mean(axis=0)]), np.array([[*triangle, 8] for triangle in triangles])
+
+
+def box(x: float) -> list[list[float]]:
+    """Corners of a unit cube, x first in the order of binary digits."""
+    return [[x + (k & 1), k >> 1 & 1, k >> 2] for k in range(8)]
+
+
+def cracked(scale: float = 1.0) -> FileMesh:
+    """Two squares that are joined at one of three vertices only, with the sides of the crack and the rest as parts."""
+    mesh = pieces(strip(2, 0), strip(2, 1), join=False)
+    points, cells = mesh.points * scale, mesh.cells.copy()
+    cells[cells == 6] = 3  # (1, 0)
+    sides = {"left": [[3, 4], [4, 5]], "right": [[3, 7], [7, 8]]}
+    used, number = np.unique(cells, return_inverse=True)
+    renumbered = np.full(len(points), -1)
+    renumbered[used] = np.arange(len(used))
+    parts = {name: np.sort(renumbered[np.array(rows)], axis=1) for name, rows in sides.items()}
+    return FileMesh(points[used], number.reshape(-1, 3), parts, {})
+
+
+UNJOINED: dict[str, tuple[Callable[[], FileMesh], str]] = {
+    "hanging nodes": (lambda: pieces(strip(2, 0), strip(4, 1)), "6 facets in no part lie on other facets, inside"),
+    "pieces with other nodes": (lambda: pieces(strip(2, 0), strip(3, 1)), "5 facets in no part lie on other facets"),
+    "pieces not joined": (lambda: pieces(strip(2, 0), strip(2, 1), join=False), r"4 facets .* around \(1, 0.25\)"),
+    "an interior crack": (cracked, "4 facets in no part lie on other facets, inside the domain"),
+    "nanometres": (lambda: cracked(1e-9), "4 facets in no part lie on other facets, inside the domain"),
+    "sheets on one another": (lambda: pieces(strip(2, 0), strip(2, 0), join=False), "cells overlap: 12 facets"),
+    "sheets of other cells": (lambda: pieces(strip(2, 0), strip(3, 0), join=False), "cells overlap: 14 facets"),
+    "cubes not joined": (lambda: pieces(cube(box(0), False), cube(box(1), False), join=False), "4 facets in no part"),
+    "faces split otherwise": (lambda: pieces(cube(box(0), False), cube(box(1), True)), "4 facets in no part"),
+    "cubes on one another": (lambda: pieces(cube(box(0), False), cube(box(0), True)), "cells overlap"),
+}
+
+
+@pytest.mark.parametrize("name", UNJOINED)
+def test_meshes_that_are_not_joined(name: str):
+    mesh, message = UNJOINED[name]
+    with pytest.raises(InputError, match=message):
+        check_boundary(mesh(), {"signorini": []})
+
+
+def test_a_crack_has_both_sides_in_parts():
+    """Then it is meant; with one side only, the other would silently be Γ_D."""
+    check_boundary(cracked(), {"signorini": ["left", "right"]})
+    check_boundary(cracked(), {"signorini": ["left"], "neumann": ["right"]})
+    with pytest.raises(InputError, match="2 facets in no part lie on other facets"):
+        check_boundary(cracked(), {"signorini": ["left"]})
+
+
+def test_joined_meshes_pass():
+    check_boundary(pieces(strip(2, 0), strip(2, 1)), {"signorini": []})
+    check_boundary(pieces(cube(box(0), False), cube(box(1), False)), {"signorini": []})
+    gap = pieces(strip(2, 0), strip(2, 1 + 1e-3))  # narrow, and still a gap
+    check_boundary(gap, {"signorini": []})
+    flat = strip(2, 0)
+    check_boundary(FileMesh(flat[0] * [1, 1e-9], flat[1], {}, {}), {"signorini": []})  # bad cells, and no crack

@@ -1,0 +1,108 @@
+"""Data that quadrature may miss: what is not resolved is said, and the bound takes account of it."""
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+from forms.norms import l2
+from signorini_fenicsx.adaptive import adapt
+from signorini_fenicsx.api import Problem, solve_on
+from signorini_fenicsx.case import Case, load_case
+from signorini_fenicsx.certificate import Certificate, certify
+from signorini_fenicsx.report import bound
+from signorini_fenicsx.sampling import sampled
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solver import solve
+
+COMM = MPI.COMM_WORLD
+DISC = "1e4 if (x-0.515)^2+(y-0.54)^2 < 2.5e-5 else 0"
+
+
+def problem(h: float, **data: object) -> Case:
+    values = {f"problem.{name}": value for name, value in ({"f": "40*(x - 0.6)"} | data).items()}
+    shape = {"geometry.shape": "square", "geometry.mesh": "structured", "boundary.signorini": ["bottom"], "solve.h": h}
+    return load_case("example1").with_values(shape | values)
+
+
+def certified(h: float, **data: object) -> tuple[Solution, Certificate]:
+    solution = solve(problem(h, **data), COMM)
+    return solution, certify(solution)
+
+
+def distance(coarse: Solution, fine: Solution) -> float:
+    (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
+    dx = ufl.Measure("dx", domain=fine.spaces.mesh, metadata={"quadrature_degree": 4, "quadrature_scheme": "default"})
+    return float(np.sqrt(fine.spaces.integrate(l2(fine.sigma - sigma, dx))))
+
+
+@pytest.mark.parametrize(
+    ("h", "data", "name"),
+    [
+        (0.2, {"f": DISC}, "f"),
+        (0.2, {"f": "1e5*exp(-2e5*((x-.515)^2+(y-.54)^2))"}, "f"),
+        (0.3, {"f": "3000*sin(40*pi*x)*sin(40*pi*y)"}, "f"),
+        (0.2, {"kappa": "1 - .99*exp(-((x-.515)/.01)^2)"}, "kappa"),
+        (0.2, {"u_D": "0.1 + 5*exp(-1e5*((x-1)^2+(y-.54)^2))"}, "u_D"),
+        (0.2, {"q_S": "1000 if (x-.515)^2 < 1e-5 else 0"}, "q_S"),
+    ],
+)
+def test_what_is_not_resolved_is_never_guaranteed(h: float, data: dict[str, object], name: str):
+    _, certificate = certified(h, **data)
+    assert not certificate.guaranteed
+    assert name in certificate.unresolved[0][0]
+    assert certificate.summary()["unresolved"][0]["data"] == certificate.unresolved[0][0]
+    assert f"not guaranteed: {certificate.unresolved[0][0]} is not resolved near (" in bound(certificate)
+
+
+@pytest.mark.parametrize("f", [DISC, "1e5*exp(-2e5*((x-.515)^2+(y-.54)^2))"])
+def test_what_quadrature_missed_enters_the_bound(f: str):
+    coarse, certificate = certified(0.2, f=f)
+    fine = solve(problem(2**-7, f=f), COMM)
+    assert distance(coarse, fine) < certificate.sigma_bound < np.inf
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {},
+        {"f": "40*(x - 0.6) + sin(5*x)*exp(y)", "kappa": "1 + 0.5*sin(3*x)*y", "u_D": "exp(x)*y"},
+        {"f": "50 if x < 0.5 else 0"},
+        {"kappa": "1e-3 if x < 0.5 else 1"},
+        {"psi": "-10 + sin(200*x)"},
+        {"u_D": "abs(y - 0.5123)"},
+    ],
+)
+def test_what_is_resolved_is_guaranteed_and_sharp(data: dict[str, object]):
+    coarse, certificate = certified(2**0.5 / 16, **data)
+    assert certificate.guaranteed
+    assert "not guaranteed" not in bound(certificate)
+    if not data.get("kappa"):
+        fine = solve(problem(2**0.5 / 64, **data), COMM)
+        assert distance(coarse, fine) < certificate.sigma_bound < 1.6 * distance(coarse, fine)
+
+
+def test_data_from_python_are_by_quadrature():
+    domain = solve(problem(0.2), COMM).spaces.domain
+    x = ufl.SpatialCoordinate(domain.mesh)
+    given = Problem(f=ufl.sin(x[0]), kappa=1 + x[1] ** 2)
+    certificate = certify(solve_on(domain.mesh, given, parts=domain.facets, signorini=["bottom"]))
+    assert certificate.by_quadrature == ("f", "kappa")
+    assert not certificate.guaranteed
+    assert bound(certificate).endswith("not guaranteed: f, kappa by quadrature")
+
+
+def test_without_dirichlet_the_means_of_loads_are_by_quadrature():
+    sides = {"boundary.neumann": ["left", "right", "top"]}
+    for f, by_quadrature in (("-1 + x/2", ()), ("-1 + x*sin(9*x)/2", ("f",))):
+        certificate = certify(solve(problem(0.2, f=f).with_values(sides), COMM))
+        assert certificate.by_quadrature == by_quadrature
+        assert np.isfinite(certificate.bound)
+
+
+def test_unresolved_places_are_refined_first():
+    solution, certificate = adapt(problem(0.3, f=DISC), COMM, max_cells=600)
+    diameters = solution.spaces.mesh.h(2, np.arange(len(certificate.coarse), dtype=np.int32))
+    middles = solution.spaces.mesh.geometry.x[solution.spaces.mesh.geometry.dofmaps[0]].mean(axis=1)
+    near = np.linalg.norm(middles[:, :2] - [0.515, 0.54], axis=1) < 0.05
+    assert diameters[near].max() < 0.2 * diameters.max()

@@ -1,0 +1,189 @@
+"""Results folders: nothing of the user is touched, and whenever a run is killed the old or the new result is there."""
+
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx import exchange
+from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.exchange import repair
+from signorini_fenicsx.results import ResultsFolder
+
+FIRST = {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.0": "1", "run.json": "1"}
+SECOND = {"summary.json": "2", "facets.csv": "2", "solution.bp/data.0": "2"}
+OUTSIDE = json.dumps({"written_by": "signorini_fenicsx", "files": ["../photo.png"]})
+MINE = ("photo.png", "notes.json", "raw.bp/data.0", "measured.bp", "solution.bp/mine", ".hidden")
+
+
+def put(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def publish(target: Path, files: dict[str, str], *, failed: bool = False, add: bool = False) -> None:
+    with ResultsFolder(MPI.COMM_SELF, target) as results:
+        put(results.path, files)
+        if failed:
+            results.keep_failed()
+        else:
+            results.publish(add=add)
+
+
+def found(folder: Path) -> dict[str, str]:
+    """All files of a folder, but for the list of the program's."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != exchange.MANIFEST)
+    return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
+
+
+def test_only_what_the_program_wrote_is_replaced(tmp_path: Path):
+    """Of the earlier run and of an earlier failure; a folder that held only theirs goes with them."""
+    target, failed = tmp_path / "x", tmp_path / "x.failed"
+    mine = dict.fromkeys(MINE, "mine")
+    publish(target, FIRST)
+    publish(target, FIRST, failed=True)
+    put(target, mine)
+    put(failed, mine)
+    inodes = {name: (target / name).stat().st_ino for name in MINE}
+    publish(target, SECOND)
+    assert found(target) == SECOND | mine
+    assert found(failed) == mine
+    assert {name: (target / name).stat().st_ino for name in MINE} == inodes
+    publish(target, FIRST, failed=True)
+    assert found(failed) == FIRST | mine
+    publish(target, {"summary.json": "3"}, add=True)
+    assert found(target) == SECOND | mine | {"summary.json": "3"}
+    publish(tmp_path / "y", FIRST, failed=True)
+    publish(tmp_path / "y", FIRST)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x", "x.failed", "y"]
+
+
+def test_a_folder_of_an_earlier_version_has_no_list(tmp_path: Path):
+    mine = {"photo.png": "mine", "run.json": "mine", "my.csv": "mine", "raw.bp/data.0": "mine"}
+    put(
+        tmp_path / "x", mine | {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.idx": "1"}
+    )
+    publish(tmp_path / "x", SECOND)
+    assert found(tmp_path / "x") == mine | SECOND
+
+
+def begun(action: Callable[[], None]) -> int:
+    """Begin something in a forked process; its status is 0 if it succeeds."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            action()
+            os._exit(0)
+        except BaseException as error:
+            print(repr(error), file=sys.__stderr__, flush=True)
+        finally:
+            os._exit(1)
+    return pid
+
+
+def killed_at(step: int, action: Callable[[], None]) -> bool:
+    """Whether an action, in a process of its own, is killed before its so many-th change of a file or folder."""
+    left = [step]
+
+    def hook(event: str, arguments: tuple[object, ...]) -> None:
+        writes = event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_CREAT)
+        if writes or event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree", "fcntl.flock"):
+            left[0] -= 1
+            if left[0] < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    def body() -> None:
+        sys.addaudithook(hook)
+        action()
+
+    status = os.waitpid(begun(body), 0)[1]
+    assert status in (0, signal.SIGKILL)
+    return status != 0
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
+@pytest.mark.parametrize(("there", "failed"), [(True, False), (True, True), (False, False)])
+def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bool):
+    """Then the next look finds the old or the new result whole, all files of the user where they were, no litter."""
+    mine = dict.fromkeys(MINE, "mine") if there else {}
+    ends = set()
+    for step in range(1000):
+        target = tmp_path / str(step)
+        place = target.with_name(f"{step}.failed") if failed else target
+        if there:
+            publish(target, FIRST, failed=failed)
+            put(place, mine)
+        if not killed_at(step, lambda target=target: publish(target, SECOND, failed=failed)):
+            break
+        assert there is False or mine.items() <= found(place).items()
+        killed_at(step % 9, lambda target=target: repair(target))  # the repair as well
+        repair(target)
+        left = found(place) if place.exists() else {}
+        old = FIRST | mine if there else {}
+        assert left in (old, SECOND | mine), step
+        ends.add(left == old)
+        assert {path.name for path in tmp_path.glob(f"*{step}*")} <= {place.name}
+    assert step > 15
+    assert ends == {True, False}
+
+
+def test_one_run_at_a_time(tmp_path: Path):
+    """A second run is refused at its start; a lock of a dead one is none, and what that has left goes."""
+    with ResultsFolder(MPI.COMM_SELF, tmp_path / "x") as first:
+        put(first.path, FIRST)
+        with pytest.raises(InputError, match="another run is writing into it"):
+            ResultsFolder(MPI.COMM_SELF, tmp_path / "x")
+        publish(tmp_path / "y", SECOND)
+        first.publish()
+    assert found(tmp_path / "x") == FIRST
+    put(tmp_path / ".x.partial", {"lock": "", "123/checkpoint.npz": "half"})
+    publish(tmp_path / "x", SECOND)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x", "y"]
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
+def test_many_publishes_at_once_lose_nothing(tmp_path: Path):
+    mine = dict.fromkeys(MINE, "mine")
+    publish(tmp_path / "x", FIRST)
+    put(tmp_path / "x", mine)
+
+    def work() -> None:
+        for i in range(40):
+            with contextlib.suppress(InputError):  # another is at work
+                publish(tmp_path / "x", (FIRST, SECOND)[i % 2])
+
+    children = [begun(work) for _ in range(4)]
+    assert [os.waitpid(pid, 0)[1] for pid in children] == [0] * 4
+    assert found(tmp_path / "x") in (FIRST | mine, SECOND | mine)
+    assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+
+@pytest.mark.parametrize(
+    ("prepare", "message"),
+    [
+        (lambda x: put(x, {"u.png": "mine"}), "u.png: is in the way"),
+        (lambda x: (x / "multiplier.bp").symlink_to(x.parent), "multiplier.bp: is in the way"),
+        (lambda x: put(x, {"facets.csv/mine": "mine"}), "facets.csv: is in the way"),
+        (lambda x: put(x, {exchange.MANIFEST: '["../photo.png"]'}), "is not the list"),
+        (
+            lambda x: put(x, {exchange.MANIFEST: json.dumps({"written_by": "signorini_fenicsx", "files": ["../y"]})}),
+            "list",
+        ),
+        (lambda x: put(x, {exchange.MANIFEST: "[" * 100000}), "is not the list"),
+        (lambda x: x.with_name("x.failed").symlink_to(x), "is a link"),
+    ],
+)
+def test_what_is_in_the_way_is_refused(tmp_path: Path, prepare: Callable[[Path], object], message: str):
+    publish(tmp_path / "x", {"summary.json": "1"})
+    prepare(tmp_path / "x")
+    before = {path: path.lstat().st_ino for path in tmp_path.rglob("*")}
+    with pytest.raises(InputError, match=message):
+        publish(tmp_path / "x", SECOND)
+    assert {path: path.lstat().st_ino for path in tmp_path.rglob("*")} == before
