@@ -93,10 +93,14 @@ class Certificate:
 
     def summary(self) -> dict[str, Any]:
         """All but the fields, ready for JSON."""
-        names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative", "guaranteed")
         unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
         lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
-        return {name: getattr(self, name) for name in names} | lists
+        return self.numbers() | {"guaranteed": self.guaranteed} | lists
+
+    def numbers(self) -> dict[str, float]:
+        """The bounds and what they are made of."""
+        names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
+        return {name: getattr(self, name) for name in names}
 
 
 def certify(solution: Solution) -> Certificate:
