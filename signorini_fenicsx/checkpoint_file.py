@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
 from signorini_fenicsx.active_set import Step
 from signorini_fenicsx.case import Case, complaint
@@ -78,7 +78,7 @@ class About(BaseModel):
     reason: str
     converged: bool
     backend: str
-    dofs: PositiveInt
+    dofs: NonNegativeInt
     linear_solver: str
     own_residual: float | None = None
     details: dict[str, float] = {}

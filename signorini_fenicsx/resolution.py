@@ -13,8 +13,7 @@ them the certificate works with a polynomial p, and d = e − p is what is left 
   ρ = 1 + S/κ̃_min, since κ^½∇v − κ^-½y = κ^½κ̃⁻¹(κ̃∇v − y) + κ^-½(κ − κ̃)κ̃⁻¹y.
 - *u_D and ψ* near Γ_D and Γ_S, where v takes them as they are: ‖κ^½∇(χd)‖_T ≤ κ_max^½ (‖∇d‖ + |T|^½ |∇χ| sup|d|)
   with d what P2 does not see of them. Integrals over these cells see d in the points of a quadrature. Where these show
-  less than a third of ∇d, that is not relied on, and the bound takes all of it by the triangle inequality, unless it
-  makes little of the bound.
+  less than a third of ∇d, and that may make more than all the rest of the bound, u_D or ψ are not resolved.
 
 So it is with loads: where the points of a quadrature show at least a third of d, where quadratures of two degrees agree
 about its mean, and d does not jump, its integrals are left to quadrature. Elsewhere ‖d‖ and its mean are those of the
@@ -273,6 +272,14 @@ class Resolution:
 
     def _cells(self) -> Indices:
         return np.arange(len(self.coarse), dtype=np.int32)
+
+    def overlooked(self, beside: Array) -> None:
+        """Take note that quadrature may overlook u_D or ψ where these are, squared per owned cell, the largest."""
+        comm = self.spaces.mesh.comm
+        worst = beside >= comm.allreduce(beside.max(initial=0.0), MPI.MAX) / 4
+        names = ", ".join(name for name in ("u_D", "psi") if self.encloses(name))
+        self.lost.add(names)
+        self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
 
     def load_left(self, measure: Callable[[Interval], float]) -> float:
         """What the means of the loads add to the bound, as they are measured; without Γ_D they rest on quadrature."""
