@@ -153,7 +153,7 @@ def certify(solution: Solution) -> Certificate:
         oscillation=float(np.sqrt(total_oscillation)),
         remainder=remainder,
         relative=float(bound / size) if size > 0 else (0.0 if bound == 0 else np.inf),
-        guaranteed=not unresolved and not resolution.by_quadrature,
+        guaranteed=bool(np.isfinite(bound)) and not unresolved and not resolution.by_quadrature,
         by_quadrature=tuple(sorted(resolution.by_quadrature)),
         unresolved=unresolved,
         coarse=resolution.coarse,

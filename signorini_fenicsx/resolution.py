@@ -50,7 +50,7 @@ EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly: quadrature goes twice as far."""
 LOADS = ("f", "g_N", "q_S")
 SEEN = 0.25
-"""What is not quadratic in u_D and ψ is left to quadrature where it makes at most this part of the bound."""
+"""Enclosures of u_D and ψ stop where what is not quadratic in them makes about half of this part of the error."""
 AGREED = 0.1
 """Two quadratures agree about a mean if they differ by so much of the root mean square."""
 OVERLOOKED = 3.0
