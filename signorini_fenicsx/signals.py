@@ -53,6 +53,7 @@ def listening() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        _Request.number, _Request.deferred = 0, False  # what this run was told is not for the next one
 
 
 def listen_again() -> None:
