@@ -19,9 +19,9 @@ from mpi4py import MPI
 from rich.console import Console
 from rich.table import Table
 
-from signorini_fenicsx.adaptive import FIRST_MESH, AdaptRow, adapt
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.geometry import SHAPES
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.certificate.adaptive import FIRST_MESH, AdaptRow, adapt
+from signorini_fenicsx.meshes.shapes import SHAPES
 
 
 def main() -> None:

@@ -26,8 +26,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.geometry import SHAPES
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.meshes.shapes import SHAPES
 
 WORKERS = Path(__file__).with_name("benchmark")
 OURS, ALONE, FRESH, REUSE, SNESVI, KNOWN = (

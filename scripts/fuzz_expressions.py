@@ -19,8 +19,9 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.data import quadrature
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.data import quadrature
+from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.expressions import (
     interval_and_gradient,
     parse_expression,
@@ -29,8 +30,7 @@ from signorini_fenicsx.expressions import (
     values_and_gradient,
 )
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.geometry import build_domain
-from signorini_fenicsx.spaces import build_spaces
+from signorini_fenicsx.meshes.shapes import build_domain
 
 SECONDS = 2.0
 """CPU time that a text may take."""

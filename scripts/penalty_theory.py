@@ -17,11 +17,11 @@ from mpi4py import MPI
 from rich.console import Console
 from rich.table import Table
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.convergence import differences
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.comparing.convergence import differences
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 
 def bound(solution: Solution, violation: float, *, with_trace: bool) -> float:

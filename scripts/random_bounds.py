@@ -26,18 +26,18 @@ from random_problems import distort, random_case
 from ufl.core.expr import Expr
 
 from forms.mixed import flux_product
-from signorini_fenicsx.case import Case
-from signorini_fenicsx.certificate import certify
-from signorini_fenicsx.data import Problem
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.domain import Domain
-from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.geometry import SHAPES
-from signorini_fenicsx.parallel import collect_garbage
-from signorini_fenicsx.refinement import refine
-from signorini_fenicsx.sampling import of_unit_size, sampled
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 CONTRAST = 1e6
 JUMPS = ("none", "aligned", "across")

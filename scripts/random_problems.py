@@ -20,13 +20,13 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.data import Problem
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.geometry import SHAPES, Domain
-from signorini_fenicsx.kkt import TOLERANCE
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.discrete.kkt import TOLERANCE
+from signorini_fenicsx.meshes.shapes import SHAPES, Domain
+from signorini_fenicsx.solving.solver import solve
 
 type Array = npt.NDArray[np.float64]
 

@@ -18,14 +18,14 @@ from pathlib import Path
 from mpi4py import MPI
 
 import signorini_fenicsx  # noqa: F401 - orders MPI before DOLFINx
-from signorini_fenicsx import study_report
-from signorini_fenicsx.convergence import Vary, slides_errors
-from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.output import versions
-from signorini_fenicsx.parallel import abort_all_on_exception, on_root
-from signorini_fenicsx.study import Convergence, Run, load_study, make_run
-from signorini_fenicsx.study_folder import StudyFolder
-from signorini_fenicsx.study_runner import check_all_succeeded, run_study
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import abort_all_on_exception, on_root
+from signorini_fenicsx.cli import study_report
+from signorini_fenicsx.comparing.convergence import Vary, slides_errors
+from signorini_fenicsx.output.writing import versions
+from signorini_fenicsx.studies.folder import StudyFolder
+from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
+from signorini_fenicsx.studies.study import Convergence, Run, load_study, make_run
 
 QUICK_H = 2.0**-4
 QUICK_LEVELS, QUICK_REFERENCE = [2, 3, 4], 6

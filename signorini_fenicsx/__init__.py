@@ -1,6 +1,6 @@
 """Fully mixed RT0/P0 methods for the Signorini problem on FEniCSx.
 
-Start reading at :mod:`signorini_fenicsx.algorithms` (the set rules) and :mod:`signorini_fenicsx.active_set`
+Start reading at :mod:`signorini_fenicsx.methods.registry` (the set rules) and :mod:`signorini_fenicsx.methods.loop`
 (the one loop they share); the variational forms are in the package :mod:`forms`.
 """
 

@@ -13,8 +13,8 @@
 
 The rest of the boundary is Γ_D. With mesh tags, `parts = {"wall": tags.find(3)}`. The data are numbers, UFL on the
 mesh, functions of a finite element space or of points, see `Problem`; κ may be a table by region.
-`signorini_fenicsx.certificate.certify` bounds the error, `signorini_fenicsx.output.write_solution` writes the files of
-the command line.
+`signorini_fenicsx.certificate.certify.certify` bounds the error, and
+`signorini_fenicsx.output.writing.write_solution` writes the files of the command line.
 
 An algorithm of one's own is a start and a rule; here Algorithm 1, in words:
 
@@ -35,18 +35,18 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.active_set import Step
-from signorini_fenicsx.algorithms import Algorithm
-from signorini_fenicsx.backend import Backend, Iterate
-from signorini_fenicsx.case import Boundary, Case, Geometry, ProblemTexts, Solve
-from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.data import Data, Problem
-from signorini_fenicsx.domain import AXES, Domain, axis_part, bounding_box, largest_diameter
-from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.geometry import OWN_BEND
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
-from signorini_fenicsx.spaces import Spaces
+from signorini_fenicsx.backends.contract import Backend, Iterate
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.case import Boundary, Case, Geometry, ProblemTexts, Solve
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.data import Data, Problem
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, bounding_box, largest_diameter
+from signorini_fenicsx.meshes.shapes import OWN_BEND
+from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.methods.registry import Algorithm
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 __all__ = [
     "Algorithm",

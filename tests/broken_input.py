@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from signorini_fenicsx.shipped import data_folder
+from signorini_fenicsx.base.shipped import data_folder
 
 JUNK = (
     "true",

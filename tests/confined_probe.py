@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from signorini_fenicsx import confined
+from signorini_fenicsx.base import confined
 
 LIBC = ctypes.CDLL(None, use_errno=True)
 

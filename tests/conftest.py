@@ -9,8 +9,8 @@ import pytest
 from mpi4py import MPI
 from under_mpirun import IS_CHILD, Launches, number_of_ranks, tell_parent
 
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.parallel import collect_garbage
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.cases.case import Case, load_case
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.domain import Domain, axis_part, distribute, largest_diameter
+from signorini_fenicsx.meshes.domain import Domain, axis_part, distribute, largest_diameter
 
 type Array = npt.NDArray[np.float64]
 type Mask = npt.NDArray[np.bool_]

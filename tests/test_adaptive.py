@@ -13,11 +13,11 @@ from dolfinx import fem
 from mpi4py import MPI
 from test_cli import signorini
 
-from signorini_fenicsx.adaptive import AdaptRow, adapt, rate
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.geometry import SHAPES, Domain, build_domain, distribute, label_parts
-from signorini_fenicsx.refinement import dorfler, refine
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt, rate
+from signorini_fenicsx.meshes.refinement import dorfler, refine
+from signorini_fenicsx.meshes.shapes import SHAPES, Domain, build_domain, distribute, label_parts
 
 COMM = MPI.COMM_WORLD
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from signorini_fenicsx.algorithms import (
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.methods.registry import (
     ALGORITHMS,
     Penalty,
     flux_penalty_rule,
@@ -11,7 +12,6 @@ from signorini_fenicsx.algorithms import (
     mlm2_rule,
     trace_penalty_rule,
 )
-from signorini_fenicsx.conditions import Condition, FacetConditions
 
 NO_FLUX, ZERO_TRACE, ROBIN = Condition
 

@@ -15,10 +15,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx import api
 from signorini_fenicsx.api import Condition, Data, FacetConditions, Iterate, Problem, Solve, Spaces, solve_on
-from signorini_fenicsx.certificate import certify
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.hybrid import HybridBackend
-from signorini_fenicsx.output import write_solution
+from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.output.writing import write_solution
 
 COMM = MPI.COMM_WORLD
 WALLS: Mapping[str, Callable[[npt.NDArray], npt.NDArray]] = {

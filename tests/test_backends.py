@@ -9,14 +9,15 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import facet_system, hybrid, prediction
-from signorini_fenicsx.active_set import iterate_sets
-from signorini_fenicsx.algorithms import ALGORITHMS
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.conditions import FacetConditions
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.backends import facet_system, hybrid
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.discrete.conditions import FacetConditions
+from signorini_fenicsx.methods.loop import iterate_sets
+from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.solving import prediction
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

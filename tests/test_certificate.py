@@ -11,13 +11,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.norms import l2
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.certificate import certify
-from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.geometry import SHAPES
-from signorini_fenicsx.sampling import sampled
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 ALGORITHMS = ("alg1", "alg2", "vi", "alg3", "alg4", "snes1", "snes2")

@@ -8,13 +8,13 @@ import pytest
 from mpi4py import MPI
 from test_cli import signorini
 
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.checkpoint import load_solution, shared_domain
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.gather import gather_facets, gather_fields
-from signorini_fenicsx.output import write_solution
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.output.checkpoint import load_solution, shared_domain
+from signorini_fenicsx.output.gather import gather_facets, gather_fields
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx.cli import main
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.parallel import refuse_lone_copies
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import refuse_lone_copies
+from signorini_fenicsx.cli.main import main
 
 
 def signorini(folder: Path, *arguments: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
@@ -339,7 +339,8 @@ def test_an_unexpected_error_on_one_rank_ends_all(tmp_path: Path, failing_rank: 
     script.write_text(
         "import sys\n"
         "from mpi4py import MPI\n"
-        "from signorini_fenicsx import cli, solver\n"
+        "from signorini_fenicsx.cli import main as cli\n"
+        "from signorini_fenicsx.solving import solver\n"
         "def broken(*arguments, **options):\n"
         f"    if MPI.COMM_WORLD.rank == {failing_rank}:\n"
         "        raise RuntimeError('broken on purpose')\n"

@@ -9,13 +9,13 @@ import pytest
 from mpi4py import MPI
 from test_cli import signorini
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.comparison import compare
-from signorini_fenicsx.contact_sets import FacetSet, hausdorff, jaccard
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geometry import build_domain
-from signorini_fenicsx.solver import solve
-from signorini_fenicsx.spaces import Spaces, build_spaces
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.comparing.comparison import compare
+from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
+from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.meshes.shapes import build_domain
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

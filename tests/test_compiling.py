@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.compiling import LOCK, QUIET, clear_if_left, compiled
+from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left, compiled
 
 COMM = MPI.COMM_WORLD
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from signorini_fenicsx import confined
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base import confined
+from signorini_fenicsx.base.errors import InputError
 
 SEALED = sys.platform == "linux" and platform.machine() in confined.MACHINES
 
@@ -43,7 +43,7 @@ def test_limits_are_said(monkeypatch: pytest.MonkeyPatch, what: str, message: st
 
 PARENT = """
 import sys, tempfile
-from signorini_fenicsx import confined
+from signorini_fenicsx.base import confined
 confined.run("confined_probe", ["sleep", "/"], tempfile.TemporaryFile())
 """
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.checkpoint import FILE, load_solution
-from signorini_fenicsx.errors import InputError, NumericalFailure
-from signorini_fenicsx.output import write_solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.output.checkpoint import FILE, load_solution
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.solver import solve
 
 type Arrays = dict[str, Any]
 

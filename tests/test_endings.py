@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from test_cli import run, signorini
 
-from signorini_fenicsx import report, solver
-from signorini_fenicsx.cli import main
-from signorini_fenicsx.signals import Interruption, listening
+from signorini_fenicsx.base.signals import Interruption, listening
+from signorini_fenicsx.cli import report
+from signorini_fenicsx.cli.main import main
+from signorini_fenicsx.solving import solver
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
 
@@ -61,7 +62,8 @@ def test_a_signal_to_one_rank_ends_all_in_order(tmp_path: Path):
     script.write_text(
         "import os, signal, sys\n"
         "from mpi4py import MPI\n"
-        "from signorini_fenicsx import cli, report\n"
+        "from signorini_fenicsx.cli import main as cli\n"
+        "from signorini_fenicsx.cli import report\n"
         "step = report.step\n"
         "def signalled(row):\n"
         "    step(row)\n"
@@ -135,7 +137,8 @@ def test_a_full_disk_keeps_the_state(tmp_path: Path, checked: bool):
     script = tmp_path / "limited.py"
     script.write_text(
         "import resource\n"
-        "from signorini_fenicsx import cli, output\n"
+        "from signorini_fenicsx.cli import main as cli\n"
+        "from signorini_fenicsx.output import writing as output\n"
         + ("" if checked else "output._check_room = lambda *arguments: None\n")
         + "resource.setrlimit(resource.RLIMIT_FSIZE, (150000, 150000))\n"
         "cli.main()\n"

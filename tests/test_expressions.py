@@ -8,8 +8,8 @@ import pytest
 import ufl
 from fuzz_expressions import check_enclosures, outcome, texts
 
-from signorini_fenicsx.case import reference_coordinate
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import reference_coordinate
 from signorini_fenicsx.expressions import (
     interval,
     interval_and_gradient,

@@ -13,13 +13,13 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from forms.norms import l2
-from signorini_fenicsx import facet_system
-from signorini_fenicsx.certificate import certify
-from signorini_fenicsx.data import Problem
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.backends import facet_system
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 METHODS = ("alg1", "alg2", "alg3", "alg4", "snes1", "snes2", "vi")

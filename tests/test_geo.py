@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from geo_texts import HOSTILE, OCC, SQUARE, USUAL
 
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geo_text import allowed_tokens, text_for_gmsh
-from signorini_fenicsx.geo_words import ALLOWED, REFUSED, TEXT
-from signorini_fenicsx.shipped import data_folder
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.meshes.geo_text import allowed_tokens, text_for_gmsh
+from signorini_fenicsx.meshes.geo_words import ALLOWED, REFUSED, TEXT
 
 
 @pytest.fixture(scope="module")

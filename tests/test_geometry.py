@@ -7,8 +7,8 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geometry import SHAPES, build_domain
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.shapes import SHAPES, build_domain
 
 MESHES = [(name, "unstructured", None) for name in SHAPES] + [
     (name, "structured", diagonal) for name in ("square", "lshape") for diagonal in ("left", "right", "crossed")

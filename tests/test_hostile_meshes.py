@@ -7,9 +7,9 @@ import h5py
 import numpy as np
 import pytest
 
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.mesh_checks import FileMesh, check_boundary, checked
-from signorini_fenicsx.meshio_files import read_with_meshio
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, checked
+from signorini_fenicsx.meshes.meshio_files import read_with_meshio
 
 POINTS, CELLS = "0 0 1 0 0 1", "0 1 2"
 VTU = """<?xml version="1.0"?>{head}<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">

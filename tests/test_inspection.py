@@ -11,10 +11,10 @@ from broken_input import write_broken_case
 from mpi4py import MPI
 from test_cli import signorini
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.inspection import check, expected
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.inspection import check, expected
+from signorini_fenicsx.solving.solver import solve
 
 
 def test_sizes_are_those_of_the_mesh():

@@ -11,18 +11,18 @@ from broken_input import CASE_FOR_MESH, MESH_MUTATIONS, msh_text, square_msh, wr
 from dolfinx import io
 from mpi4py import MPI
 
-from signorini_fenicsx.adaptive import AdaptRow, adapt
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.checkpoint import load_solution
-from signorini_fenicsx.comparison import compare
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.geometry import SHAPES, build_domain
-from signorini_fenicsx.mesh_checks import FileMesh
-from signorini_fenicsx.mesh_files import read_mesh_file
-from signorini_fenicsx.output import write_solution
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
+from signorini_fenicsx.comparing.comparison import compare
+from signorini_fenicsx.meshes.checks import FileMesh
+from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.shapes import SHAPES, build_domain
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

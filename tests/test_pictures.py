@@ -11,20 +11,27 @@ from matplotlib.image import imread
 from mpi4py import MPI
 from test_cli import run
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.gather import Boundary, FacetTable, gather_boundary, gather_facets, gather_fields, gather_marks
-from signorini_fenicsx.pictures import scene_of, style, traces
-from signorini_fenicsx.pictures.page import plain
-from signorini_fenicsx.pictures.scene import Scene, chains, thinned
-from signorini_fenicsx.pictures.streams import on_grid
-from signorini_fenicsx.pictures.water import Water
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.output.gather import (
+    Boundary,
+    FacetTable,
+    gather_boundary,
+    gather_facets,
+    gather_fields,
+    gather_marks,
+)
+from signorini_fenicsx.output.pictures import scene_of, style, traces
+from signorini_fenicsx.output.pictures.page import plain
+from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
+from signorini_fenicsx.output.pictures.streams import on_grid
+from signorini_fenicsx.output.pictures.water import Water
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
 PROGRAM = """
 import os, sys
-from signorini_fenicsx import cli
+from signorini_fenicsx.cli import main as cli
 before = dict(os.environ)
 try:
     cli.main()

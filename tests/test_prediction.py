@@ -8,15 +8,16 @@ import pytest
 from conftest import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx import facet_system, prediction
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.conditions import Condition, FacetConditions
-from signorini_fenicsx.discretisation import discrete_data, mesh_case
-from signorini_fenicsx.facet_system import FacetSystem
-from signorini_fenicsx.parallel import collect_garbage
-from signorini_fenicsx.patch import Patch
-from signorini_fenicsx.solver import solve
-from signorini_fenicsx.spaces import build_spaces
+from signorini_fenicsx.backends import facet_system
+from signorini_fenicsx.backends.facet_system import FacetSystem
+from signorini_fenicsx.backends.patch import Patch
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.spaces import build_spaces
+from signorini_fenicsx.solving import prediction
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

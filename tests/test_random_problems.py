@@ -9,9 +9,9 @@ from test_cli import run
 
 MANY_RUNS = """
 from mpi4py import MPI
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.parallel import collect_garbage
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.solving.solver import solve
 from petsc4py import PETSc
 PETSc.Log.begin()
 for _ in range(3):

@@ -6,14 +6,14 @@ import ufl
 from mpi4py import MPI
 
 from forms.norms import l2
-from signorini_fenicsx.adaptive import adapt
 from signorini_fenicsx.api import Problem, solve_on
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.certificate import Certificate, certify
-from signorini_fenicsx.report import bound
-from signorini_fenicsx.sampling import sampled
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.certificate.adaptive import adapt
+from signorini_fenicsx.certificate.certify import Certificate, certify
+from signorini_fenicsx.cli.report import bound
+from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 DISC = "1e4 if (x-0.515)^2+(y-0.54)^2 < 2.5e-5 else 0"

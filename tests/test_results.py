@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx import exchange
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.exchange import repair
-from signorini_fenicsx.results import ResultsFolder
+from signorini_fenicsx.base import exchange
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.exchange import repair
+from signorini_fenicsx.base.results import ResultsFolder
 
 FIRST = {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.0": "1", "run.json": "1"}
 SECOND = {"summary.json": "2", "facets.csv": "2", "solution.bp/data.0": "2"}

@@ -14,12 +14,12 @@ from mpi4py import MPI
 from test_cli import signorini
 from test_sharp_bounds import make, rotated
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.certificate import certify
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.cli.report import above
 from signorini_fenicsx.expressions import read, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
-from signorini_fenicsx.report import above
 from signorini_fenicsx.rigorous import simplices
 from signorini_fenicsx.rigorous.balance import _tree, balanced
 from signorini_fenicsx.rigorous.data import Given
@@ -29,8 +29,8 @@ from signorini_fenicsx.rigorous.proof import check_size, proof_of
 from signorini_fenicsx.rigorous.simplices import EDGES
 from signorini_fenicsx.rigorous.theorem import prove
 from signorini_fenicsx.rigorous.trace import _lifts
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}

@@ -7,14 +7,14 @@ import pytest
 from mpi4py import MPI
 from own_mesh import Array, Mask, own_domain
 
-from signorini_fenicsx import active_set
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.conditions import Condition
-from signorini_fenicsx.data import Problem
-from signorini_fenicsx.errors import NumericalFailure
-from signorini_fenicsx.geometry import SHAPES, Domain
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.meshes.shapes import SHAPES, Domain
+from signorini_fenicsx.methods import loop as active_set
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 SET_ALGORITHMS = ("alg1", "alg2", "alg3", "alg4")

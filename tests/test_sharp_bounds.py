@@ -10,14 +10,14 @@ import ufl
 from mpi4py import MPI
 
 from forms.mixed import flux_product
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.certificate import certify
-from signorini_fenicsx.data import Problem
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.oscillation import water_filled
-from signorini_fenicsx.sampling import sampled
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.oscillation import water_filled
+from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 EVERYWHERE = ["bottom", "top", "left", "right"]

@@ -13,12 +13,12 @@ from mpi4py import MPI
 
 from forms.mixed import flux_projection, multiplier_residual, trace_projection
 from forms.norms import l2
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.conditions import Condition
-from signorini_fenicsx.errors import NumericalFailure
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

@@ -13,10 +13,10 @@ import pytest
 from mpi4py import MPI
 from test_cli import read_rows, run, signorini
 
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.farm import hand_out
-from signorini_fenicsx.study import load_study, study_names
-from signorini_fenicsx.study_folder import StudyFolder
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.farm import hand_out
+from signorini_fenicsx.studies.folder import StudyFolder
+from signorini_fenicsx.studies.study import load_study, study_names
 
 STUDY = """
 title = "A small study"
@@ -255,7 +255,7 @@ def test_a_full_disk_loses_nothing(tmp_path: Path, finished: Path):
     script = tmp_path / "limited.py"
     script.write_text(
         "import resource, sys\n"
-        "from signorini_fenicsx import cli\n"  # MPI, which needs larger files, starts here
+        "from signorini_fenicsx.cli import main as cli\n"  # MPI, which needs larger files, starts here
         "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))\n"
         "sys.argv = ['signorini', 'study', 'study.toml']\n"
         "cli.main()\n"

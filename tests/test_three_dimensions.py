@@ -8,9 +8,9 @@ from mpi4py import MPI
 from test_backends import assert_same_iterates
 from test_cli import signorini
 
-from signorini_fenicsx.case import load_case
-from signorini_fenicsx.discretisation import mesh_case
-from signorini_fenicsx.solver import solve
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 COARSE = {"cube": 0.5, "lprism": 0.7, "ball": 0.8}

@@ -11,7 +11,7 @@ import pytest
 from mpi4py import MPI
 from pytest_mpi.plugin import CHILD_PROCESS_FLAG
 
-from signorini_fenicsx.parallel import FORWARDING
+from signorini_fenicsx.base.parallel import FORWARDING
 
 PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""

@@ -12,18 +12,21 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import backend, discretisation, facet_system, hybrid, mixed, prediction, solver
-from signorini_fenicsx.backend import Iterate
-from signorini_fenicsx.case import Case, load_case
-from signorini_fenicsx.conditions import FacetConditions
-from signorini_fenicsx.data import Data
-from signorini_fenicsx.discretisation import discrete_data
-from signorini_fenicsx.geometry import SHAPES, Domain, distribute, label_parts
-from signorini_fenicsx.hybrid import HybridBackend
-from signorini_fenicsx.mixed import MixedBackend
-from signorini_fenicsx.parallel import Stopwatch, abort_all_on_exception, peak_memory
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.spaces import Spaces, build_spaces
+from signorini_fenicsx.backends import contract as backend
+from signorini_fenicsx.backends import facet_system, hybrid, mixed
+from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.base.parallel import Stopwatch, abort_all_on_exception, peak_memory
+from signorini_fenicsx.cases import discretisation
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.discretisation import discrete_data
+from signorini_fenicsx.discrete.conditions import FacetConditions
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.meshes.shapes import SHAPES, Domain, distribute, label_parts
+from signorini_fenicsx.solving import prediction, solver
+from signorini_fenicsx.solving.solution import Solution
 
 COMM = MPI.COMM_WORLD
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from broken_input import CASE_MUTATIONS
 
 from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
-from signorini_fenicsx.shipped import data_folder
+from signorini_fenicsx.base.shipped import data_folder
 
 COARSE = {
     **dict.fromkeys(["example1", "example2", "example3", "example4", "example5", "example6"], "1/4"),

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from fuzzing.broken import OUTPUT, Broken, Damage, Valid, damaged, mixed, renumbered, reworded
-from signorini_fenicsx.shipped import data_folder
+from signorini_fenicsx.base.shipped import data_folder
 
 SQUARE = """h = 0.5;
 Point(1) = {0, 0, 0, h}; Point(2) = {1, 0, 0, h}; Point(3) = {1, 1, 0, h}; Point(4) = {0, 1, 0, h};

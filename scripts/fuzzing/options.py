@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid
 from fuzzing.cases import KEYS, VALUES
-from signorini_fenicsx.algorithms import ALGORITHMS
+from signorini_fenicsx.methods.registry import ALGORITHMS
 
 SIZES = (
     *NUMBERS,

@@ -52,26 +52,19 @@ def import_everything(pencil: Path) -> None:
     import mpi4py
 
     mpi4py.rc.initialize, mpi4py.rc.finalize = False, True
-    import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the libraries of MPI before those of PETSc
+    import signorini_fenicsx  # isort: skip
     import petsc4py.lib
 
     petsc4py.lib.ImportPETSc()  # `from petsc4py import PETSc` would begin it
     from mpi4py import MPI
 
-    from signorini_fenicsx import (  # noqa: F401 - what the commands import when they need it
-        adaptive,
-        certificate,
-        checkpoint,
-        comparison,
-        convergence,
-        inspection,
-        meshio_files,
-        output,
-        report,
-        solver,
-        study_report,
-        study_runner,
-    )
+    import signorini_fenicsx.cases.inspection
+    import signorini_fenicsx.certificate.adaptive
+    import signorini_fenicsx.cli.study_report
+    import signorini_fenicsx.comparing.comparison
+    import signorini_fenicsx.meshes.meshio_files
+    import signorini_fenicsx.output.checkpoint
+    import signorini_fenicsx.studies.runner  # noqa: F401 - what the commands import when they need it
 
     if MPI.Is_initialized() or len(os.listdir("/proc/self/task")) > 1:
         sys.exit("MPI or a thread has begun too early: nothing can be forked")
@@ -160,7 +153,7 @@ def _become(words: list[str], root: Path, ranks: int) -> None:
     sys.argv = [str(Path(sys.executable).with_name("signorini")), *words]
     from mpi4py import MPI
 
-    from signorini_fenicsx.cli import main
+    from signorini_fenicsx.cli.main import main
 
     MPI.Init_thread()
     main()

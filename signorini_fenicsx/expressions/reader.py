@@ -10,7 +10,7 @@ from decimal import Decimal
 
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.symbolic import to_ufl
 from signorini_fenicsx.expressions.tree import (

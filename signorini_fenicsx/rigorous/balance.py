@@ -5,7 +5,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval
 
 type Indices = npt.NDArray[np.int64]

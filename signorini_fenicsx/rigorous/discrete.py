@@ -10,12 +10,12 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from signorini_fenicsx.domain import membership
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions.intervals import Array, Interval
-from signorini_fenicsx.parallel import gather_rows
+from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.rigorous.simplices import EDGES, facet_measures
-from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.spaces import Spaces
+from signorini_fenicsx.solving.solution import Solution
 
 type Indices = npt.NDArray[np.int64]
 

@@ -7,15 +7,15 @@ from typing import Any
 
 from dolfinx import fem
 
-from signorini_fenicsx.case import Case
-from signorini_fenicsx.discretisation import rough_cells
-from signorini_fenicsx.errors import InputError
-from signorini_fenicsx.parallel import Stopwatch, on_root
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import Stopwatch, on_root
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.discretisation import rough_cells
 from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import gathered
 from signorini_fenicsx.rigorous.elementary import FromArb
 from signorini_fenicsx.rigorous.theorem import Proven, prove
-from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solving.solution import Solution
 
 MOST_CELLS = 500_000
 """What is enclosed of them takes some 4 GB of one process in 3D, and 1 GB in 2D."""

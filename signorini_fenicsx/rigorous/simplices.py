@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
 
 EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}

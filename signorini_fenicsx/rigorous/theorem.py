@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Conductivity, Given, deviation

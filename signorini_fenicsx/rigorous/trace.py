@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.errors import InputError
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import values
 from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing, larger
 from signorini_fenicsx.expressions.tree import Binary

@@ -1,0 +1,1 @@
+"""What solves one linear problem under given facet conditions; the contract is in `contract`."""

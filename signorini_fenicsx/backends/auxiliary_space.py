@@ -1,0 +1,118 @@
+"""Auxiliary-space multigrid for the Crouzeix-Raviart system: a smoother on facets, GAMG on conforming P1."""
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from forms.crouzeix_raviart import stiffness
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
+
+
+class AuxiliarySpace:
+    """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 (2D) to 12 (3D) times fewer unknowns.
+
+    It knows the facet conditions, without which the iterations multiply: vertices of ZERO_TRACE facets and of Γ_D are
+    fixed, ROBIN facets add their lumped mass.
+    """
+
+    def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
+        """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective)."""
+        self._spaces, self._weak = spaces, data.stiffness
+        self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
+        u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
+        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._full_interpolation = facet_means(self._space, data.u_lift.function_space)
+        self._interpolation = self._full_interpolation.duplicate(copy=True)
+        self._beta = fem.Function(spaces.Lambda)
+        self._robin = spaces.form(self._beta * v * spaces.ds)
+        self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
+        self._has_hierarchy = False
+        self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
+
+        pc.setMGLevels(2)
+        pc.setMGInterpolation(1, self._interpolation)
+        smoother, coarse = pc.getMGSmoother(1), pc.getMGCoarseSolve()
+        smoother.setType("chebyshev")
+        smoother.getPC().setType("jacobi")
+        coarse.setOperators(self._operator.matrix)
+        coarse.setType("preonly")
+        coarse.getPC().setType("gamg")
+
+    def update(self, pc: PETSc.PC, conditions: FacetConditions, essential: npt.NDArray[np.int32]) -> None:
+        """Take over new facet conditions (collective).
+
+        Args:
+            pc: The multigrid preconditioner.
+            conditions: Conditions of the Γ_S facets.
+            essential: Owned Crouzeix-Raviart unknowns that are fixed.
+        """
+        if not self._has_hierarchy:
+            self._build_hierarchy(pc.getMGCoarseSolve())
+        fixed = np.union1d(
+            self._dirichlet, owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
+        )
+        self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
+
+        keep_vertices, keep_facets = self._full_interpolation.createVecs()
+        for keep, out in ((keep_vertices, fixed), (keep_facets, essential)):
+            keep.set(1.0)
+            keep.array_w[out] = 0.0
+        self._full_interpolation.copy(self._interpolation, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._interpolation.diagonalScale(keep_facets, keep_vertices)
+        pc.setMGInterpolation(1, self._interpolation)
+
+    def _build_hierarchy(self, coarse: PETSc.KSP) -> None:
+        """GAMG keeps its first interpolations and only renews the operators.
+
+        They come from the problem with all of Γ_S free: functions that vanish on Γ_S cannot correct what a later set
+        frees, whereas a fixed vertex costs nothing, since the operators know it.
+        """
+        self._operator.impose(self._dirichlet, self._all, self._tied_down())
+        coarse.setFromOptions()
+        coarse.setUp()
+        self._has_hierarchy = True
+
+    def _tied_down(self) -> npt.NDArray[np.float64]:
+        """Without Γ_D a weak Robin condition, which makes the operator regular."""
+        spaces = self._spaces
+        if spaces.has_dirichlet:
+            return np.zeros(len(self._all))
+        return self._lumped_robin(
+            FacetConditions(np.full(len(spaces.facets), Condition.ROBIN, dtype=np.int8), self._weak)
+        )
+
+    def _lumped_robin(self, conditions: FacetConditions) -> npt.NDArray[np.float64]:
+        robin = conditions.kind == Condition.ROBIN
+        self._beta.x.array[: len(robin)] = np.where(robin, conditions.beta, 0.0)
+        self._beta.x.scatter_forward()
+        lumped = fem.assemble_vector(self._robin)
+        lumped.scatter_reverse(la.InsertMode.add)
+        return lumped.array[: len(self._all)]
+
+
+def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:
+    """The inclusion of P1 in the Crouzeix-Raviart functions: a facet's mean is that of its vertices (collective).
+
+    `dolfinx.fem.petsc.interpolation_matrix` takes about as long as the assembly of both stiffness matrices, and stores
+    the vertex opposite to each facet with a 0.
+
+    Args:
+        vertices: P1.
+        facets: Crouzeix-Raviart functions on the same mesh.
+    """
+    of_cell, columns, rows = facets.dofmap.list, vertices.dofmap.index_map, facets.dofmap.index_map
+    of_facet = np.empty((rows.size_local + rows.num_ghosts, of_cell.shape[1] - 1), dtype=np.int32)
+    for facet in range(of_cell.shape[1]):  # facet i of a cell lies opposite to its vertex i
+        of_facet[of_cell[:, facet]] = np.delete(vertices.dofmap.list, facet, axis=1)
+    owned, d = of_facet[: rows.size_local], of_facet.shape[1]
+    indices = np.sort(columns.local_to_global(owned.ravel()).reshape(owned.shape), axis=1).astype(PETSc.IntType)
+    return PETSc.Mat().createAIJ(
+        [(space.size_local, space.size_global) for space in (rows, columns)],
+        csr=(np.arange(len(owned) + 1, dtype=PETSc.IntType) * d, indices.ravel(), np.full(owned.size, 1 / d)),
+        comm=facets.mesh.comm,
+    )

@@ -1,0 +1,55 @@
+"""A small exact solve inside a large system: near a few unknowns, while all others stay as they are."""
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from signorini_fenicsx.backends.contract import set_direct, solve_linear
+
+
+class Patch:
+    """The unknowns within some layers of given ones: a step of restricted additive Schwarz.
+
+    Each rank has its own patch, around its own unknowns; it reaches over to other ranks, but changes only what it owns.
+
+    Attributes:
+        size: Unknowns of all patches.
+    """
+
+    def __init__(self, matrix: PETSc.Mat, around: npt.NDArray[np.int32], layers: int):
+        """Find the unknowns (collective).
+
+        Args:
+            matrix: Has the system's sparsity pattern.
+            around: Owned unknowns.
+            layers: Cells in each direction.
+        """
+        first, end = matrix.getOwnershipRange()
+        self._unknowns = PETSc.IS().createGeneral(first + around, comm=PETSc.COMM_SELF)
+        matrix.increaseOverlap(self._unknowns, layers)
+        self._unknowns.sort()
+        indices = self._unknowns.getIndices()
+        self.size = matrix.getComm().tompi4py().allreduce(len(indices))
+        self._own = (indices >= first) & (indices < end)
+        self._rows = indices[self._own] - first
+        self._residual = matrix.createVecLeft()
+        self._local = PETSc.Vec().createSeq(len(indices))
+        self._correction = self._local.duplicate()
+        self._scatter = PETSc.Scatter().create(self._residual, self._unknowns, self._local, None)
+        self._ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+        set_direct(self._ksp, "cholesky")
+
+    def solve(self, matrix: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Change x on the patch so that the equations there hold (collective).
+
+        Raises:
+            LinearSolveFailure: If the factorisation fails.
+        """
+        matrix.mult(x, self._residual)
+        self._residual.aypx(-1.0, b)
+        self._scatter.scatter(self._residual, self._local)
+        (block,) = matrix.createSubMatrices([self._unknowns], [self._unknowns])
+        if len(self._own) > 0:
+            self._ksp.setOperators(block)
+            solve_linear(self._ksp, self._local, self._correction)
+            x.array_w[self._rows] += self._correction.array_r[self._own]

@@ -1,0 +1,1 @@
+"""What every part may use: errors, MPI, signals, files that are not lost, sealed processes."""

@@ -1,0 +1,151 @@
+"""DOLFINx's compiler of forms, made to go on after a killed run and to say in a sentence what it lacks.
+
+In DOLFINx's cache a file `<form>.c` says that somebody compiles the form, `<form>.c.cached` that it is ready. A process
+that is killed in between leaves the first one, and all later runs wait for the second one in vain. Here each process
+that compiles holds a shared lock on a file of the cache, which the system lifts when the process dies, for all nodes
+that see the cache. A file that has not changed for a while is taken for left behind, and removed, only while nobody
+holds that lock; the while is for programs that do not know of it, and for a compiler that has survived its parent.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cffi
+import dolfinx.jit
+from mpi4py import MPI
+
+from signorini_fenicsx.base.parallel import on_root
+
+LOCK = "signorini.lock"
+QUIET = 30.0
+"""Seconds without a change after which a file is left behind, if nobody holds the lock."""
+PATIENCE = 600.0
+"""Seconds to wait for somebody else's compiler."""
+PAUSE = 0.1
+
+_compile_here: Callable[..., Any] = dolfinx.jit.ffcx_jit.__wrapped__  # without its own broadcasts, which lose the error
+
+
+def guard_compiler() -> None:
+    """Let all forms of this process pass through `compiled`; doing it again changes nothing."""
+    dolfinx.jit.ffcx_jit = compiled
+
+
+def compiled(
+    comm: MPI.Comm,
+    ufl_object: Any,
+    form_compiler_options: dict[str, Any] | None = None,
+    jit_options: dict[str, Any] | None = None,
+) -> Any:
+    """Stands for `dolfinx.jit.ffcx_jit`: rank 0 compiles what the cache does not hold, all load it (collective).
+
+    Raises:
+        OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or somebody else's compiler
+            does not end.
+    """
+    options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
+    work = partial(_compile_here, ufl_object, form_compiler_options, options)
+    cache = options["cache_dir"]
+    found: list[Any] = []
+    on_root(comm, lambda: found.append(_patiently(work, cache, compiling=True)))
+    failure: OSError | None = None
+    if comm.rank != 0:
+        try:
+            found.append(_patiently(work, cache, compiling=False))
+        except OSError as error:
+            failure = error
+    failures = [error for error in comm.allgather(failure) if error is not None]
+    if failures:
+        raise failures[0]
+    return found[0]
+
+
+def clear_if_left(form: Path) -> bool:
+    """Remove the `<form>.c` of a dead process; returns whether it has gone.
+
+    Raises:
+        OSError: If it cannot be removed.
+    """
+    with _lock(form.parent, fcntl.LOCK_EX | fcntl.LOCK_NB) as (alone, now):
+        if not alone or _ready(form) or now - _last_change(form) < QUIET:
+            return False
+        form.unlink(missing_ok=True)
+        return True
+
+
+def _patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
+    """Load a form, or compile it if this is the process that may, waiting for others that do."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            with _lock(cache, fcntl.LOCK_SH) if compiling else contextlib.nullcontext():
+                return work()
+        except TimeoutError as error:
+            name = re.search(r"remove (.*\.c)\)", str(error))
+            if name is None or time.monotonic() > until:
+                raise
+            if compiling:
+                _await(Path(name[1]), until)
+        except cffi.VerificationError as error:
+            reason = re.sub(r"\['([^']*)'.*\]", r"\1", str(error))  # the command without its arguments
+            advice = "install one and Python's headers, such as gcc, libc6-dev and python3-dev"
+            raise OSError(errno.ENOEXEC, f"cannot compile the forms ({reason}); {advice}", "C compiler") from None
+        except ImportError as error:
+            advice = "delete the folder, which will be filled again"
+            raise OSError(errno.EIO, f"a compiled form cannot be loaded ({error}); {advice}", str(cache)) from None
+
+
+def _await(form: Path, until: float) -> None:
+    """Return when a form that somebody compiles is ready, given up or left behind, or at the latest at a time."""
+    while form.exists() and not _ready(form) and time.monotonic() < until and not clear_if_left(form):
+        time.sleep(PAUSE)
+
+
+def _ready(form: Path) -> bool:
+    return form.with_suffix(".c.cached").exists()
+
+
+def _last_change(form: Path) -> float:
+    """Time of the last change of all files of a form; now if there is none any more."""
+    times = []
+    for path in form.parent.glob(f"{form.stem}.*"):
+        with contextlib.suppress(FileNotFoundError):
+            times.append(path.stat().st_mtime)
+    return max(times, default=float("inf"))
+
+
+@contextlib.contextmanager
+def _lock(cache: Path, kind: int) -> Iterator[tuple[bool, float]]:
+    """Hold the lock of a cache; yields whether it is held, and the time by the clock that dates its files.
+
+    A cache that cannot be written, or locked on its file system, is used without.
+    """
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        file = os.open(cache / LOCK, os.O_CREAT | os.O_RDONLY, 0o666)
+    except OSError:  # DOLFINx says what is wrong, if it has to write
+        yield True, time.time()
+        return
+    try:
+        held = True
+        try:
+            fcntl.flock(file, kind)
+        except BlockingIOError:
+            held = False
+        except OSError:
+            pass
+        now = time.time()
+        with contextlib.suppress(PermissionError):  # another user's
+            os.utime(file)
+            now = os.fstat(file).st_mtime
+        yield held, now
+    finally:
+        os.close(file)

@@ -1,0 +1,263 @@
+"""A Python module in a process that can do little: for files by unknown people, and for libraries that they can crash.
+
+The process has limits of time, memory and file size and an empty environment and working folder, and it dies with its
+parent. Before it reads what it does not trust it gives up, on Linux with x86-64 or ARM, to start programs, to open
+sockets or files for writing, to change, move or delete files, and to signal or trace other processes (`seal`); what it
+has to say goes into a file that its parent opened. On other systems the limits hold, and the rest does not.
+"""
+
+import contextlib
+import ctypes
+import errno
+import importlib
+import os
+import platform
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import BinaryIO
+
+from signorini_fenicsx.base.errors import InputError
+
+SECONDS = 600
+"""Of wall time, and of CPU time."""
+LARGEST_RESULT = 2**34
+"""Bytes of any file that is written."""
+LEAST_MEMORY = 2**31
+"""Bytes that the process may have even where less is free."""
+SLOW = f"takes more than {SECONDS} s to read or to mesh, the limit for one file"
+KEPT = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
+"""Of the environment, what libraries are found by."""
+LAST_WORDS = 4096
+
+
+def run(module: str, arguments: list[str], result: BinaryIO) -> None:
+    """Run `main(arguments, result)` of a module, confined, and wait for it.
+
+    Args:
+        module: Its name.
+        arguments: Paths among them have to be absolute.
+        result: An open file, where `main` writes what it has found.
+
+    Raises:
+        InputError: If it raises one or OSError, crashes, or runs into a limit.
+    """
+    with tempfile.TemporaryDirectory(prefix="signorini-") as folder, tempfile.TemporaryFile() as said:
+        number = result.fileno()
+        command = [sys.executable, "-P", "-B", "-m", __name__, str(os.getpid()), str(number), module, *arguments]
+        try:
+            status = subprocess.run(
+                command,
+                cwd=folder,
+                env=_environment(folder),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                pass_fds=(number,),
+                start_new_session=True,
+                timeout=SECONDS,
+                check=False,
+            ).returncode
+        except subprocess.TimeoutExpired:
+            raise InputError(SLOW) from None
+        said.seek(max(said.seek(0, os.SEEK_END) - LAST_WORDS, 0))
+        words = "".join(
+            c if c.isprintable() or c == "\n" else "?" for c in said.read().decode(errors="replace")
+        ).strip()
+    if status != 0:
+        raise InputError(_reason(status, words))
+
+
+def _environment(folder: str) -> dict[str, str]:
+    """The libraries of this process, its own folder for everything else, one thread, and no plug-ins of HDF5."""
+    paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
+    own = {"PYTHONPATH": paths, "HOME": folder, "TMPDIR": folder, "LC_ALL": "C.UTF-8", "HDF5_PLUGIN_PRELOAD": "::"}
+    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return {name: os.environ[name] for name in KEPT if name in os.environ} | own | threads
+
+
+def _reason(status: int, words: str) -> str:
+    """Why it ended, in one sentence."""
+    if status == -signal.SIGXCPU:
+        return SLOW
+    if any(sign in words for sign in ("bad_alloc", "MemoryError", "Cannot allocate memory", "Unable to allocate")):
+        return f"needs more than the {_memory() / 2**30:.1f} GB of memory that are free to be read or meshed"
+    if "File too large" in words:
+        return f"gives more than {LARGEST_RESULT >> 30} GB of data, the limit for one file"
+    return words.splitlines()[-1] if status > 0 and words else f"makes its reader crash ({_name(-status)})"
+
+
+def _name(number: int) -> str:
+    with contextlib.suppress(ValueError):
+        return signal.Signals(number).name
+    return f"status {-number}"
+
+
+def _memory() -> int:
+    """Bytes of memory that are free, or LEAST_MEMORY."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return max(1024 * int(line.split()[1]), LEAST_MEMORY)
+    return LEAST_MEMORY
+
+
+def main(parent: int, result: int, module: str, arguments: list[str]) -> None:
+    """What the process does: set its limits before anything else, then import the module and run it."""
+    limit(parent)
+    try:
+        with os.fdopen(result, "wb") as file:
+            importlib.import_module(module).main(arguments, file)
+    except InputError as refusal:
+        sys.exit(str(refusal))
+    except MemoryError:
+        sys.exit("MemoryError")
+    except OSError as error:
+        sys.exit(error.strerror or str(error))
+
+
+def limit(parent: int) -> None:
+    """Limit this process, and let it die with its parent.
+
+    Args:
+        parent: The parent's process number; if that has died already, so does this process.
+    """
+    limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS, resource.RLIMIT_FSIZE: LARGEST_RESULT}
+    if sys.platform == "linux":  # elsewhere, addresses that are only reserved count too
+        limits[resource.RLIMIT_AS] = _memory()
+        _prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    for kind, most in limits.items():
+        with contextlib.suppress(OSError, ValueError):  # a lower limit stands already
+            resource.setrlimit(
+                kind, (most, most + (kind == resource.RLIMIT_CPU))
+            )  # a signal, and a second later the end
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+PR_SET_PDEATHSIG, PR_SET_NO_NEW_PRIVS = 1, 38
+SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC = 1, 1
+
+
+def _prctl(option: int, value: int) -> int:
+    """Linux's prctl."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    return libc.prctl(option, ctypes.c_ulong(value), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
+
+
+MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}
+"""Column in CALLS, what the kernel calls the machine, and its call seccomp."""
+
+CALLS = {  # name: number on x86-64 and on ARM, −1 for none
+    **{"fork": (57, -1), "vfork": (58, -1), "execve": (59, 221), "execveat": (322, 281)},
+    **{"socket": (41, 198), "socketpair": (53, 199), "connect": (42, 203), "bind": (49, 200), "listen": (50, 201)},
+    **{"ptrace": (101, 117), "process_vm_readv": (310, 270), "process_vm_writev": (311, 271), "tkill": (200, 130)},
+    **{"rt_sigqueueinfo": (129, 138), "rt_tgsigqueueinfo": (297, 240), "pidfd_open": (434, 434)},
+    **{"pidfd_send_signal": (424, 424), "pidfd_getfd": (438, 438), "process_madvise": (440, 440), "kcmp": (312, 272)},
+    **{"creat": (85, -1), "unlink": (87, -1), "unlinkat": (263, 35), "rename": (82, -1), "renameat": (264, 38)},
+    **{"renameat2": (316, 276), "mkdir": (83, -1), "mkdirat": (258, 34), "rmdir": (84, -1), "link": (86, -1)},
+    **{"linkat": (265, 37), "symlink": (88, -1), "symlinkat": (266, 36), "mknod": (133, -1), "mknodat": (259, 33)},
+    **{"truncate": (76, 45), "chmod": (90, -1), "fchmod": (91, 52), "fchmodat": (268, 53), "fchmodat2": (452, 452)},
+    **{"chown": (92, -1), "fchown": (93, 55), "lchown": (94, -1), "fchownat": (260, 54), "utime": (132, -1)},
+    **{
+        "utimes": (235, -1),
+        "futimesat": (261, -1),
+        "utimensat": (280, 88),
+        "setxattr": (188, 5),
+        "lsetxattr": (189, 6),
+    },
+    **{"fsetxattr": (190, 7), "removexattr": (197, 14), "lremovexattr": (198, 15), "fremovexattr": (199, 16)},
+    **{"setxattrat": (463, 463), "removexattrat": (466, 466), "file_setattr": (469, 469), "mq_open": (240, 180)},
+    **{"mq_unlink": (241, 181), "shmget": (29, 194), "shmctl": (31, 195), "msgget": (68, 186), "semget": (64, 190)},
+    **{"mount": (165, 40), "umount2": (166, 39), "pivot_root": (155, 41), "chroot": (161, 51), "unshare": (272, 97)},
+    **{"setns": (308, 268), "open_tree": (428, 428), "move_mount": (429, 429), "fsopen": (430, 430)},
+    **{"fsconfig": (431, 431), "fsmount": (432, 432), "fspick": (433, 433), "mount_setattr": (442, 442)},
+    **{"open_by_handle_at": (304, 265), "io_uring_setup": (425, 425), "io_uring_enter": (426, 426)},
+    **{"io_uring_register": (427, 427), "bpf": (321, 280), "perf_event_open": (298, 241), "userfaultfd": (323, 282)},
+    **{"init_module": (175, 105), "finit_module": (313, 273), "delete_module": (176, 106), "kexec_load": (246, 104)},
+    **{"kexec_file_load": (320, 294), "reboot": (169, 142), "swapon": (167, 224), "swapoff": (168, 225)},
+    **{"acct": (163, 89), "quotactl": (179, 60), "sethostname": (170, 161), "setdomainname": (171, 162)},
+    **{"settimeofday": (164, 170), "clock_settime": (227, 112), "adjtimex": (159, 171), "iopl": (172, -1)},
+    **{"ioperm": (173, -1), "modify_ldt": (154, -1), "add_key": (248, 217), "request_key": (249, 218)},
+    **{"keyctl": (250, 219), "setrlimit": (160, 164), "setsid": (112, 157), "setpgid": (109, 154)},
+    **{"setuid": (105, 146), "setgid": (106, 144), "setreuid": (113, 145), "setregid": (114, 143)},
+    **{"setresuid": (117, 147), "setresgid": (119, 149), "setgroups": (116, 159), "capset": (126, 91)},
+}
+"""Calls that are refused whatever they are given."""
+
+MISSING = {"clone3": (435, 435), "openat2": (437, 437)}
+"""Calls whose arguments cannot be looked at; they are said to be missing, and libraries then use the older ones."""
+
+WRITING = 0o1 | 0o2 | 0o100 | 0o1000
+"""Flags of open: O_WRONLY, O_RDWR, O_CREAT, O_TRUNC."""
+
+CHECKED = {  # name: numbers, which argument, and the bits that are refused in it
+    "open": ((2, -1), 1, WRITING),
+    "openat": ((257, 56), 2, WRITING),
+    "prlimit64": ((302, 261), 2, 0xFFFFFFFF),  # to set limits; 0 is to ask for them
+}
+OWN = {"kill": (62, 129), "tgkill": (234, 131)}
+"""Calls whose first argument has to be this process."""
+NEW_THREAD = 0x10000
+"""The flag of clone that makes a thread, not a process."""
+
+
+def seal() -> None:
+    """Give up, for good, what reading a file does not need; without effect where the system does not know how."""
+    machine = MACHINES.get(platform.machine())
+    if sys.platform != "linux" or machine is None:
+        return
+    column, architecture, call = machine
+    code = _filter(column, architecture)
+    program = ctypes.create_string_buffer(code, len(code))
+
+    class Program(ctypes.Structure):
+        _fields_ = (("length", ctypes.c_ushort), ("code", ctypes.c_void_p))
+
+    given = Program(len(code) // 8, ctypes.addressof(program))
+    _prctl(PR_SET_NO_NEW_PRIVS, 1)
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.syscall(*map(ctypes.c_long, (call, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC)), ctypes.byref(given))
+
+
+LOAD, EQUAL, AT_LEAST, ANY_BIT, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+KILL, ALLOW, REFUSE, IS_MISSING = 0x80000000, 0x7FFF0000, 0x50000 | errno.EPERM, 0x50000 | errno.ENOSYS
+
+
+def _filter(column: int, architecture: int) -> bytes:
+    """Instructions for the kernel, each a code, jumps if true and if false, and a number."""
+
+    def step(code: int, number: int, true: int = 0, false: int = 0) -> bytes:
+        return struct.pack("=HBBI", code, true, false, number)
+
+    def argument(index: int) -> bytes:
+        return step(LOAD, 16 + 8 * index)  # its lower half
+
+    def verdict(wanted: bytes, last: int = ALLOW) -> bytes:
+        """If the call just compared with is the one: refuse unless `wanted` jumps over that."""
+        return wanted + step(RETURN, REFUSE) + step(RETURN, last)
+
+    code = step(LOAD, 4) + step(EQUAL, architecture, 1) + step(RETURN, KILL) + step(LOAD, 0)
+    code += step(AT_LEAST, 0x40000000, 0, 1) + step(RETURN, REFUSE)  # x86's second set of numbers
+    for refused, answer in ((CALLS, REFUSE), (MISSING, IS_MISSING)):
+        for numbers in refused.values():
+            if numbers[column] >= 0:
+                code += step(EQUAL, numbers[column], 0, 1) + step(RETURN, answer)
+    for numbers, index, bits in CHECKED.values():
+        if numbers[column] >= 0:
+            code += step(EQUAL, numbers[column], 0, 4) + verdict(argument(index) + step(ANY_BIT, bits, 0, 1))
+    for numbers in OWN.values():
+        code += step(EQUAL, numbers[column], 0, 4) + verdict(argument(0) + step(EQUAL, os.getpid(), 1, 0))
+    clone = (56, 220)[column]
+    code += step(EQUAL, clone, 0, 4) + verdict(argument(0) + step(ANY_BIT, NEW_THREAD, 1, 0))
+    code += step(EQUAL, (16, 29)[column], 0, 4) + verdict(argument(1) + step(EQUAL, 0x5412, 0, 1))  # TIOCSTI types
+    code += step(EQUAL, (157, 167)[column], 0, 4) + verdict(argument(0) + step(EQUAL, PR_SET_PDEATHSIG, 0, 1))
+    return code + step(RETURN, ALLOW)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3], sys.argv[4:])

@@ -1,0 +1,28 @@
+"""The two ways a run can end badly, and the exit statuses they map to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.solving.solution import Solution
+
+
+class InputError(Exception):
+    """The user asked for something that cannot be: one clear sentence, exit status 2, nothing written."""
+
+
+class NumericalFailure(Exception):
+    """The computation ended without a solution that satisfies the Signorini conditions: exit status 1.
+
+    Attributes:
+        solution: The last state reached, for inspection, or None if there is none.
+    """
+
+    def __init__(self, reason: str, solution: Solution | None = None):
+        super().__init__(reason)
+        self.solution = solution
+
+
+class WriteFailure(Exception):
+    """A library could not write on this rank; others may wait for it for ever: exit status 1."""

@@ -1,0 +1,69 @@
+"""Tasks handed out dynamically to groups of ranks within one mpirun."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collect_garbage, on_root
+
+STOP = "stop"
+"""A claim of this name tells all groups to take no further task."""
+PAUSE = 0.02
+"""Seconds between two looks at whether the others are done: a waiting rank leaves its core to them."""
+
+
+def hand_out(
+    comm: MPI.Comm, names: Sequence[str], ranks_per_task: int, claims: Path, work: Callable[[str, MPI.Comm], None]
+) -> None:
+    """Run `work` for each name once, on the group of ranks that is free next (collective).
+
+    A group claims a task by creating a file, which only one can, so no rank is spent on handing out. Ranks that do not
+    fill a group stay idle; with fewer ranks than a task wants, all of them are the one group.
+
+    Args:
+        comm: Communicator to split.
+        names: Names of the tasks, in the order in which they are begun.
+        ranks_per_task: Ranks of a group.
+        claims: An empty folder that all ranks see.
+        work: Called with a name and the group's communicator, on all ranks of the group.
+
+    Raises:
+        InputError: If a group met one; all groups end after their present task.
+        OSError: Likewise, say with a full disk.
+    """
+    size = min(ranks_per_task, comm.size)
+    index = comm.rank // size
+    group = comm.Split(index if index < comm.size // size else MPI.UNDEFINED, comm.rank)
+    failure: InputError | OSError | None = None
+    if group != MPI.COMM_NULL:
+        try:
+            for name in names:
+                if on_root(group, partial(_claimed, claims, name)):
+                    work(name, group)
+                    collect_garbage(group)  # else communicators grow from run to run
+        except (InputError, OSError) as error:
+            failure = error
+            (claims / STOP).touch()
+        group.Free()
+    everybody = comm.Ibarrier()
+    while not everybody.Test():
+        time.sleep(PAUSE)
+    failures = [error for error in comm.allgather(failure) if error is not None]
+    if failures:
+        raise failures[0]
+
+
+def _claimed(claims: Path, name: str) -> bool:
+    """Whether this group is the first to ask for the task (on a group's first rank)."""
+    if (claims / STOP).exists():
+        return False
+    try:
+        os.close(os.open(claims / name, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+    except FileExistsError:
+        return False
+    return True

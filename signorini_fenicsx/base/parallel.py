@@ -1,0 +1,134 @@
+"""What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
+
+import gc
+import os
+import resource
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from types import TracebackType
+from typing import NoReturn
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+
+FORWARDING = 0.5
+"""Seconds that mpirun gets to pass on the last words of a rank, which it would lose when the rank aborts."""
+
+
+def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """Run an action on rank 0 and give its result to all ranks (collective).
+
+    Raises:
+        InputError: On all ranks, if the action raised it on rank 0.
+        OSError: Likewise.
+    """
+    result: T | None = None
+    failure: InputError | OSError | None = None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except (InputError, OSError) as error:
+            failure = error
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise failure
+    return comm.bcast(result)
+
+
+def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
+    """Concatenate the rows of all ranks on rank 0, in rank order; None elsewhere (collective)."""
+    parts = comm.gather(rows)
+    return None if parts is None else np.concatenate(parts)
+
+
+def scatter_rows(comm: MPI.Comm, wanted: npt.NDArray[np.int64], rows: npt.NDArray | None) -> npt.NDArray:
+    """Rows of an array of rank 0, to each rank those it wants (collective)."""
+    lists = comm.gather(wanted)
+    return comm.scatter(None if rows is None or lists is None else [rows[each] for each in lists])
+
+
+LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
+"""Numbers of ranks that launchers tell their processes, the first one that is set being the nearest launcher's."""
+
+
+def refuse_lone_copies(comm: MPI.Comm) -> None:
+    """Refuse to be one of several copies that know nothing of each other, as another MPI's mpirun starts them.
+
+    A single task of an allocation, or of `mpirun -n 1`, is none: there the launcher tells 1 or nothing.
+
+    Raises:
+        InputError: If a launcher has started several processes and MPI here sees one.
+    """
+    told = next((name for name in LAUNCHED if os.environ.get(name)), None)
+    size = os.environ[told] if told else "1"
+    if comm.size == 1 and size.isdecimal() and int(size) > 1:
+        library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
+        raise InputError(
+            f"{told} = {size} says that this is one of {size} processes, but they are not connected: the launcher must "
+            f"belong to the MPI of this program, {library}; without mpirun, unset {told}"
+        )
+
+
+def abort_all_on_exception(comm: MPI.Comm) -> None:
+    """Make an uncaught exception on one rank end all of them, instead of leaving the others in a collective call."""
+    if comm.size == 1:
+        return
+
+    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        text = "".join(traceback.format_exception(kind, error, trace))
+        end_all(comm, f"error on rank {comm.rank}:\n{text}")
+
+    sys.excepthook = hook
+
+
+def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
+    """End all ranks from the one that calls, whatever the others are doing, once mpirun has passed on what it said."""
+    if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
+        sys.__stderr__.write(last_words)
+        sys.__stderr__.flush()
+    if comm.size > 1:
+        time.sleep(FORWARDING)
+        comm.Abort(status)
+    os._exit(status)
+
+
+class Stopwatch:
+    """Wall time per phase."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        """Add the time since the last lap to a phase."""
+        now = time.perf_counter()
+        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._last
+        self._last = now
+
+    def longest(self, comm: MPI.Comm) -> dict[str, float]:
+        """Each phase's longest time over the ranks (collective)."""
+        values = np.array(list(self.seconds.values()))
+        comm.Allreduce(MPI.IN_PLACE, values, op=MPI.MAX)
+        return dict(zip(self.seconds, values.tolist(), strict=True))
+
+
+def peak_memory(comm: MPI.Comm) -> int:
+    """Bytes of memory that the processes have held at most since they began, summed over ranks (collective)."""
+    return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+
+
+def collect_garbage(comm: MPI.Comm) -> None:
+    """Free what Python and PETSc have let go, on all ranks at the same point (collective).
+
+    A mesh frees its communicator, for which mpi4py wants a lock that it may hold just when Python's collector strikes:
+    a deadlock. So programs switch the automatic collector off and call this between solves.
+    """
+    from petsc4py import PETSc  # not before the command line has given PETSc its options
+
+    gc.collect()
+    PETSc.garbage_cleanup(comm)

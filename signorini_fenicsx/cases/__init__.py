@@ -1,0 +1,1 @@
+"""Case files: reading them, what they mean, solving them."""

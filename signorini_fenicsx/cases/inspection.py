@@ -1,0 +1,147 @@
+"""A case looked at before it is solved: its sizes and parts, what a run will cost, and whether it could start."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import Boundary, Case
+from signorini_fenicsx.cases.discretisation import check_solvability, discrete_data, mesh_case, rough_cells
+from signorini_fenicsx.discrete.spaces import build_spaces
+from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
+from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.methods.registry import ALGORITHMS, By
+
+FACETS_PER_CELL = {2: 1.5, 3: 2.0}
+PROCESS_BYTES = 180 * 2**20
+BYTES_PER_FACET = {2: 830.0, 3: 940.0}
+"""Of alg1 to alg4 with the hybrid backend, certificate and output included; measured on 395 000 and more facets."""
+SOLVER_RATE = {2: 177e3, 3: 196e3}
+"""Facets per second and core from the assembled problem to the solution; see the table in the README."""
+RUN_RATE = 5e4
+"""Facets per second and core of a whole run, with a structured mesh, the certificate and output."""
+START_SECONDS = 3.0
+"""Until the libraries are loaded and the compiled forms found; more when they are compiled for the first time."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a case is about and what solving it should take; sizes of named shapes and of `.geo` files are estimates.
+
+    Attributes:
+        dim: Dimension.
+        parts: For each boundary part its condition and, from a mesh file, its facets and measure.
+        regions: For each region of a mesh file its cells.
+        cells: Cells.
+        facets: Facets, which are the unknowns of the hybrid backend.
+        exact: Whether the numbers of cells are those of the mesh, not estimates.
+        memory: Bytes, for all ranks together.
+        solver_seconds: From the assembled problem to the solution.
+        run_seconds: Of the whole run, but for what Gmsh takes.
+    """
+
+    dim: int
+    parts: dict[str, dict[str, Any]]
+    regions: dict[str, int]
+    cells: int
+    facets: int
+    exact: bool
+    memory: float
+    solver_seconds: float
+    run_seconds: float
+
+
+def expected(case: Case, ranks: int) -> Expected:
+    """Estimate sizes, memory and time of a case; a file is read, a named shape is not meshed (rank 0).
+
+    Args:
+        case: The case.
+        ranks: On how many ranks it will run.
+
+    Raises:
+        InputError: If the file, its mesh or its parts cannot be used.
+    """
+    geometry, boundary = case.geometry, case.boundary
+    parts: dict[str, dict[str, Any]]
+    regions: dict[str, int] = {}
+    cells = round(rough_cells(case))
+    exact = geometry.shape is None and case.file_h is None
+    if geometry.shape is not None:
+        dim = SHAPES[geometry.shape].dim
+        parts = {name: {"condition": _condition(boundary, name)} for name in SHAPES[geometry.shape].parts}
+        facets = round(FACETS_PER_CELL[dim] * cells)
+    else:
+        mesh = _usable(case, read_mesh_file(geometry.file or ""))
+        dim = mesh.dim
+        parts = {
+            name: {"condition": _condition(boundary, name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
+            for name, rows in mesh.parts.items()
+        }
+        regions = {name: len(rows) for name, rows in mesh.regions.items()}
+        sides = (dim + 1) * len(mesh.cells)
+        facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
+    return Expected(
+        dim=dim,
+        parts=parts,
+        regions=regions,
+        cells=cells,
+        facets=facets,
+        exact=exact,
+        memory=ranks * PROCESS_BYTES + BYTES_PER_FACET[dim] * facets,
+        solver_seconds=facets / SOLVER_RATE[dim] / ranks,
+        run_seconds=START_SECONDS + facets / RUN_RATE / ranks,
+    )
+
+
+def is_typical(case: Case) -> bool:
+    """Whether the measured rates are of the case's algorithm and backend."""
+    return ALGORITHMS[case.solve.algorithm].by is By.SETS and case.solve.backend == "hybrid"
+
+
+def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
+    """Do all that a run does before it solves: make or read the mesh, find the parts, take the data (collective).
+
+    Returns:
+        Numbers of cells and of facets of Γ_S, Γ_N and Γ_D.
+
+    Raises:
+        InputError: If the case cannot be solved as it is.
+    """
+    domain = mesh_case(case, comm)
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+    check_solvability(spaces, discrete_data(case, spaces))
+    topology = domain.mesh.topology
+    counts = [
+        topology.index_map(topology.dim).size_local,
+        *map(len, (spaces.facets, spaces.neumann_facets, spaces.dirichlet_facets)),
+    ]
+    names = ("cells", "signorini_facets", "neumann_facets", "dirichlet_facets")
+    return dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
+
+
+def _usable(case: Case, mesh: FileMesh) -> FileMesh:
+    try:
+        check_boundary(mesh, case.boundary.model_dump(exclude_none=True))
+        case.check_dimension(mesh.dim)
+    except InputError as error:
+        raise InputError(f"mesh {case.geometry.file}: {error}") from None
+    return mesh
+
+
+def _condition(boundary: Boundary, part: str) -> str:
+    if part in boundary.signorini:
+        return "signorini"
+    if part in boundary.neumann:
+        return "neumann"
+    return "dirichlet"
+
+
+def _measure(corners: np.ndarray) -> float:
+    """Length or area of facets with these corners, shape (facets, dim, dim)."""
+    edges = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
+    return float(np.sqrt(np.abs(gram)).sum() / (corners.shape[1] - 1))

@@ -1,0 +1,1 @@
+"""The guaranteed bound of the error, and the refinement that it steers."""

@@ -1,0 +1,161 @@
+"""A flux near σ_h that balances f_h and leaves through Γ_S at least what q_S asks for, and how far it is from σ_h.
+
+What σ_h leaves, c = ∇·σ_h + f_h, is mended by z ∈ RT0 with −∇·z = c, z·n = 0 on Γ_N and Γ_S: one more solve, needed
+only where c is more than rounding. Without Γ_D z leaves through those facets of Γ_S where y·n − q_S is large. So no
+constant of the domain enters the bound, but for rounding.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.mixed import flux_product
+from signorini_fenicsx.backends.contract import LinearSolveFailure
+from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.certificate.samples import CellMetric
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.methods.registry import Penalty
+from signorini_fenicsx.solving.solution import Solution
+
+type Array = npt.NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""L‖c‖/√κ of less than this part of ‖σ_h‖ is taken for rounding, and added to the bound as it is."""
+WORTH = 0.5
+"""Part of a load that may be uncertain if the rest is to be balanced."""
+CORRECTIONS = 4
+"""Solves after which c has to be rounding; one is enough but for linear solvers that stop early."""
+
+
+def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Function, float]:
+    """The flux y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
+
+    Returns:
+        It, and ‖y − σ_h‖ with what rounding may add; infinite if c cannot be mended.
+    """
+    spaces, data = solution.spaces, solution.data
+    comm, volume = spaces.mesh.comm, metric.volume
+    kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
+    constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
+    y = _with_enough_flux(spaces, data, _without_penalty(solution))
+    rounding = ROUNDING * np.sqrt(spaces.integrate(flux_product(y, y, data.kappa_h)))
+    for _ in range(CORRECTIONS):
+        imbalance = fem.Function(spaces.Q)
+        imbalance.x.array[:] = assembled((ufl.div(y) + data.f_h) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
+        left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
+        if left <= rounding:
+            return y, float(left + _distance(spaces, data, metric, y, solution.sigma))
+        try:
+            correction = _balancing_flux(spaces, data, y, imbalance)
+        except LinearSolveFailure:
+            break
+        correction.x.array[:] += y.x.array
+        y = _with_enough_flux(spaces, data, correction)
+    return y, np.inf
+
+
+def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
+    """‖y − σ_h‖ ≤ ‖(low κ_h)^-½ (y − σ_h)‖ (collective)."""
+    if y is sigma:
+        return 0.0
+    low = fem.Function(spaces.Q)
+    low.x.array[:] = metric.low  # no ghost cells
+    return float(np.sqrt(spaces.integrate(flux_product(y - sigma, y - sigma, low * data.kappa_h))))
+
+
+def _without_penalty(solution: Solution) -> fem.Function:
+    """σ_h; for (MPε-II), where its flux is < q_S off the contact set, that after a step of Algorithm 1 (collective)."""
+    if solution.algorithm.penalty is Penalty.FLUX:
+        open_facets = solution.conditions.kind == Condition.ROBIN
+        kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
+        with contextlib.suppress(LinearSolveFailure):
+            return HybridBackend(solution.spaces, solution.data).solve(FacetConditions(kind)).sigma
+    return solution.sigma
+
+
+def _with_enough_flux(spaces: Spaces, data: Data, y: fem.Function) -> fem.Function:
+    """The same flux with y·n raised to q_Sh where it is less (collective)."""
+    negative = spaces.normal_flux(y) < data.q_Sh
+    if not spaces.mesh.comm.allreduce(bool(negative.any()), MPI.LOR):
+        return y
+    y = y.copy()
+    low = spaces.flux_dofs[negative]
+    y.x.array[low] = data.sigma_lift.x.array[low]
+    y.x.scatter_forward()
+    return y
+
+
+def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function) -> fem.Function:
+    """The flux z of the module (collective).
+
+    Raises:
+        LinearSolveFailure: If the solve fails.
+    """
+    kind = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8)
+    if not spaces.has_dirichlet:
+        excess = spaces.normal_flux(y) - data.q_Sh
+        largest = spaces.mesh.comm.allreduce(excess.max(initial=0.0), MPI.MAX)
+        kind[excess >= largest / 2] = Condition.ZERO_TRACE
+    nothing = np.zeros(len(spaces.facets))
+    loads = replace(
+        data,
+        f_h=imbalance,
+        u_lift=fem.Function(data.u_lift.function_space),
+        sigma_lift=fem.Function(spaces.V),
+        psi_h=nothing,
+        q_Sh=nothing,
+    )
+    return HybridBackend(spaces, loads).solve(FacetConditions(kind)).sigma
+
+
+def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) -> float:
+    """Bound of sup (c, w)/|w| over w = 0 on Γ_D for a load c that is enclosed per owned cell (collective).
+
+    What is in the middle of the enclosures is balanced by a flux z, (c, w) = (z, ∇w), if its constant says too much.
+    It is infinite without Γ_D, or if a linear solve fails.
+    """
+    comm, volume = spaces.mesh.comm, metric.volume
+    ends = np.maximum(np.abs(load.lo), np.abs(load.hi))
+    middle = fem.Function(spaces.Q)
+    middle.x.array[:] = (load.lo + load.hi) / 2
+    rest = np.nextafter(np.maximum(load.hi - middle.x.array, middle.x.array - load.lo), np.inf)
+    whole, left = np.sqrt(comm.allreduce(np.array([volume @ ends**2, volume @ rest**2]))).tolist()
+    if whole == 0:
+        return 0.0
+    if not spaces.has_dirichlet or not np.isfinite(whole):
+        return np.inf
+    one, nothing = fem.Function(spaces.Q), fem.Function(spaces.V)
+    one.x.array[:] = 1.0
+    try:
+        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one))
+        if left > WORTH * whole:
+            return constant * whole
+        z = _balancing_flux(spaces, data, nothing, middle)
+    except LinearSolveFailure:
+        return np.inf
+    return min(constant * whole, constant * left + _distance(spaces, data, metric, z, nothing))
+
+
+def _load_constant(spaces: Spaces, data: Data, metric: CellMetric, z: fem.Function) -> float:
+    """C with ‖w‖ ≤ C|w| for w = 0 on Γ_D, see `resolution`, from the flux z for the load 1 (collective)."""
+    mesh = spaces.mesh
+    dim, number = mesh.topology.dim, len(metric.volume)
+    corners = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
+    corners.interpolate(z)
+    values = corners.x.array.reshape(-1, dim + 1, dim)[:number]
+    inverse = np.broadcast_to(metric.inverse, (number, dim, dim))
+    squares = np.einsum("cvi,cij,cvj->cv", values, inverse, values).max(axis=1, initial=0.0) / metric.low
+    load = -assembled(ufl.div(z) * ufl.TestFunction(spaces.Q) * ufl.dx) / metric.volume
+    s = mesh.comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
+    m = mesh.comm.allreduce(load.min(initial=np.inf), MPI.MIN)
+    return float(2 * s / m) if m > 0 else np.inf

@@ -1,0 +1,229 @@
+"""A continuous function near u that the gap identity takes: v = u_D on Γ_D and v ≥ ψ on Γ_S.
+
+v is quadratic on each cell, but near Γ_D and Γ_S where u_D and ψ are not. With w = v − I_hψ, written by Bernstein's
+coefficients, and I_h the interpolant in vertices and midpoints of edges, it is in general
+
+    v = I_hψ + max(w + w_⁺ + χ_t(ψ − I_hψ) + χ_D(u_D − I_hψ − χ_t(ψ − I_hψ) − w_D), ψ − I_hψ − ℓ on Γ_S).
+
+χ_D and χ_t are continuous and linear on each cell: χ_D is 1 on Γ_D, and w_D is w there. χ_t is 1 in vertices of Γ_S all
+of whose facets on it touch, w = 0. There v is ψ itself. Elsewhere it need not be: w_⁺, linear on each cell, lifts it by
+what it lacks in sampled points of the facets, and the maximum makes sure of the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.core.expr import Expr
+
+from forms.certificate import cut_off, reconstruction, second_moment
+from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
+from signorini_fenicsx.certificate.samples import CellMetric, cell_values, facet_lattice, quadratic_nodes
+from signorini_fenicsx.discrete.data import Data, is_constant
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, centroids
+from signorini_fenicsx.solving.solution import Solution
+
+type Array = npt.NDArray[np.float64]
+type Indices = npt.NDArray[np.int32]
+
+FAR_BELOW = 20.0
+"""A quadratic function on a cell that is ≥ 0 on Γ_S falls from there by less than this times its largest nodal value:
+its Lebesgue constant is at most 2, and Markov's inequality allows a slope of 8 times its maximum. The maximum in the
+module must not touch v there, nor on Γ_D, where u_D − ψ may fall faster: it is sampled."""
+SAMPLES = 12
+"""Parts into which edges of facets are cut to find how far v is below ψ."""
+ROOM = 1.001, 2.0
+"""v is raised by this many times that, where the facet touches Γ_D by the second: there one vertex cannot rise."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A continuous function near u.
+
+    Attributes:
+        v: Quadratic on cells, with the values of u_D in its nodes on Γ_D.
+        exact: The same with u_D itself on Γ_D and not below ψ itself on Γ_S.
+        above: On Γ_S, exact − ψ.
+        cells: Owned cells on which v and exact may differ.
+        at_dirichlet: Those of them in which v has u_D in it.
+        touching: Those of them in which v has ψ in it as it is.
+        lowest: Lower bound of v − I_hψ per facet of Γ_S.
+        feasible: Whether u_D allows the function to be ≥ ψ on all of Γ_S.
+    """
+
+    v: fem.Function
+    exact: Expr
+    above: Expr
+    cells: Indices
+    at_dirichlet: Indices
+    touching: Indices
+    lowest: Array
+    feasible: bool
+
+
+def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) -> Trace:
+    """The reconstruction, made continuous and admissible, with a small gap to y (collective)."""
+    spaces, data = solution.spaces, solution.data
+    mesh = spaces.mesh
+    facet_dim = mesh.topology.dim - 1
+    v = _averaged(solution, metric)
+    space = v.function_space
+    edges = all_edges(space)
+    on_signorini = fem.locate_dofs_topological(space, facet_dim, spaces.facets)
+    on_dirichlet = fem.locate_dofs_topological(space, facet_dim, spaces.dirichlet_facets)
+    in_contact = fem.locate_dofs_topological(space, facet_dim, spaces.facets[solution.contact_set().inside])
+
+    w_D, psi = (_interpolated(space, value) for value in (data.u_D - data.psi, data.psi))
+    w = v.copy()
+    w.x.array[:] -= psi.x.array
+    w.x.array[in_contact] = 0.0
+    w.x.array[on_dirichlet] = w_D.x.array[on_dirichlet]
+    largest = mesh.comm.allreduce(np.abs(w.x.array).max(initial=0.0), MPI.MAX)
+    on_both = w_D.x.array[np.intersect1d(on_signorini, on_dirichlet)]
+    feasible = mesh.comm.allreduce(bool((on_both >= -1e-12 * largest).all()), MPI.LAND)
+    for function in (w, w_D, psi):
+        edges.to_bernstein(function.x.array)
+    obstacle = Obstacle(edges, np.setdiff1d(on_signorini, on_dirichlet), mesh.topology.dim)
+    obstacle.project(w.x.array)
+    relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
+    v.x.array[:] = w.x.array + psi.x.array
+    if is_constant(data.u_D) and is_constant(data.psi):
+        nowhere = np.empty(0, dtype=np.int32)
+        return Trace(v, v, w, nowhere, nowhere, nowhere, np.zeros(len(spaces.facets)), feasible)
+    return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
+
+
+def _with_exact_data(
+    spaces: Spaces,
+    data: Data,
+    v: fem.Function,
+    w: fem.Function,
+    w_D: fem.Function,
+    psi: fem.Function,
+    *,
+    feasible: bool,
+) -> Trace:
+    """u_D and ψ themselves in the places of their interpolants (collective)."""
+    mesh = spaces.mesh
+    facet_dim = mesh.topology.dim - 1
+    linear = fem.functionspace(mesh, ("Lagrange", 1))
+    near_dirichlet, near_signorini, floor, touching = (fem.Function(linear) for _ in range(4))
+    on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
+    near_dirichlet.x.array[on_dirichlet] = 1.0
+    near_signorini.x.array[fem.locate_dofs_topological(linear, facet_dim, spaces.facets)] = 1.0
+
+    missed = ufl.as_ufl(0.0) if is_constant(data.psi) else data.psi - psi
+    near, corners = near_dirichlet.x.array.copy(), facet_nodes(linear, spaces)
+    if not is_constant(data.psi):
+        near += near_signorini.x.array
+        touches = (w.x.array[facet_nodes(w.function_space, spaces)] == 0).all(axis=1)
+        touching.x.array[:] = near_signorini.x.array - _largest_around(linear, corners, 1.0 - touches)
+    kept = cut_off(touching, missed)
+    above = w + kept - cut_off(near_signorini, missed)
+    above += cut_off(near_dirichlet, data.u_D - psi - kept - w_D)
+    if not is_constant(data.psi):
+        lacking = np.maximum(-facet_lattice(mesh, spaces.facets, SAMPLES).values(above).min(axis=1, initial=0.0), 0.0)
+        fixed = np.isin(corners, on_dirichlet).any(axis=1)
+        raised = fem.Function(linear)
+        raised.x.array[:] = _largest_around(linear, corners, np.where(fixed, *ROOM[::-1]) * lacking)
+        raised.x.array[on_dirichlet] = 0.0
+        above += raised
+    cells, at_dirichlet, touched = (
+        np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32)
+        for some in (near, near_dirichlet.x.array, touching.x.array)
+    )
+    bound = psi + cut_off(near_signorini, missed)
+    at_seam = near_signorini.x.array[linear.dofmap.list].any(axis=1)
+    on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
+    lowest = on_wall.among(at_seam).values(above).min(initial=0.0)
+    depth = mesh.comm.allreduce(max(FAR_BELOW * np.abs(w.x.array).max(initial=0.0), -2 * SAMPLES * lowest), MPI.MAX)
+    floor.x.array[:] = -depth * (1 - near_signorini.x.array)
+    above = ufl.max_value(above, floor)
+    height = w.x.array[facet_nodes(w.function_space, spaces)].min(axis=1)
+    return Trace(v, bound + above, above, cells, at_dirichlet, touched, height, feasible)
+
+
+def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:
+    """∫ (y·n − q_Sh) φ per node of this rank, the same for all nodes of a facet (collective)."""
+    nodes = facet_nodes(space, spaces)
+    per_node = spaces.facet_measure * (spaces.normal_flux(y) - data.q_Sh) / nodes.shape[1]
+    excess = fem.Function(space)
+    np.add.at(excess.x.array, nodes.ravel(), np.repeat(per_node, nodes.shape[1]))
+    excess.x.scatter_reverse(la.InsertMode.add)
+    return np.asarray(excess.x.array, dtype=np.float64)
+
+
+def facet_nodes(space: fem.FunctionSpace, spaces: Spaces) -> Indices:
+    """Nodes of each Γ_S facet, shape (facets, nodes of a facet)."""
+    points = facet_lattice(spaces.mesh, spaces.facets, 1)
+    closures = np.array(space.element.basix_element.entity_closure_dofs[spaces.mesh.topology.dim - 1])
+    return np.take_along_axis(space.dofmap.list[points.cells], closures[points.local], axis=1)
+
+
+def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> Array:
+    """The largest of the values ≥ 0 of the facets around each node, 0 where there are none (collective)."""
+    largest = fem.Function(space)
+    np.maximum.at(largest.x.array, nodes.ravel(), np.repeat(values, nodes.shape[1]))
+    vector = largest.x.petsc_vec
+    vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    largest.x.scatter_forward()
+    return np.asarray(largest.x.array, dtype=np.float64)
+
+
+def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
+    """A continuous function in the vertices and midpoints of edges: values, not coefficients (collective)."""
+    function = fem.Function(space)
+    if is_constant(value):
+        function.x.array[:] = float(value)
+        return function
+    for cells, values in cell_values(space.mesh, value, quadratic_nodes(space.mesh.basix_cell())):
+        function.x.array[space.dofmap.list[cells]] = values
+    function.x.scatter_forward()
+    return function
+
+
+def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
+    """The reconstruction, averaged over the cells around each node with weights κ_h: values, not yet coefficients.
+
+    Collective.
+    """
+    spaces, kappa = solution.spaces, solution.data.kappa_h
+    mesh = spaces.mesh
+    x = ufl.SpatialCoordinate(mesh)
+    centroid = centroids(mesh)
+    moment = fem.Function(spaces.Q)
+    moment.x.array[:] = assembled(second_moment(centroid, x, kappa) * ufl.TestFunction(spaces.Q) * ufl.dx)
+    moment.x.array[:] /= metric.volume  # no ghost cells
+    quadratic = reconstruction(solution.u, solution.sigma, centroid, moment, x, kappa)
+
+    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)
+    v = fem.Function(fem.functionspace(mesh, element), name="v")
+    total = fem.Function(v.function_space)
+    nodes = v.function_space.dofmap.list
+    of_cells = _weights(solution.data)
+    for cells, values in cell_values(mesh, quadratic, quadratic_nodes(mesh.basix_cell())):
+        weights = np.broadcast_to(of_cells[cells, None], values.shape)
+        for function, summands in ((v, weights * values), (total, weights)):
+            function.x.array[:] += np.bincount(nodes[cells].ravel(), summands.ravel(), len(function.x.array))
+    for function in (v, total):
+        function.x.scatter_reverse(la.InsertMode.add)
+        function.x.scatter_forward()
+    v.x.array[:] /= total.x.array
+    return v
+
+
+def _weights(data: Data) -> Array:
+    """Mean eigenvalue of κ_h per cell of this rank."""
+    if is_constant(data.kappa_h):
+        return np.ones(len(data.f_h.x.array))
+    entries = data.kappa_h.x.array.reshape(len(data.f_h.x.array), *(data.kappa_h.ufl_shape or (1, 1)))
+    means: Array = np.trace(entries, axis1=1, axis2=2) / entries.shape[1]
+    return means

@@ -1,0 +1,199 @@
+"""A guaranteed bound of the energy error of a solution, computed from that solution alone.
+
+y ∈ RT0, σ_h or near it, and a continuous v made of u_h and σ_h are admissible in the gap identity of
+`forms.certificate`, but for the load that RT0 does not see. All norms are those of the energy: ‖σ‖² = (κ⁻¹σ, σ),
+|∇w|² = (κ∇w, ∇w).
+
+1. `admissible_flux`: ∇·y = −f_h, y·n = g_h on Γ_N, y·n at least the mean of q_S on each facet of Γ_S; remainder ≥
+   ‖y − σ_h‖.
+2. `oscillation`: r ≥ q_S − y·n on Γ_S, and osc with R(w) ≤ osc |∇w| for w = 0 on Γ_D, where R(w) = (f − f_h, w) +
+   ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S.
+3. `admissible_trace`: v = u_D on Γ_D, v ≥ ψ on Γ_S.
+
+Let ũ be the solution for the loads −∇·y, y·n on Γ_N and q_S − r on Γ_S. For it v and y are admissible, with
+
+    gap = ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S,
+
+so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational inequality is (κ∇u, ∇(w − u)) ≥ (f, w − u) + ⟨g_N, w − u⟩ on
+Γ_N + ⟨q_S, w − u⟩ on Γ_S for all w ≥ ψ. That of u and that of ũ, each tested with the other's solution, give |∇(u − ũ)|
+≤ sup R(w)/|∇w| ≤ osc. Hence
+
+    |∇(v − u)| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder = bound.
+
+The identity itself has R(u − v) ≤ osc |∇(v − u)| on its right side if loads are those of u, and Young's inequality puts
+√(2 gap + osc²) in the place of √(2 gap) + osc for ‖σ − σ_h‖ alone.
+
+u is the solution of the Signorini problem itself, also if a penalty method was used, on the domain that the mesh
+covers: where the boundary is curved, on the polygon or polyhedron.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from forms.certificate import flux_gap
+from forms.mixed import flux_product
+from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
+from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.oscillation import ContactExcess, load_oscillation
+from signorini_fenicsx.certificate.resolution import Resolution
+from signorini_fenicsx.certificate.samples import CellMetric, cell_metric
+from signorini_fenicsx.discrete.data import Data, is_constant, quadrature, scalar_conductivity
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.solving.solution import Solution
+
+type Array = npt.NDArray[np.float64]
+
+FAR, NEAR = 1, 2
+"""Cells away from Γ_D and cells that touch it."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A bound for |∇(v − u)| and for ‖σ − σ_h‖, see the module; infinite if u_D < ψ where Γ_D meets Γ_S.
+
+    Attributes:
+        bound: √(2 gap) + oscillation + remainder, for either error.
+        sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
+        gap: ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S.
+        oscillation: osc; of f in cells, of g_N and q_S on facets, and what means of them were missed.
+        remainder: ‖y − σ_h‖, which the linear solver or a penalty leaves, and what may be rounding.
+        relative: bound/‖σ_h‖.
+        guaranteed: Whether all data are enclosed and resolved.
+        by_quadrature: The data that are not enclosed: given in Python, or loads without Γ_D.
+        unresolved: Data that are not resolved, and a place each; the same on all ranks.
+        coarse: The owned cells where data are not resolved.
+        indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
+        v: The continuous v in P2, before Dirichlet data that are not quadratic have been made exact.
+        seconds: What it took, the longest over all ranks.
+    """
+
+    bound: float
+    sigma_bound: float
+    gap: float
+    oscillation: float
+    remainder: float
+    relative: float
+    guaranteed: bool
+    by_quadrature: tuple[str, ...]
+    unresolved: tuple[tuple[str, tuple[float, ...]], ...]
+    coarse: npt.NDArray[np.bool_]
+    indicator: fem.Function
+    v: fem.Function
+    seconds: float
+
+    def summary(self) -> dict[str, Any]:
+        """All but the fields, ready for JSON."""
+        unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
+        lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
+        return self.numbers() | {"guaranteed": self.guaranteed} | lists
+
+    def numbers(self) -> dict[str, float]:
+        """The bounds and what they are made of."""
+        names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
+        return {name: getattr(self, name) for name in names}
+
+
+def certify(solution: Solution) -> Certificate:
+    """Bound the energy error of a converged solution (collective).
+
+    Costs some assembly and, if the linear solver, a penalty or quadrature leaves something, up to three linear solves.
+    u_D and ψ have to be continuous. Integrals of data that are resolved are by quadrature, see `resolution`.
+
+    Args:
+        solution: Of any algorithm.
+    """
+    watch = Stopwatch()
+    spaces, data = solution.spaces, solution.data
+    comm = spaces.mesh.comm
+    metric = cell_metric(spaces.mesh, data)
+    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, data.kappa_h))))
+    cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
+    resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
+    metric, deviation = resolution.conductivity(metric, size)
+    y, remainder = admissible_flux(solution, metric)
+    oscillation, excess = load_oscillation(spaces, data, metric, spaces.normal_flux(y), resolution)
+    trace = admissible_trace(solution, metric, y)
+    mismatch, contact = _twice_the_gap(spaces, data, trace, y, excess)
+    mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
+    beside = resolution.near_boundary(trace, metric)
+    seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
+    near, known = comm.allreduce(seen).tolist()
+    if not near <= known:
+        resolution.overlooked(beside)
+    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load))
+    oscillation = _with_more(oscillation, left, metric, comm)
+
+    indicator = fem.Function(spaces.Q, name="indicator")
+    squares = mismatch + contact + oscillation**2
+    indicator.x.array[:] = np.sqrt(np.maximum(squares, 0.0))  # no ghost cells; < 0: no bound
+    sums = np.array([(mismatch + contact).sum() / 2, (oscillation**2).sum(), resolution.missed.sum()])
+    total_gap, total_oscillation, missed = comm.allreduce(sums).tolist()
+    bound = sigma_bound = np.inf
+    if trace.feasible and np.isfinite(total_gap + total_oscillation):
+        total_gap = max(total_gap, 0.0)  # < 0 by rounding
+        bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
+        sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
+    unresolved = resolution.account((np.sqrt(missed) + left) / bound if 0 < bound < np.inf else 0.0)
+    PETSc.garbage_cleanup(comm)
+    watch.lap("certificate")
+    return Certificate(
+        bound=float(bound),
+        sigma_bound=float(sigma_bound),
+        gap=total_gap,
+        oscillation=float(np.sqrt(total_oscillation)),
+        remainder=remainder,
+        relative=float(bound / size) if size > 0 else (0.0 if bound == 0 else np.inf),
+        guaranteed=bool(np.isfinite(bound)) and not unresolved and not resolution.by_quadrature,
+        by_quadrature=tuple(sorted(resolution.by_quadrature)),
+        unresolved=unresolved,
+        coarse=resolution.coarse,
+        indicator=indicator,
+        v=trace.v,
+        seconds=watch.longest(comm)["certificate"],
+    )
+
+
+def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Comm) -> Array:
+    """osc_T with more in its sum of squares' root, in each cell by its share, or that of its volume (collective)."""
+    total, volume = comm.allreduce(np.array([(oscillation**2).sum(), metric.volume.sum()])).tolist()
+    if total > 0:
+        return oscillation * (1 + more / np.sqrt(total))
+    return more * np.sqrt(metric.volume / volume)
+
+
+def _twice_the_gap(
+    spaces: Spaces, data: Data, trace: Trace, y: fem.Function, excess: ContactExcess
+) -> tuple[Array, Array]:
+    """2 gap(v, y) per owned cell: of the fluxes, and on Γ_S (collective)."""
+    kappa, q = data.kappa, ufl.TestFunction(spaces.Q)
+    degree = quadrature(data.u_D + data.psi + scalar_conductivity(kappa))
+    number = spaces.Q.dofmap.index_map.size_local
+    near = np.zeros(number, dtype=bool)
+    near[trace.cells] = True
+    parts = [(FAR, np.flatnonzero(~near).astype(np.int32)), (NEAR, trace.cells)]
+    dx = ufl.Measure("dx", domain=spaces.mesh, subdomain_data=parts)
+    far = flux_gap(trace.v, y, kappa, q, dx(FAR) if is_constant(kappa) else dx(FAR, metadata=quadrature(kappa)))
+    mismatch = assembled(far)
+    if trace.exact is not trace.v:
+        mismatch += assembled(flux_gap(trace.exact, y, kappa, q, dx(NEAR, metadata=degree)))
+    return mismatch, excess.gap(excess.points.values(trace.above), number)
+
+
+def _with_deviation(spaces: Spaces, metric: CellMetric, y: fem.Function, mismatch: Array, deviation: Array) -> Array:
+    """‖κ^½∇v − κ^-½y‖² per owned cell, by that for κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
+    if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
+        return mismatch
+    size = np.sqrt(np.maximum(assembled(ufl.inner(y, y) * ufl.TestFunction(spaces.Q) * ufl.dx), 0.0))
+    lowest = metric.kappa_min
+    root = np.sqrt((1 + deviation / lowest) * np.maximum(mismatch, 0.0)) + deviation * size / lowest**1.5
+    return np.asarray(root**2, dtype=np.float64)

@@ -1,0 +1,189 @@
+"""The load that RT0 does not balance, measured by a flux of its own in each cell.
+
+In a cell T let r be a load with mean 0 and r_e with mean 0 one on each facet e, and Πr, Π_e r_e their projections to
+polynomials. Take τ ∈ RT on T, of a degree for which there is one, with
+
+    −∇·τ = Πr,   τ·n = Π_e r_e on each facet e of T.
+
+Then for w ∈ H¹(T), with κ ≥ c κ_h on T, c ≤ 1, |w|² = (κ∇w, ∇w)_T and all norms those of L²,
+
+    (r, w)_T + Σ_e (r_e, w)_e ≤ c^-½ (‖κ_h^-½ τ‖_T + (δ_T/π)‖r − Πr‖_T + Σ_e C_e‖r_e − Π_e r_e‖_e) |w|,
+    C_e² = δ_T² |e|/|T| (1/π² + 2/(πd)),   δ_T the diameter of T measured in κ_h⁻¹.
+
+Proof. Integration by parts turns (Πr, w) + Σ (Π_e r_e, w)_e into (τ, ∇w). What Π and Π_e leave has mean 0, so w may be
+replaced by w − w_T, w_T its mean over T, for which ‖w − w_T‖_T ≤ (δ_T/π)‖κ_h^½ ∇w‖_T (Payne, Weinberger; Bebendorf: T
+is convex also in the coordinates κ_h^-½ x). On e, with x_e the vertex opposite to it, the divergence theorem for (x −
+x_e)w² gives d|T|/|e| ‖w‖²_e = d‖w‖²_T + 2(w(x − x_e), ∇w)_T ≤ d‖w‖²_T + 2δ_T‖w‖_T‖κ_h^½ ∇w‖_T. At last κ_h ≤ κ/c.
+
+τ exists as the means are 0, and is computed for all cells at once: in the coordinates of the reference cell the
+conditions are the same for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import basix
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.certificate.samples import AT_ONCE, CellMetric, FacetPoints, facet_type
+
+type Array = npt.NDArray[np.float64]
+
+OF_LOAD, OF_FLUX = 1, 2
+"""Degrees of Π and of all Π_e. Away from Γ_N and Γ_S RT of degree 1 is enough for τ; there it is of degree 2."""
+SINGULAR = 1e-10
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A load with mean 0 by its projection and what that leaves, per cell or facet.
+
+    Attributes:
+        coefficients: In an orthonormal basis on the reference cell or facet without the constant, shape (n, basis).
+        rest: Square of the L² norm of what is left, over the measure of the reference cell or facet.
+    """
+
+    coefficients: Array
+    rest: Array
+
+
+def projected(values: Array, cell: basix.CellType, degree: int, points: Array, weights: Array) -> Projection:
+    """Project functions with mean 0 that are known in the points of a quadrature, shape (n, points)."""
+    basis = _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0]
+    coefficients = values @ (weights[:, None] * basis)
+    rest = values - coefficients @ basis.T
+    return Projection(coefficients, rest**2 @ weights)
+
+
+def at_points(projection: Projection, cell: basix.CellType, degree: int, points: Array) -> Array:
+    """The projections in points of the reference cell or facet, shape (n, points)."""
+    return projection.coefficients @ _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0].T
+
+
+def _polynomials(cell: basix.CellType, degree: int) -> basix.finite_element.FiniteElement:
+    """An orthonormal basis on the reference cell whose first functions are those of lower degrees."""
+    legendre = basix.LagrangeVariant.legendre
+    return basix.create_element(basix.ElementFamily.P, cell, degree, legendre, basix.DPCVariant.unset, True)
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """Fluxes on the reference cell: those that answer to moments, and those that answer to none.
+
+    Attributes:
+        products: ∫ τ_a,i τ_b,j, shape (dim, dim, n, n): first the fluxes for one moment each, of the load up to degree
+            OF_LOAD and then, if it is for cells with facets that carry a load, of each facet; after these the fluxes
+            without divergence and normal component.
+        moments: How many of the first kind.
+    """
+
+    products: Array
+    moments: int
+
+
+@cache
+def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
+    degree = OF_FLUX if at_facets else OF_LOAD
+    element = basix.create_element(
+        basix.ElementFamily.RT, cell, degree + 1, basix.LagrangeVariant.legendre, basix.DPCVariant.unset
+    )
+    topology, geometry = basix.topology(cell), basix.geometry(cell)
+    dim = len(topology) - 1
+    points, weights = basix.make_quadrature(cell, 2 * degree + 2)
+    values, *derivatives = element.tabulate(1, points)
+    divergence = sum(derivatives[i][:, :, i] for i in range(dim))
+    basis = _polynomials(cell, degree).tabulate(0, points)[0][:, :, 0]
+    conditions = [basis.T @ (weights[:, None] * divergence)]
+    for facet, normal in zip(topology[dim - 1], basix.cell.facet_outward_normals(cell), strict=True):
+        x = geometry[facet]
+        on_facet, facet_weights = basix.make_quadrature(facet_type(dim), 2 * degree + 2)
+        edges = x[1:] - x[:1]
+        area = np.sqrt(np.linalg.det(edges @ edges.T))
+        flux = element.tabulate(0, x[0] + on_facet @ edges)[0] @ normal
+        facet_basis = _polynomials(facet_type(dim), degree).tabulate(0, on_facet)[0][:, :, 0]
+        conditions.append(area * facet_basis.T @ (facet_weights[:, None] * flux))
+    of_load = _polynomials(cell, OF_LOAD).dim
+    wanted = [at_facets & (np.arange(len(rows)) > 0) for rows in conditions]
+    wanted[0][1:of_load] = True
+    wanted[0][of_load:] = False
+    matrix = np.concatenate(conditions)
+    _, values_of, right = np.linalg.svd(matrix)
+    free = right[np.count_nonzero(values_of > SINGULAR * values_of[0]) :]
+    answers = np.linalg.pinv(matrix, rcond=SINGULAR)[:, np.concatenate(wanted)].T
+    fluxes = np.einsum("na,qai->nqi", np.concatenate([answers, free]), values)
+    return _Reference(np.einsum("q,aqi,bqj->ijab", weights, fluxes, fluxes), len(answers))
+
+
+def _local_norms(reference: _Reference, metric: CellMetric, cells: npt.NDArray[np.intp], moments: Array) -> Array:
+    """Smallest ‖κ_h^-½ τ‖ on some cells, for moments on the reference cell, shape (cells, moments)."""
+    jacobian = metric.jacobian[cells]
+    dim, number = jacobian.shape[1], moments.shape[1]
+    pulled = jacobian.transpose(0, 2, 1) @ metric.inverse[cells] @ jacobian
+    pulled /= (math.factorial(dim) * metric.volume[cells])[:, None, None]
+    size = reference.products.shape[-1]
+    energy = (pulled.reshape(-1, dim * dim) @ reference.products.reshape(dim * dim, -1)).reshape(-1, size, size)
+    force = (energy[:, :, :number] @ moments[:, :, None])[:, :, 0]
+    squares = np.einsum("ca,ca->c", force[:, :number], moments)
+    if size > number:
+        answer = np.linalg.solve(energy[:, number:, number:], force[:, number:, None])[:, :, 0]
+        squares -= np.einsum("ca,ca->c", force[:, number:], answer)
+    return np.sqrt(np.maximum(squares, 0.0))
+
+
+@dataclass(frozen=True)
+class FacetLoad:
+    """A load with mean 0 on each of some facets.
+
+    Attributes:
+        points: A quadrature in them.
+        values: Shape (facets, points).
+        missed: L² norm per facet of what the values do not show of the load.
+    """
+
+    points: FacetPoints
+    values: Array
+    missed: Array
+
+
+def facet_constants(metric: CellMetric, cells: npt.NDArray[np.int32], area: Array) -> Array:
+    """C_e of facets of these cells, from |e|."""
+    dim = metric.jacobian.shape[1]
+    return metric.diameter[cells] * np.sqrt(area / metric.volume[cells] * (1 / np.pi**2 + 2 / (np.pi * dim)))
+
+
+def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None, on_facets: list[FacetLoad]) -> Array:
+    """The factor of |w| in the module's estimate, per owned cell.
+
+    Args:
+        cell: Of the mesh.
+        metric: Of the cells.
+        load: r, per cell; None for 0.
+        on_facets: r_e, each facet at most once.
+    """
+    dim, number = metric.jacobian.shape[1], len(metric.volume)
+    determinant = math.factorial(dim) * metric.volume
+    reference = _reference(cell, at_facets=True)
+    moments, rest = np.zeros((number, reference.moments)), np.zeros(number)
+    if load is not None:
+        moments[:, :dim] = -determinant[:, None] * load.coefficients
+        rest += metric.diameter / np.pi * np.sqrt(determinant * load.rest)
+    at_facets = np.zeros(number, dtype=bool)
+    for each in on_facets:
+        points = each.points
+        cells, scale = points.cells, points.scale
+        projection = projected(each.values, facet_type(dim), OF_FLUX, points.points, points.weights)
+        of_facet = projection.coefficients.shape[1]
+        columns = dim + of_facet * points.local[:, None] + np.arange(of_facet)
+        moments[cells[:, None], columns] = scale[:, None] * projection.coefficients
+        constant = facet_constants(metric, cells, scale / math.factorial(dim - 1))
+        rest += points.per_cell(constant * (np.sqrt(scale * projection.rest) + each.missed), number)
+        at_facets[cells] = True
+    norms = np.zeros(number)
+    for chosen, kind in ((~at_facets, _reference(cell, at_facets=False)), (at_facets, reference)):
+        for some in np.array_split(np.flatnonzero(chosen), np.count_nonzero(chosen) // AT_ONCE + 1):
+            norms[some] = _local_norms(kind, metric, some, moments[some, : kind.moments])
+    return (norms + rest) / np.sqrt(metric.low)

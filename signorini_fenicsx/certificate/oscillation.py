@@ -1,0 +1,147 @@
+"""What RT0 does not see of the load: osc and the contact excess.
+
+Let y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ the mean of q_S on each facet of Γ_S. Then s = q_S − y·n has a
+mean ≤ 0 there, but may be positive in places, where y·n < q_S. *Water-filling*: take c ≥ 0 and
+
+    r = max(s, −c) with mean 0;   if s ≤ 0 on the facet, that is c = 0 and r = 0.
+
+r ≥ s, so r − s, the contact excess, is ≥ 0: y is admissible for the problem with q_S − r in the place of q_S, and its
+gap has ⟨r − s, v − ψ⟩ in it (see `forms.certificate`). r itself is a load like f − f_h and g_N − g_h: with
+
+    R(w) = (f − f_h, w) + ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S,   R(w) ≤ osc |w| for w = 0 on Γ_D,
+
+osc² = Σ osc_T² by `local_fluxes`. Where q_S varies, s on a facet of no contact is q_S less its mean, and so is r. In
+contact y·n is larger than q_S but for the ends of the contact set, and r = 0, however much q_S varies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.certificate.local_fluxes import (
+    OF_FLUX,
+    OF_LOAD,
+    FacetLoad,
+    Projection,
+    at_points,
+    load_norms,
+    projected,
+)
+from signorini_fenicsx.certificate.resolution import Resolution
+from signorini_fenicsx.certificate.samples import (
+    CellMetric,
+    FacetPoints,
+    cell_values,
+    facet_quadrature,
+    facet_type,
+    quadratic_nodes,
+)
+from signorini_fenicsx.discrete.data import Data, is_constant, quadrature
+from signorini_fenicsx.discrete.spaces import Spaces
+
+type Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ContactExcess:
+    """r − s on the facets of Γ_S.
+
+    Attributes:
+        points: Where it is known.
+        values: r − s ≥ 0, shape (facets, points).
+    """
+
+    points: FacetPoints
+    values: Array
+
+    def gap(self, above: Array, number: int) -> Array:
+        """2⟨r − s, v − ψ⟩ per cell from the values of v − ψ."""
+        return self.points.per_cell(2 * self.points.integrals(self.values * above), number)
+
+
+def water_filled(s: Array, weights: Array) -> Array:
+    """The load r of the module, for s of mean ≤ 0 in the points of a quadrature, shape (facets, points).
+
+    c is the largest of the numbers for which r would have mean 0 if it were −c in the k lowest points, as the largest
+    of these means is that of r.
+    """
+    order = np.argsort(s, axis=1)
+    sorted_weights = weights[order]
+    moments = sorted_weights * np.take_along_axis(s, order, axis=1)
+    above = moments.sum(axis=1, keepdims=True) - np.cumsum(moments, axis=1)
+    above[:, -1:] = 0.0
+    c = (above / np.cumsum(sorted_weights, axis=1)).max(axis=1, initial=0.0)
+    return np.maximum(s, -c[:, None])
+
+
+def load_oscillation(
+    spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
+) -> tuple[Array, ContactExcess]:
+    """osc_T per owned cell, and the contact excess (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        data: The data.
+        metric: Of the cells.
+        flux: y·n per facet of Γ_S, at least the mean of q_S.
+        resolution: Takes account of what quadrature may have missed.
+    """
+    mesh = spaces.mesh
+    on_signorini = facet_quadrature(mesh, spaces.facets, _degree(data.q_S**2 + data.psi + data.u_D))
+    q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
+    s = q_S - flux[:, None]
+    r = water_filled(s, on_signorini.weights)
+    excess = ContactExcess(on_signorini, r - s)
+    on_facets = [] if is_constant(data.q_S) else [FacetLoad(on_signorini, r, missed)]
+    if not is_constant(data.g_N):
+        on_neumann = facet_quadrature(mesh, spaces.neumann_facets, _degree(data.g_N**2))
+        dofs = spaces.neumann_dofs
+        g_h = data.sigma_lift.x.array[dofs] * spaces.neumann_basis_flux / spaces.neumann_measure
+        g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
+        mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
+        on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
+    return load_norms(mesh.basix_cell(), metric, _load(spaces, data, metric, resolution), on_facets), excess
+
+
+def _on_facets(
+    name: str, points: FacetPoints, means: Array, data: Data, metric: CellMetric, resolution: Resolution
+) -> tuple[Array, Array]:
+    """A flux in the points of a quadrature, by a quadratic if it can be enclosed, and what that misses (collective)."""
+    values = points.values(getattr(data, name))
+    if not resolution.encloses(name):
+        return values, np.zeros(len(values))
+    facet = facet_type(points.mesh.topology.dim)
+    projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
+    known = [means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in (points.points, quadratic_nodes(facet))]
+    seen = np.sqrt(projection.rest / points.weights.sum())
+    return known[0], resolution.on_facets(name, points, known[1], seen, metric)
+
+
+def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
+    """The load f − f_h on the owned cells, None if f is a number (collective)."""
+    if is_constant(data.f):
+        return None
+    cell = spaces.mesh.basix_cell()
+    positive = basix.QuadratureType.xiao_gimbutas  # weights: those of Keast's rules, the default, are not
+    points, weights = basix.make_quadrature(cell, _degree(data.f**2), positive)
+    parts = [
+        projected(values - data.f_h.x.array[cells, None], cell, OF_LOAD, points, weights)
+        for cells, values in cell_values(spaces.mesh, data.f, points)
+    ]
+    empty = projected(np.empty((0, len(points))), cell, OF_LOAD, points, weights)
+    coefficients, rests = zip(*((part.coefficients, part.rest) for part in [empty, *parts]), strict=True)
+    load = Projection(np.concatenate(coefficients), np.concatenate(rests))
+    if not resolution.encloses("f"):
+        return load
+    nodes = data.f_h.x.array[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
+    seen = np.sqrt(load.rest / weights.sum())
+    return replace(load, rest=resolution.on_cells("f", nodes, seen, metric) ** 2 * weights.sum())
+
+
+def _degree(value: Expr) -> int:
+    return quadrature(value)["quadrature_degree"]

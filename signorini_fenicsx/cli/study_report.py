@@ -1,0 +1,96 @@
+"""What `signorini study` shows: the plan, a live view while it runs, and how it ended. Only rank 0 writes."""
+
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from mpi4py import MPI
+from rich.live import Live
+
+from signorini_fenicsx.cli.report import console
+from signorini_fenicsx.studies.folder import Status, StudyFolder
+from signorini_fenicsx.studies.study import Run, Study
+
+
+def heading(study: Study, runs: Sequence[Run], comm: MPI.Comm) -> None:
+    """Say what is about to be done, and with what."""
+    size = min(study.ranks_per_run, comm.size)
+    groups, idle = divmod(comm.size, size)
+    console.print(study.title or study.name, style="bold", markup=False)
+    shape = f"{groups} group{'s' * (groups > 1)} of {size} rank{'s' * (size > 1)}"
+    remark = f", {idle} idle" if idle else ""
+    if size < study.ranks_per_run:
+        remark += f" (ranks_per_run = {study.ranks_per_run} wants more)"
+    console.print(f"{len(runs)} runs, {shape}{remark}")
+
+
+def plan(runs: Sequence[Run], folder: StudyFolder) -> None:
+    """List the runs with the values in which they differ, their estimated sizes and where they stand."""
+    parameters = [run.parameters for run in runs]
+    varied = [key for key in parameters[0] if len({str(values[key]) for values in parameters}) > 1]
+    for run, values in zip(runs, parameters, strict=True):
+        differences = "  ".join(f"{key.removeprefix('solve.')} = {values[key]}" for key in varied)
+        status = folder.status(run).value
+        console.print(f"{status:<7} {run.name}  ≈ {run.cells:8.2g} cells  {differences}", markup=False)
+    console.print(f"≈ {sum(run.cells for run in runs):.2g} cells in all")
+
+
+class Progress:
+    """A live view of a study, read from its folder; a context manager.
+
+    On a terminal it is kept up to date from a thread, since the rank that shows it computes as well. Elsewhere a line
+    is printed for each finished run, as soon as this rank comes to know of it.
+    """
+
+    def __init__(self, runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm):
+        """Look where the runs stand (rank 0)."""
+        self._runs, self._folder, self._speaks = runs, folder, comm.rank == 0
+        self._began = time.perf_counter()
+        self._earlier = {run.name for run in self._finished()} if self._speaks else set()
+        self._said = set(self._earlier)
+        self._live = Live(console=console, get_renderable=self._view, refresh_per_second=2, transient=True)
+
+    def __enter__(self) -> Self:
+        if self._speaks and self._earlier:
+            console.print(f"{len(self._earlier)} runs were finished before")
+        if self._speaks and console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.stop()
+        self.say()
+
+    def say(self) -> None:
+        """Print the runs that have finished since the last call."""
+        for run in self._finished() if self._speaks else []:
+            if run.name not in self._said:
+                self._said.add(run.name)
+                record = self._folder.record(run)
+                console.print(
+                    f"{record.status.value:<7} {run.name}  {record.seconds:.1f} s  {record.reason}", markup=False
+                )
+
+    def _finished(self) -> list[Run]:
+        return [run for run in self._runs if self._folder.status(run) in (Status.DONE, Status.FAILED)]
+
+    def _view(self) -> str:
+        states = [self._folder.status(run) for run in self._runs]
+        counts = "  ".join(f"{states.count(state)} {state.value}" for state in Status)
+        work = {
+            state: sum(run.cells for run, s in zip(self._runs, states, strict=True) if s is state) for state in Status
+        }
+        new = sum(run.cells for run in self._finished() if run.name not in self._earlier)
+        left = work[Status.TODO] + work[Status.RUNNING]
+        elapsed = time.perf_counter() - self._began
+        remaining = f"about {elapsed * left / new:.0f} s left" if new else "time left unknown yet"
+        running = [run.name for run, state in zip(self._runs, states, strict=True) if state is Status.RUNNING]
+        return "\n".join([f"{counts}  {elapsed:.0f} s, {remaining}", *(f"  {name}" for name in running)])
+
+
+def ended(folder: StudyFolder) -> None:
+    """Say where the results are."""
+    console.print(f"{'results':<10} {folder.path}", markup=False)

@@ -1,0 +1,74 @@
+"""How far two solutions of one domain are apart: their contact sets and their fields, on meshes that need not match."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.discretisation import same_domain
+from signorini_fenicsx.comparing.convergence import Differences, differences
+from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
+from signorini_fenicsx.solving.solution import Solution
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two solutions side by side.
+
+    Attributes:
+        contact: Measures of the two contact sets.
+        jaccard: |A ∩ B| / |A ∪ B|, found on the facets of the finer mesh.
+        hausdorff: Hausdorff distance of the contact sets.
+        norms: Norms of the differences, see `Differences`, by quadrature on the finer mesh.
+        relative: Those of σ, u and p over the norms of the finer solution; infinite over 0.
+    """
+
+    contact: tuple[float, float]
+    jaccard: float
+    hausdorff: float
+    norms: Differences
+    relative: Mapping[str, float]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        return asdict(self)
+
+
+def compare(one: Solution, other: Solution) -> Comparison:
+    """Compare two solutions on one communicator (collective; symmetric but for the order of `contact`).
+
+    Raises:
+        InputError: If their domains or contact boundaries differ.
+    """
+    here, there = (
+        f"{solution.case.geometry.name} with contact on {', '.join(sorted(solution.case.boundary.signorini))}"
+        for solution in (one, other)
+    )
+    domains = same_domain(one.case, one.spaces.domain, other.case, other.spaces.domain)
+    if not domains or set(one.case.boundary.signorini) != set(other.case.boundary.signorini):
+        raise InputError(f"solutions of one domain and contact boundary compare, not of {here} and {there}")
+    coarse, fine = sorted((one, other), key=_cells)
+    norms = differences(coarse, fine)
+    scale = fine.norms()
+    sizes = {
+        "sigma_V": math.hypot(scale["sigma_L2"], scale["div_sigma_L2"]),
+        "u_Q": scale["u_L2"],
+        "p_Lambda": scale["p_L2"],
+    }
+    return Comparison(
+        contact=(one.contact()[1], other.contact()[1]),
+        jaccard=jaccard(coarse.contact_set(), fine.contact_set()),
+        hausdorff=hausdorff(one.contact_set(), other.contact_set()),
+        norms=norms,
+        relative={name: _ratio(getattr(norms, name), size) for name, size in sizes.items()},
+    )
+
+
+def _cells(solution: Solution) -> int:
+    topology = solution.spaces.mesh.topology
+    return topology.index_map(topology.dim).size_global
+
+
+def _ratio(value: float, size: float) -> float:
+    return value / size if size > 0 else (0.0 if value == 0 else math.inf)

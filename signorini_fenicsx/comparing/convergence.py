@@ -1,0 +1,303 @@
+"""Errors in h and in ε against a reference solution, as in Tables 1 to 6 and Figures 13, 17 and 21 of the slides."""
+
+import csv
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from enum import Enum
+from pathlib import Path
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.norms import l2
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
+from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
+
+type Array = npt.NDArray[np.float64]
+
+ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
+ASYMPTOTIC_EPS = 1e-2
+"""Slopes in ε are fitted from here down."""
+
+
+class Vary(Enum):
+    """What a study varies from row to row; EPS_H and EPS_H2 tie ε to h."""
+
+    H = "h"
+    EPS = "eps"
+    EPS_H = "eps=h"
+    EPS_H2 = "eps=h^2"
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Norms of the difference of two solutions of one problem.
+
+    Attributes:
+        sigma_V: ‖σ − σ'‖_V.
+        u_Q: ‖u − u'‖_Q.
+        p_Lambda: ‖p − p'‖_Λ.
+        p_half: ‖p − p'‖ in a discrete H^{1/2}(Γ_S), see `half_norm`.
+        flux_Lambda: ‖σ·n − σ'·n‖_Λ.
+    """
+
+    sigma_V: float
+    u_Q: float
+    p_Lambda: float
+    p_half: float
+    flux_Lambda: float
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """Errors of one run against the reference, and the slides' where they give them.
+
+    Orders are those from the row before, None on the first: over ε if it is what varies, else over the mean size
+    cells^(-1/d), because the largest diameter of a Gmsh mesh is an outlier.
+
+    Attributes:
+        level: h ≤ 2^-level, or ε = 10^-level if ε varies.
+        h: Largest cell diameter.
+        eps: ε, None without a penalty.
+        cells: Cells.
+        iterations: Iterations of the algorithm.
+        sigma_V: ‖σ_ref − σ_h‖_V.
+        sigma_V_order: Its order.
+        u_Q: ‖u_ref − u_h‖_Q.
+        u_Q_order: Its order.
+        p_Lambda: ‖p_ref − p_h‖_Λ.
+        p_Lambda_order: Its order.
+        p_half: ‖p_ref − p_h‖ in a discrete H^{1/2}(Γ_S).
+        p_half_order: Its order.
+        flux_scaled: √ε‖(σ_ref − σ_h)·n‖_Λ, None without a penalty.
+        flux_scaled_order: Its order.
+        slides_sigma_V: The slides' ‖σ_ref − σ_h‖_V.
+        slides_u_Q: The slides' ‖u_ref − u_h‖_Q.
+    """
+
+    level: int
+    h: float
+    eps: float | None
+    cells: int
+    iterations: int
+    sigma_V: float
+    sigma_V_order: float | None
+    u_Q: float
+    u_Q_order: float | None
+    p_Lambda: float
+    p_Lambda_order: float | None
+    p_half: float
+    p_half_order: float | None
+    flux_scaled: float | None
+    flux_scaled_order: float | None
+    slides_sigma_V: float | None
+    slides_u_Q: float | None
+
+
+def differences(coarse: Solution, fine: Solution) -> Differences:
+    """Norms of the difference of two solutions, by quadrature on the mesh of the second (collective).
+
+    The coarse fields are evaluated at the quadrature points. Where a curved boundary is cut differently by the two
+    meshes, the nearest coarse cell is taken.
+    """
+    source = coarse.spaces.domain
+    mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
+    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, source)
+    p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, source)
+    (p_middle,) = sampled([coarse.p], gamma, source, degree=0)
+
+    metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
+    dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
+    ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
+    squares = [
+        l2(fine.sigma - sigma, dx) + l2(ufl.div(fine.sigma) - div_sigma, dx),
+        l2(fine.u - u, dx),
+        l2(fine.p - p, ds),
+        l2(fine.spaces.multiplier(fine.spaces.normal_flux(fine.sigma)) - flux, ds),
+    ]
+    local = np.array([fem.assemble_scalar(fem.form(square)) for square in squares])
+    sigma_V, u_Q, p_Lambda, flux_Lambda = np.sqrt(mesh.comm.allreduce(local)).tolist()
+    size = len(fine.spaces.facets)
+    return Differences(
+        sigma_V, u_Q, p_Lambda, half_norm(fine, fine.p.x.array[:size] - p_middle.x.array[:size]), flux_Lambda
+    )
+
+
+def half_norm(solution: Solution, values: Array) -> float:
+    """Discrete H^{1/2}(Γ_S) norm of one value per Γ_S facet (collective; quadratic in the number of facets).
+
+    The Sobolev-Slobodeckij double integral with each pair of different facets taken at its midpoints:
+    ‖p‖² + Σ_{e≠e'} |e||e'| (p_e − p_e')² / |x_e − x_e'|^d.
+    """
+    spaces = solution.spaces
+    dim = spaces.mesh.topology.dim
+    x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
+    rows = gather_rows(spaces.mesh.comm, np.column_stack([x, spaces.facet_measure, values]))
+    square = 0.0
+    if rows is not None:
+        x, e, p = rows[:, :3], rows[:, 3], rows[:, 4]
+        square = float(e @ p**2)
+        for i in range(len(rows) - 1):
+            distance = np.linalg.norm(x[i + 1 :] - x[i], axis=1)
+            square += 2 * e[i] * float(e[i + 1 :] @ ((p[i + 1 :] - p[i]) ** 2 / distance**dim))
+    return math.sqrt(spaces.mesh.comm.bcast(square))
+
+
+def _divergence(solution: Solution) -> fem.Function:
+    """∇·σ_h in P0."""
+    Q = solution.spaces.Q
+    divergence = fem.Function(Q)
+    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), Q.element.interpolation_points))
+    return divergence
+
+
+def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:
+    """The slides' errors of σ and u per level, empty where they give none."""
+    with (data_folder("tables") / "slides.csv").open(newline="", encoding="utf-8") as file:
+        return {
+            int(row["level"]): (float(row["sigma_V"]), float(row["u_Q"]))
+            for row in csv.DictReader(file)
+            if (row["case"], row["algorithm"]) == (case, algorithm)
+        }
+
+
+def convergence_study(
+    case: Case,
+    vary: Vary,
+    levels: Sequence[int],
+    reference: int,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    on_start: Callable[[Case], None] = lambda case: None,
+    on_row: Callable[[ErrorRow], None] = lambda row: None,
+) -> list[ErrorRow]:
+    """Solve for several h or ε and measure errors against a reference (collective).
+
+    The reference is the same problem with h ≤ 2^-reference if h varies, Algorithm 1 with that h if ε is tied to h, and
+    Algorithm 1 on the same mesh if ε varies: there the error is that of the penalty alone.
+
+    Args:
+        case: The problem; what varies is ignored in it.
+        vary: What varies.
+        levels: h ≤ 2^-level, or ε = 10^-level.
+        reference: Level of the reference, finer than all levels; unused if ε varies.
+        comm: Communicator.
+        on_start: Called on all ranks with the case about to be solved.
+        on_row: Called on all ranks with each finished row.
+
+    Raises:
+        InputError: If a mesh cannot be made, or ε is to vary for an algorithm without penalty.
+        NumericalFailure: If a run fails.
+    """
+    if vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
+        penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
+        raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
+    domain = mesh_case(case, comm) if vary is Vary.EPS else None
+    cases = [case.with_values(level_values(vary, level)) for level in levels]
+    best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
+    if domain is None:
+        best = best.with_values({"solve.h": 2.0**-reference})
+
+    def solved(problem: Case) -> Solution:
+        on_start(problem)
+        return solve(problem, comm, domain=domain)
+
+    fine = solved(best)
+    slides = slides_errors(case.name, case.solve.algorithm) if vary is Vary.H else {}
+    rows: list[ErrorRow] = []
+    for level, problem in zip(levels, cases, strict=True):
+        row = _row(level, solved(problem), fine, rows[-1] if rows else None, vary, slides.get(level))
+        rows.append(row)
+        on_row(row)
+        collect_garbage(comm)
+    return rows
+
+
+def level_values(vary: Vary, level: int) -> dict[str, float]:
+    """What a level changes in the case."""
+    match vary:
+        case Vary.H:
+            return {"solve.h": 2.0**-level}
+        case Vary.EPS:
+            return {"solve.eps": 10.0**-level}
+        case Vary.EPS_H:
+            return {"solve.h": 2.0**-level, "solve.eps": 2.0**-level}
+        case Vary.EPS_H2:
+            return {"solve.h": 2.0**-level, "solve.eps": 4.0**-level}
+
+
+def _row(
+    level: int,
+    coarse: Solution,
+    fine: Solution,
+    before: ErrorRow | None,
+    vary: Vary,
+    slides: tuple[float, float] | None,
+) -> ErrorRow:
+    error = differences(coarse, fine)
+    topology = coarse.spaces.mesh.topology
+    cells = topology.index_map(topology.dim).size_global
+    options = coarse.case.solve
+    eps = options.eps if ALGORITHMS[options.algorithm].has_eps else None
+    flux_scaled = None if eps is None else math.sqrt(eps) * error.flux_Lambda
+
+    def order(name: str, value: float | None) -> float | None:
+        earlier = None if before is None else getattr(before, name)
+        if before is None or not earlier or not value:
+            return None
+        if vary is Vary.EPS:
+            return math.log(earlier / value) / math.log(before.eps / options.eps) if before.eps else None
+        return topology.dim * math.log(earlier / value) / math.log(cells / before.cells)
+
+    return ErrorRow(
+        level=level,
+        h=coarse.spaces.domain.h,
+        eps=eps,
+        cells=cells,
+        iterations=len(coarse.history),
+        sigma_V=error.sigma_V,
+        sigma_V_order=order("sigma_V", error.sigma_V),
+        u_Q=error.u_Q,
+        u_Q_order=order("u_Q", error.u_Q),
+        p_Lambda=error.p_Lambda,
+        p_Lambda_order=order("p_Lambda", error.p_Lambda),
+        p_half=error.p_half,
+        p_half_order=order("p_half", error.p_half),
+        flux_scaled=flux_scaled,
+        flux_scaled_order=order("flux_scaled", flux_scaled),
+        slides_sigma_V=None if slides is None else slides[0],
+        slides_u_Q=None if slides is None else slides[1],
+    )
+
+
+def fitted_slopes(rows: list[ErrorRow], vary: Vary) -> dict[str, float]:
+    """Least-squares slopes of the errors on logarithmic axes, over 2^-level or ε (from ASYMPTOTIC_EPS down)."""
+    if vary is Vary.EPS:
+        rows = [row for row in rows if row.eps is not None and row.eps <= ASYMPTOTIC_EPS * (1 + 1e-12)]
+    slopes = {}
+    for name in ERRORS:
+        values = [getattr(row, name) for row in rows]
+        if len(rows) > 1 and all(values):
+            base = 10 if vary is Vary.EPS else 2
+            slopes[name] = -float(np.polyfit([row.level for row in rows], np.log(values) / np.log(base), 1)[0])
+    return slopes
+
+
+def write_table(path: Path, rows: list[ErrorRow]) -> None:
+    """Write the rows as CSV (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(ErrorRow)])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)

@@ -1,0 +1,142 @@
+"""All algorithms on one mesh, side by side: work, accuracy, mass balance and contact set."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.norms import l2
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
+
+
+@dataclass(frozen=True)
+class MethodRow:
+    """One algorithm on one mesh.
+
+    Attributes:
+        case: Name of the case.
+        h: Largest cell diameter.
+        method: The algorithm.
+        iterations: Its iterations; those of the interior-point method for qp.
+        seconds: Assembly and solve, the longest over the ranks.
+        flux: ‖σ_ref − σ_h‖ / ‖σ_ref‖.
+        trace: ‖p_ref − p_h‖_Λ / ‖p_ref‖_Λ.
+        mass: ‖∇·σ_h + f_h‖ / ‖f_h‖, the local mass balance.
+        contact: Measure of the facets in contact in only one of the solution and the reference, over |Γ_S|.
+        distance: Largest difference of any degree of freedom of σ, u or p from Algorithm 1 on the same mesh.
+    """
+
+    case: str
+    h: float
+    method: str
+    iterations: int
+    seconds: float
+    flux: float
+    trace: float
+    mass: float
+    contact: float
+    distance: float
+
+
+def compare_methods(
+    case: Case,
+    h: float,
+    fine: Solution,
+    methods: tuple[str, ...] = tuple(ALGORITHMS),
+    *,
+    on_failure: Callable[[str, NumericalFailure], None] = lambda method, failure: None,
+) -> list[MethodRow]:
+    """Solve by each method, all from a cold start on one mesh, and compare with a fine solution (collective).
+
+    Args:
+        case: The problem.
+        h: Largest cell diameter wanted.
+        fine: The reference.
+        methods: Algorithms; Algorithm 1 is run in any case.
+        on_failure: Called on all ranks with a method that fails and has no row.
+
+    Raises:
+        InputError: If there is no mesh with this h.
+        NumericalFailure: If Algorithm 1 fails.
+    """
+    domain = mesh_case(case.with_values({"solve.h": h}), fine.spaces.mesh.comm)
+
+    def solved(method: str) -> Solution:
+        values = {"solve.algorithm": method, "solve.h": h, "solve.predict": False}
+        return solve(case.with_values(values), domain=domain)
+
+    exact = solved("alg1")
+    solutions: dict[str, Solution] = {}
+    for method in methods:
+        try:
+            solutions[method] = solved(method)
+        except NumericalFailure as failure:
+            on_failure(method, failure)
+    return [
+        MethodRow(
+            case=case.name,
+            h=domain.h,
+            method=method,
+            iterations=solution.history[-1].linear_iterations if method == "qp" else len(solution.history),
+            seconds=solution.timings["assembly"] + solution.timings["solve"],
+            flux=flux,
+            trace=trace,
+            mass=mass_imbalance(solution),
+            contact=contact,
+            distance=distance(solution, exact),
+        )
+        for (method, solution), (flux, trace, contact) in zip(
+            solutions.items(), _errors(list(solutions.values()), fine), strict=True
+        )
+    ]
+
+
+def mass_imbalance(solution: Solution) -> float:
+    """‖∇·σ_h + f_h‖ / ‖f_h‖ (collective)."""
+    spaces, f_h = solution.spaces, solution.data.f_h
+    return float(
+        np.sqrt(spaces.integrate(l2(ufl.div(solution.sigma) + f_h, ufl.dx)) / spaces.integrate(l2(f_h, ufl.dx)))
+    )
+
+
+def distance(one: Solution, two: Solution) -> float:
+    """Largest difference of any degree of freedom of σ, u and p, of two solutions on one mesh (collective)."""
+    pairs = [(one.sigma, two.sigma), (one.u, two.u), (one.p, two.p)]
+    local = max(float(np.abs(a.x.array - b.x.array).max(initial=0.0)) for a, b in pairs)
+    return one.spaces.mesh.comm.allreduce(local, MPI.MAX)
+
+
+def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, float, float]]:
+    """Flux, trace and contact errors of solutions on one mesh, whose points are searched once for all."""
+    spaces, comm = fine.spaces, fine.spaces.mesh.comm
+    mesh, gamma = spaces.mesh, spaces.Lambda.mesh
+    source = solutions[0].spaces.domain
+    metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
+    dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
+    ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
+
+    def norm(difference: ufl.core.expr.Expr, measure: ufl.Measure) -> float:
+        return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fem.form(l2(difference, measure))))))
+
+    touching = fine.contact_set().inside
+    sigma_norm, p_norm = norm(fine.sigma, dx), norm(fine.p, ds)
+    gamma_measure = comm.allreduce(spaces.facet_measure.sum())
+    sigmas = sampled([solution.sigma for solution in solutions], mesh, source)
+    traces = sampled([solution.p for solution in solutions], gamma, source)
+    contacts = sampled([solution.contact_set().indicator() for solution in solutions], gamma, source, degree=0)
+    for sigma, p, contact in zip(sigmas, traces, contacts, strict=True):
+        wrong = np.abs(np.rint(contact.x.array[: len(touching)]) - touching)
+        yield (
+            norm(fine.sigma - sigma, dx) / sigma_norm,
+            norm(fine.p - p, ds) / p_norm,
+            float(comm.allreduce(spaces.facet_measure @ wrong) / gamma_measure),
+        )

@@ -1,0 +1,1 @@
+"""The discrete problem: spaces, data, facet conditions, KKT residuals, contact sets."""

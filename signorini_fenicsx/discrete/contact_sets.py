@@ -1,0 +1,91 @@
+"""Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
+
+from dataclasses import dataclass
+
+import dolfinx.geometry
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
+
+type Array = npt.NDArray[np.float64]
+
+OVERLAP_DEGREE = 10
+"""Quadrature that finds how much of a facet the other set covers: to about 1/6 of its length."""
+SUBDIVISIONS = 4
+"""Parts into which the edges of facets are cut for the points whose distance is measured."""
+
+
+@dataclass(frozen=True)
+class FacetSet:
+    """Some facets of Γ_S.
+
+    Attributes:
+        spaces: Where they are.
+        inside: Tells which of `spaces.facets` belong to the set.
+    """
+
+    spaces: Spaces
+    inside: npt.NDArray[np.bool_]
+
+    def indicator(self) -> fem.Function:
+        """1 on the set, 0 off it, in P0(Γ_S) (collective)."""
+        return self.spaces.multiplier(self.inside, "indicator")
+
+    def points(self) -> Array:
+        """Points of the facets of this rank, on a grid of each with its vertices, shape (points, 3)."""
+        mesh = self.spaces.mesh
+        dim = mesh.topology.dim
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, self.spaces.facets[self.inside])
+        steps = np.indices((SUBDIVISIONS + 1,) * (dim - 1)).reshape(dim - 1, -1).T / SUBDIVISIONS
+        steps = steps[steps.sum(axis=1) <= 1]
+        weights = np.column_stack([1 - steps.sum(axis=1), steps])
+        return np.einsum("pc,fcx->fpx", weights, mesh.geometry.x[nodes]).reshape(-1, 3)
+
+
+def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
+    """|A ∩ B| / |A ∪ B|, 1 if both are empty (collective).
+
+    By quadrature on the facets of the second, so exact but for those in which the first set ends.
+    """
+    gamma = fine.spaces.Lambda.mesh
+    (theirs,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
+    mine = fine.indicator()
+    dx = ufl.Measure("dx", gamma, metadata={"quadrature_degree": OVERLAP_DEGREE, "quadrature_scheme": "default"})
+    forms = [fem.form(integrand * dx) for integrand in (theirs * mine, theirs + mine - theirs * mine)]
+    both, either = gamma.comm.allreduce(np.array([fem.assemble_scalar(form) for form in forms])).tolist()
+    return both / either if either > 0 else 1.0
+
+
+def hausdorff(one: FacetSet, other: FacetSet) -> float:
+    """Hausdorff distance, 0 if both sets are empty, infinite if one is (collective).
+
+    Distances to facets are exact; of points between those of `FacetSet.points` the farthest may be missed by at most
+    an eighth of the largest facet's diameter in 2D, a quarter in 3D.
+    """
+    return max(_largest_distance(one, other), _largest_distance(other, one))
+
+
+def _largest_distance(one: FacetSet, other: FacetSet) -> float:
+    """The largest distance of points of one set to the other set (collective)."""
+    comm = one.spaces.mesh.comm
+    points = np.unique(np.concatenate(comm.allgather(one.points())), axis=0)
+    if len(points) == 0:
+        return 0.0
+    gamma = other.spaces.Lambda.mesh
+    cells = np.flatnonzero(other.inside[other.spaces.Lambda.dofmap.list[:, 0]]).astype(np.int32)
+    nearest = np.full(len(points), np.inf)
+    if len(cells) > 0:
+        dim = gamma.topology.dim
+        with of_unit_size(other.spaces.domain, gamma) as factor:
+            tree = dolfinx.geometry.bb_tree(gamma, dim, entities=cells)
+            middles = dolfinx.geometry.create_midpoint_tree(gamma, dim, cells)
+            closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, factor * points)
+            nearest = np.sqrt(dolfinx.geometry.squared_distance(gamma, dim, closest, factor * points)) / factor
+    comm.Allreduce(MPI.IN_PLACE, nearest, op=MPI.MIN)
+    return float(nearest.max())

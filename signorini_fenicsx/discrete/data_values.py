@@ -1,0 +1,62 @@
+"""Values of the data over all ranks: their extent and sum, and whether they can be computed with."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
+
+type Array = npt.NDArray[np.float64]
+
+DATA_RANGE = 1e-100, 1e100
+ROUNDING = 1e-12
+"""Relative size of what is rounding in the sum of all loads."""
+
+
+def check_nodes(spaces: Spaces, name: str, value: Expr, facets: npt.NDArray[np.int32], where: str) -> None:
+    """Make sure that what has to be continuous has values at the vertices and midpoints of edges (collective).
+
+    Raises:
+        InputError: If it has not.
+    """
+    mesh = spaces.mesh
+    space = fem.functionspace(mesh, ("P", 2))
+    nodes = fem.locate_dofs_topological(space, mesh.topology.dim - 1, facets)
+    cells = np.unique(cells_and_dofs(spaces.V, facets)[0])
+    function = fem.Function(space)
+    function.interpolate(fem.Expression(value, space.element.interpolation_points), cells)
+    if not mesh.comm.allreduce(bool(np.isfinite(function.x.array[nodes]).all()), op=MPI.LAND):
+        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+
+
+def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
+    """Make sure that means are finite, and neither too large nor too small (collective).
+
+    Raises:
+        InputError: If they are not.
+    """
+    comm = spaces.mesh.comm
+    if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
+        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+    largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
+    low, high = DATA_RANGE
+    if largest != 0 and not low <= largest <= high:
+        raise InputError(f"[problem] {name}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+
+
+def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:
+    """The least and the largest value over all ranks (collective)."""
+    ends = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
+    comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+    return -float(ends[0]), float(ends[1])
+
+
+def total(loads: Array, comm: MPI.Comm) -> float:
+    """Their sum over all ranks, 0 if it is rounding (collective)."""
+    total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
+    return total if abs(total) > ROUNDING * size else 0.0

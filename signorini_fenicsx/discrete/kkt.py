@@ -1,0 +1,158 @@
+"""How well a solution satisfies the discrete Signorini problem, free of scale."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem.petsc import assemble_matrix
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from forms.mixed import flux_product, multiplier_residual, trace_term
+from forms.norms import l2
+from signorini_fenicsx.discrete.data import Data, scalar_conductivity
+from signorini_fenicsx.discrete.spaces import Array, Spaces
+from signorini_fenicsx.methods.registry import Penalty
+
+TOLERANCE = 1e-8
+"""A solution with a larger residual is not one."""
+CONSTANT = 1e-10
+"""u whose energy is below this share of ‖√k u‖/L is a constant, and its σ what linear solvers leave."""
+ROUNDING = 1e-14
+"""Likewise beside the largest of u_D and ψ: less than that is what they leave."""
+
+
+@dataclass(frozen=True)
+class KKTResiduals:
+    """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
+
+    Each is measured twice, as a gradient and as a flux, and is the larger of both: where κ jumps, a wrong sign shows as
+    a gradient where κ is small and as a flux where it is large. L = |Ω|^(1/d) is a length, k the mean eigenvalue of
+    κ_h on a cell, and that of the cell behind a facet. G = ‖κ_h⁻¹σ‖ is the gradient and S = ‖σ‖ the flux that residuals
+    are compared with. For a constant u, whose σ is rounding, G = ‖u‖/L and S = ‖ku‖/L instead, or the same with the
+    largest |u_D| or |ψ| for u if that is more; u can be constant only without loads and with constant u_D. All are 0 if
+    S = 0. u, u_D and ψ are taken without the constant that u_D and ψ have in common.
+
+    A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
+    its primal and dual residuals and its complementarity refer to.
+
+    Attributes:
+        primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
+        dual: √L ‖k⁻¹[σ·n]_-‖_Λ / G and √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
+        complementarity: √L ‖min(|p|/L, k⁻¹|σ·n|)‖_Λ / G and √L ‖min(k|p|/L, |σ·n|)‖_Λ / S, the smaller one of p and σ·n
+            on each facet: their product would be as small as the square of an error.
+        stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
+            matrix of RT0 and W that of (κ_h⁻¹σ, τ).
+        mass_balance: ‖h_T k⁻¹(∇·σ + f_h)‖ / G and ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell; on Γ_N √L ‖k⁻¹(σ·n −
+            g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+    """
+
+    primal: float
+    dual: float
+    complementarity: float
+    stationarity: float
+    mass_balance: float
+
+    def violation(self) -> str | None:
+        """The residuals above the tolerance in words, or None."""
+        bad = [
+            f"{field.name} {value:.1e}"
+            for field in fields(self)
+            if not (value := getattr(self, field.name)) <= TOLERANCE
+        ]
+        return f"KKT residuals above {TOLERANCE:g}: {', '.join(bad)}" if bad else None
+
+
+def kkt_residuals(
+    spaces: Spaces,
+    sigma: fem.Function,
+    u: fem.Function,
+    p: fem.Function,
+    data: Data,
+    penalty: Penalty | None = None,
+    eps: float = 0.0,
+) -> KKTResiduals:
+    """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
+    constant = data.common_constant(spaces)
+    if constant != 0:
+        data, u = data.less(spaces, constant), u.copy()
+        p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
+        u.x.array[:] -= constant
+    length = spaces.length()
+    scales = _scales(spaces, sigma, u, data)
+    if scales[1] == 0:
+        return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
+
+    e, k = spaces.facet_measure, data.conductivities(spaces)[spaces.cells]
+    trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    if penalty is not None:
+        trace, flux = penalty.shift(trace, flux, eps)
+    low, inward = np.minimum(trace, 0), np.minimum(flux, 0)
+    smaller = np.minimum(np.abs(k * trace) / length, np.abs(flux))
+    sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
+    return KKTResiduals(
+        primal=float(primal.max()),
+        dual=float(dual.max()),
+        complementarity=float(complementarity.max()),
+        stationarity=float((_stationarity(spaces, sigma, u, p, data) / scales).max()),
+        mass_balance=float((_imbalance(spaces, sigma, data) / scales).max()),
+    )
+
+
+def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
+    """G and S (collective)."""
+    kappa, k, length = data.kappa_h, scalar_conductivity(data.kappa_h), spaces.length()
+    energy, gradient, flux = (
+        np.sqrt(spaces.integrate(form))
+        for form in (flux_product(sigma, sigma, kappa), l2(ufl.inv(kappa) * sigma, ufl.dx), l2(sigma, ufl.dx))
+    )
+    given = fem.Constant(spaces.mesh, float(np.abs(data.extent(spaces)).max()))
+    weights = ufl.sqrt(k), ufl.as_ufl(1.0), k
+    (level, *of_u), (given_level, *of_given) = (
+        [np.sqrt(spaces.integrate(l2(w * value, ufl.dx))) / length for w in weights] for value in (u, given)
+    )
+    if energy <= max(CONSTANT * level, ROUNDING * given_level) and not _is_driven(spaces, data):
+        return np.maximum(of_u, of_given)
+    return np.array([gradient, flux])
+
+
+def _is_driven(spaces: Spaces, data: Data) -> bool:
+    """Whether there is a load, or u_D that is not constant: then σ beside a huge ψ is wrong, not small (collective)."""
+    comm = spaces.mesh.comm
+    lowest, highest = data.dirichlet_extent(spaces)
+    loads = [np.abs(values.x.array).max(initial=0.0) for values in (data.f_h, data.sigma_lift)]
+    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or comm.allreduce(max(loads), MPI.MAX) > 0)
+
+
+def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
+    """What the mass balance lacks, as a gradient and as a flux (collective)."""
+    k, length = scalar_conductivity(data.kappa_h), spaces.length()
+    missing = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
+    given = ufl.dot(sigma - data.sigma_lift, spaces.n)
+    squares = [l2(missing / w, ufl.dx) + length * l2(given / w, spaces.ds_neumann) for w in (k, 1)]
+    return np.sqrt([spaces.integrate(square) for square in squares])
+
+
+def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:
+    """What (9a) lacks, as a gradient and as a flux (collective)."""
+    V = spaces.V
+    tau, v = ufl.TestFunction(V), ufl.TestFunction(spaces.Q)
+    flux_residual, _ = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h)
+    flux_residual -= trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet)
+    residual = fem.assemble_vector(spaces.form(flux_residual))
+    residual.scatter_reverse(la.InsertMode.add)
+    residual.array[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
+    owned = residual.array[: V.dofmap.index_map.size_local]
+    M, W = (_mass_diagonal(spaces, kappa) for kappa in (ufl.as_ufl(1.0), data.kappa_h))
+    return np.sqrt(V.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
+
+
+def _mass_diagonal(spaces: Spaces, kappa: Expr) -> Array:
+    """The diagonal of (κ⁻¹σ, τ), owned entries (collective)."""
+    mass = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), kappa)))
+    mass.assemble()
+    diagonal: Array = mass.getDiagonal().array_r.copy()
+    mass.destroy()
+    return diagonal

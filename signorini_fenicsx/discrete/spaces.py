@@ -1,0 +1,208 @@
+"""The spaces V_h × Q_h × Λ_h = RT0 × P0 × P0(Γ_S) and the facet arrays on which the algorithms work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from signorini_fenicsx.base.compiling import guard_compiler
+from signorini_fenicsx.meshes.shapes import Domain
+
+type Array = npt.NDArray[np.float64]
+
+SIGNORINI = 1
+DIRICHLET = 2
+NEUMANN = 3
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """Discrete spaces on one domain.
+
+    Facet arrays run over the Γ_S facets of this rank, which are all owned (possibly none), in the order of the
+    multiplier's degrees of freedom.
+
+    Attributes:
+        domain: The mesh and its boundary parts.
+        V: RT0, the flux σ.
+        Q: P0, the scalar u.
+        Lambda: P0 on the facet submesh of Γ_S, the trace p.
+        entity_map: From the submesh of Γ_S to the mesh.
+        part_of_facet: Index into `part_names` per facet.
+        part_names: The Γ_S parts.
+        facets: Mesh facet of each.
+        cells: Mesh cell of each.
+        flux_dofs: RT0 degree of freedom of each.
+        basis_flux: ∫_e φ·n of that basis function φ, with its sign.
+        facet_measure: |e|.
+        dirichlet_facets: Mesh facets of Γ_D on this rank.
+        has_dirichlet: Whether any rank has some.
+        neumann_facets: Mesh facets of Γ_N on this rank.
+        neumann_dofs: RT0 degree of freedom of each.
+        neumann_basis_flux: ∫_e φ·n of that basis function.
+        neumann_measure: |e|.
+        n: Outer unit normal.
+        ds: Measure of Γ_S on the mesh.
+        ds_dirichlet: Measure of Γ_D on the mesh.
+        ds_neumann: Measure of Γ_N on the mesh.
+    """
+
+    domain: Domain
+    V: fem.FunctionSpace
+    Q: fem.FunctionSpace
+    Lambda: fem.FunctionSpace
+    entity_map: dolfinx.mesh.EntityMap
+    part_names: tuple[str, ...]
+    part_of_facet: npt.NDArray[np.int32]
+    facets: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int32]
+    flux_dofs: npt.NDArray[np.int32]
+    basis_flux: Array
+    facet_measure: Array
+    dirichlet_facets: npt.NDArray[np.int32]
+    has_dirichlet: bool
+    neumann_facets: npt.NDArray[np.int32]
+    neumann_dofs: npt.NDArray[np.int32]
+    neumann_basis_flux: Array
+    neumann_measure: Array
+    n: ufl.FacetNormal
+    ds: ufl.Measure
+    ds_dirichlet: ufl.Measure
+    ds_neumann: ufl.Measure
+
+    @property
+    def mesh(self) -> dolfinx.mesh.Mesh:
+        """The mesh."""
+        return self.domain.mesh
+
+    def normal_flux(self, sigma: fem.Function) -> Array:
+        """σ·n per facet, a constant on each."""
+        return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
+
+    def length(self) -> float:
+        """L = |Ω|^(1/d) (collective)."""
+        return self.integrate(fem.Constant(self.mesh, 1.0) * ufl.dx) ** (1 / self.mesh.topology.dim)
+
+    def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
+        """A function of Λ_h with these values per facet (collective)."""
+        function = fem.Function(self.Lambda, name=name)
+        function.x.array[: len(values)] = values
+        function.x.scatter_forward()
+        return function
+
+    def form(self, ufl_form: ufl.Form) -> fem.Form:
+        """Compile a form that may hold multipliers."""
+        return fem.form(ufl_form, entity_maps=[self.entity_map])
+
+    def integrate(self, ufl_form: ufl.Form) -> float:
+        """Integral over all ranks (collective)."""
+        return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(ufl_form))))
+
+
+def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str] = ()) -> Spaces:
+    """Create the spaces for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective)."""
+    guard_compiler()
+    mesh = domain.mesh
+    dim = mesh.topology.dim
+    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(
+        mesh, dim - 1, np.unique(np.concatenate([domain.facets[name] for name in signorini]))
+    )
+    V = fem.functionspace(mesh, ("RT", 1))
+    Q = fem.functionspace(mesh, ("DG", 0))
+    Lambda = fem.functionspace(gamma, ("DG", 0))
+
+    submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
+    facets = np.empty_like(submesh_cells)
+    facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
+    neumann_facets = np.unique(
+        np.concatenate([np.empty(0, dtype=np.int32), *(domain.facets[name] for name in neumann)])
+    )
+    dirichlet_facets = np.setdiff1d(
+        dolfinx.mesh.exterior_facet_indices(mesh.topology), np.concatenate([facets, neumann_facets])
+    )
+    boundary = [
+        (marker, fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(part)))
+        for marker, part in ((SIGNORINI, facets), (DIRICHLET, dirichlet_facets), (NEUMANN, neumann_facets))
+    ]
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=boundary)
+    n = ufl.FacetNormal(mesh)
+
+    cells, flux_dofs = cells_and_dofs(V, facets)
+    part_of_facet = np.empty(len(facets), dtype=np.int32)
+    for index, name in enumerate(signorini):
+        part_of_facet[np.isin(facets, domain.facets[name])] = index
+    measure = assembled(ufl.TestFunction(Lambda) * ds(SIGNORINI), [entity_map])
+    flux_of_basis = assembled(ufl.dot(ufl.TestFunction(V), n) * ds((SIGNORINI, NEUMANN)))
+    neumann_dofs = cells_and_dofs(V, neumann_facets)[1]
+    area_of_basis = assembled(ufl.FacetArea(mesh) * ufl.dot(ufl.TestFunction(V), n) * ds(NEUMANN))
+    return Spaces(
+        domain=domain,
+        V=V,
+        Q=Q,
+        Lambda=Lambda,
+        entity_map=entity_map,
+        part_names=tuple(signorini),
+        part_of_facet=part_of_facet,
+        facets=facets,
+        cells=cells,
+        flux_dofs=flux_dofs,
+        basis_flux=flux_of_basis[flux_dofs],
+        facet_measure=measure[: len(facets)],
+        dirichlet_facets=dirichlet_facets,
+        has_dirichlet=mesh.comm.allreduce(len(dirichlet_facets) > 0, MPI.LOR),
+        neumann_facets=neumann_facets,
+        neumann_dofs=neumann_dofs,
+        neumann_basis_flux=flux_of_basis[neumann_dofs],
+        neumann_measure=area_of_basis[neumann_dofs] / flux_of_basis[neumann_dofs],
+        n=n,
+        ds=ds(SIGNORINI),
+        ds_dirichlet=ds(DIRICHLET),
+        ds_neumann=ds(NEUMANN),
+    )
+
+
+def cells_and_dofs(
+    V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """The cell behind each boundary facet and the degree of freedom on it, in a space with one per facet."""
+    topology = V.mesh.topology
+    dim = topology.dim
+    topology.create_connectivity(dim - 1, dim)
+    topology.create_connectivity(dim, dim - 1)
+    facet_cells = topology.connectivity(dim - 1, dim)
+    cells = facet_cells.array[facet_cells.offsets[facets]]
+    cell_facets = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
+    local = np.argmax(cell_facets == facets[:, None], axis=1)
+    return cells, V.dofmap.list[cells, local]  # RT0 and CR number their degrees of freedom as the cell its facets
+
+
+def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Owned degrees of freedom on the facets of all ranks (collective)."""
+    dofs = fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, facets)
+    return dofs[dofs < space.dofmap.index_map.size_local]
+
+
+def centroids(mesh: dolfinx.mesh.Mesh) -> fem.Function:
+    """x_T, in P0 vectors, on owned and ghost cells."""
+    centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
+    centroid.interpolate(lambda x: x[: mesh.geometry.dim])
+    return centroid
+
+
+def assembled(form: ufl.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:
+    """Vector of a linear form, complete for owned entries only (collective)."""
+    vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
+    vector.scatter_reverse(la.InsertMode.add)
+    return vector.array
+
+
+def cell_measures(Q: fem.FunctionSpace) -> Array:
+    """|T| of the owned and ghost cells."""
+    return assembled(fem.Constant(Q.mesh, 1.0) * ufl.TestFunction(Q) * ufl.dx)

@@ -1,0 +1,1 @@
+"""Domains: named shapes, files of meshes and geometries, their checks, refinement, sampling."""

@@ -1,0 +1,306 @@
+"""From what a mesh file holds to a mesh that can be computed on: what is wrong with it is said in one sentence.
+
+Checks compare lengths with lengths only, so they do not depend on the unit of length. All of this runs on rank 0.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.base.errors import InputError
+
+type Array = npt.NDArray[np.float64]
+type Indices = npt.NDArray[np.int64]
+
+FLAT = 1e-14
+"""A cell whose volume is less than this part of diameter^dim is degenerate."""
+PLANAR = 1e-10
+"""A planar mesh may leave its plane by this part of its size."""
+SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
+"""Elements that are understood and their dimensions."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a file holds.
+
+    Attributes:
+        points: Shape (points, 2 or 3).
+        blocks: Kind of element, as meshio names it, and for each element its points.
+        groups: Name, dimension, and the elements by block and row.
+    """
+
+    points: Array
+    blocks: list[tuple[str, Indices]]
+    groups: list[tuple[str, int, list[tuple[int, Indices]]]]
+
+
+@dataclass(frozen=True)
+class FileMesh:
+    """A mesh of triangles or tetrahedra that has passed `checked`.
+
+    Attributes:
+        points: Shape (points, dim), all used.
+        cells: Shape (cells, dim + 1).
+        parts: For each group of facets their vertices, ascending, shape (facets, dim).
+        regions: For each group of cells their numbers.
+    """
+
+    points: Array
+    cells: Indices
+    parts: Mapping[str, Indices]
+    regions: Mapping[str, Indices]
+
+    @property
+    def dim(self) -> int:
+        """Dimension, 2 or 3."""
+        return self.points.shape[1]
+
+
+def checked(contents: Contents) -> FileMesh:
+    """Take the mesh out of what a file holds.
+
+    Raises:
+        InputError: If it is not a conforming mesh of straight triangles or tetrahedra in its plane or space.
+    """
+    for kind, elements in contents.blocks:
+        if kind not in SIMPLICES and len(elements) > 0:
+            raise InputError(_refusal(kind, len(elements)))
+    check_widths(contents.points, contents.blocks)
+    dim = max((SIMPLICES[kind] for kind, elements in contents.blocks if len(elements) > 0), default=0)
+    if dim < 2:
+        raise InputError(
+            "holds neither triangles nor tetrahedra; in Gmsh, give the surface or volume a physical group too"
+        )
+    cell_blocks = [i for i, (kind, elements) in enumerate(contents.blocks) if SIMPLICES.get(kind) == dim]
+    cells = np.concatenate([contents.blocks[i][1] for i in cell_blocks])
+    everything = [elements for kind, elements in contents.blocks if SIMPLICES.get(kind) in (dim - 1, dim)]
+    if any(np.any((elements < 0) | (elements >= len(contents.points))) for elements in everything):
+        raise InputError("an element has a point that the file does not hold")
+    used, numbered = np.unique(cells, return_inverse=True)
+    points = _in_its_space(contents.points[used], dim)
+    new_number = np.full(len(contents.points), -1)
+    new_number[used] = np.arange(len(used))
+
+    offsets = dict(
+        zip(cell_blocks, np.cumsum([0] + [len(contents.blocks[i][1]) for i in cell_blocks]).tolist()[:-1], strict=True)
+    )
+    regions: dict[str, list[Indices]] = {}
+    parts: dict[str, list[Indices]] = {}
+    for name, group_dim, members in contents.groups:
+        if group_dim == dim:
+            regions.setdefault(name, []).extend(offsets[block] + rows for block, rows in members)
+        elif group_dim == dim - 1:
+            parts.setdefault(name, []).extend(new_number[contents.blocks[block][1][rows]] for block, rows in members)
+    mesh = FileMesh(
+        points,
+        numbered.reshape(-1, dim + 1),
+        {name: np.unique(np.sort(_joined(rows, dim), axis=1), axis=0) for name, rows in parts.items()},
+        {name: np.unique(_joined(rows)) for name, rows in regions.items()},
+    )
+    _check_cells(mesh)
+    return mesh
+
+
+def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:
+    """Refuse points without two or three coordinates, and simplices with another number of points than they have.
+
+    Raises:
+        InputError: If there are any.
+    """
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"its points are an array of shape {points.shape}; 2 or 3 coordinates for each are needed")
+    for kind, elements in blocks:
+        if kind in SIMPLICES and len(elements) > 0 and elements.shape[1:] != (SIMPLICES[kind] + 1,):
+            raise InputError(
+                f"an array of elements of kind '{kind}' has the shape {elements.shape}; {SIMPLICES[kind] + 1} points "
+                "for each are needed"
+            )
+
+
+def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:
+    empty = np.empty(0 if width is None else (0, width), dtype=np.int64)
+    return np.concatenate([empty, *rows])
+
+
+def _refusal(kind: str, count: int) -> str:
+    if kind.startswith(("line", "triangle", "tetra")):
+        elements = _count(count, "curved element")
+        return f"holds {elements} ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
+    elements = _count(count, "element")
+    return f"holds {elements} of kind '{kind}'; only triangles and tetrahedra will do (in Gmsh, without Recombine)"
+
+
+def _in_its_space(points: Array, dim: int) -> Array:
+    if not np.isfinite(points).all():
+        raise InputError("a point has a coordinate that is not a number, or infinite")
+    size = np.ptp(points, axis=0)
+    if points.shape[1] > dim and size[dim:].max() > PLANAR * size.max():
+        raise InputError("its triangles do not lie in a plane z = const; a surface in space is not a domain")
+    if not 1e-60 < size[:dim].max() < 1e60:
+        raise InputError(f"its size is {size.max():.3g}, outside 1e-60 … 1e60; choose another unit of length")
+    return points[:, :dim]
+
+
+def rows_of(wanted: Indices, known: Indices) -> Indices:
+    """Where each row of one array is in another, −1 if it is not."""
+    _, number = np.unique(np.concatenate([known, wanted]), axis=0, return_inverse=True)
+    row = np.full(int(number.max(initial=-1)) + 1, -1)
+    row[number[: len(known)]] = np.arange(len(known))
+    return row[number[len(known) :]]
+
+
+def faces(cells: Indices) -> Indices:
+    """Facets of all cells by their ascending vertices: those opposite to the first vertex, to the second and so on."""
+    width = cells.shape[1]
+    return np.sort(np.concatenate([np.delete(cells, opposite, axis=1) for opposite in range(width)]), axis=1)
+
+
+def neighbours(everything: Indices) -> tuple[Indices, Indices]:
+    """Pairs of equal rows of an array of facets; of three equal ones two pairs, with one in common."""
+    order = np.lexsort(everything.T)
+    same = np.all(everything[order[1:]] == everything[order[:-1]], axis=1)
+    return order[:-1][same], order[1:][same]
+
+
+def diameters(points: Array, cells: Indices) -> Array:
+    """Longest edge of each cell."""
+    pairs = itertools.combinations(range(cells.shape[1]), 2)
+    edges = [np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=1) for a, b in pairs]
+    return np.max(edges, axis=0)
+
+
+def _check_cells(mesh: FileMesh) -> None:
+    """Refuse cells that are flat, double, folded, or more than two at a facet."""
+    points, cells = mesh.points, mesh.cells
+    edges = points[cells[:, 1:]] - points[cells[:, :1]]
+    longest = diameters(points, cells)
+    scale = np.where(longest > 0, longest, 1.0)
+    volumes = np.linalg.det(edges / scale[:, None, None])
+    flat = np.flatnonzero((np.abs(volumes) <= FLAT) | (longest == 0))
+    if len(flat) > 0:
+        raise InputError(
+            f"{_count(len(flat), 'cell')} without volume, the first with vertices {_places(points[cells[flat[0]]])}"
+        )
+    distinct, times = np.unique(np.sort(cells, axis=1), axis=0, return_counts=True)
+    if len(distinct) < len(cells):
+        raise InputError(f"{_count(int(np.sum(times > 1)), 'cell')} listed more than once")
+    everything = faces(cells)
+    one, other = neighbours(everything)
+    third = np.flatnonzero(np.isin(one, other))
+    if len(third) > 0:
+        place = points[everything[one[third[0]]]]
+        raise InputError(f"more than two cells meet at the facet with vertices {_places(place)}")
+    folded = np.flatnonzero(_side(points, cells, everything, one) * _side(points, cells, everything, other) > 0)
+    if len(folded) > 0:
+        place = points[everything[one[folded[0]]]]
+        raise InputError(
+            f"{_count(len(folded), 'pair')} of neighbouring cells overlap (inverted or folded cells), the first at the "
+            f"facet with vertices {_places(place)}"
+        )
+
+
+def _side(points: Array, cells: Indices, everything: Indices, chosen: Indices) -> Array:
+    """On which side of a facet its cell is, as a sign; the order of the facet's vertices fixes the sides."""
+    opposite, cell = np.divmod(chosen, len(cells))
+    corners = points[everything[chosen]]
+    apex = points[cells[cell, opposite]]
+    spans = np.concatenate([corners[:, 1:] - corners[:, :1], (apex - corners[:, 0])[:, None]], axis=1)
+    return np.sign(np.linalg.det(spans / np.abs(spans).max(axis=(1, 2), keepdims=True)))
+
+
+def _places(points: Array) -> str:
+    return ", ".join("(" + ", ".join(f"{x:.6g}" for x in point) + ")" for point in points)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
+def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> None:
+    """Refuse boundary parts that do not make a problem.
+
+    Args:
+        mesh: The mesh.
+        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet"; without the last, all facets
+            that are left are Γ_D.
+
+    Raises:
+        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, facets that are in
+            no part lie on one another, cells overlap there, or one of several components of the domain has no facet of
+            Γ_D. A crack both sides of which are in parts is one.
+    """
+    known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
+    everything = faces(mesh.cells)
+    rows, first, times = np.unique(everything, axis=0, return_index=True, return_counts=True)
+    owner = np.full(len(rows), -1)
+    used: list[str] = []
+    for section, names in conditions.items():
+        for name in names:
+            place = f"[boundary] {section}: part '{name}'"
+            if name not in mesh.parts:
+                raise InputError(f"[boundary] {section}: unknown part '{name}'; the mesh has {known}")
+            found = rows_of(mesh.parts[name], rows)
+            if len(found) == 0:
+                raise InputError(f"{place} is empty")
+            if np.any(found < 0):
+                raise InputError(f"{place} has {_count(int(np.sum(found < 0)), 'facet')} that no cell has")
+            if np.any(times[found] > 1):
+                raise InputError(f"{place} has {_count(int(np.sum(times[found] > 1)), 'facet')} inside the domain")
+            taken = owner[found]
+            if np.any(taken >= 0):
+                other = used[taken[taken >= 0][0]]
+                raise InputError(f"{place} and '{other}' share {_count(int(np.sum(taken >= 0)), 'facet')}")
+            owner[found] = len(used)
+            used.append(name)
+    boundary = times == 1
+    left = boundary & (owner < 0)
+    given = conditions.get("dirichlet")
+    if given is not None and np.any(left):
+        where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
+        raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
+    _check_seams(mesh, rows[boundary], first[boundary], left[boundary])
+    fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
+    _check_components(mesh, everything, first[fixed])
+
+
+def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: npt.NDArray[np.bool_]) -> None:
+    """Refuse facets of the boundary that are inside the domain: only a crack with both sides in parts is meant."""
+    from signorini_fenicsx.meshes.seams import seams
+
+    opposite, cell = np.divmod(first, len(mesh.cells))
+    crack, overlap = seams(mesh.points[facets], mesh.points[mesh.cells[cell, opposite]])
+    if np.any(overlap):
+        where = _places(mesh.points[facets[overlap][:1]].mean(axis=1))
+        raise InputError(
+            f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells "
+            f"on the same side, the first around {where}; each place has to be in one cell"
+        )
+    if np.any(crack & left):
+        where = _places(mesh.points[facets[crack & left][:1]].mean(axis=1))
+        raise InputError(
+            f"{_count(int(np.sum(crack & left)), 'facet')} in no part lie on other facets, inside the domain, the "
+            f"first around {where}: the cells there do not share their vertices (a crack, hanging nodes, or pieces "
+            "that are not joined); join them (in Gmsh, Coherence or BooleanFragments), or name both sides in [boundary]"
+        )
+
+
+def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:
+    """Refuse one of several components without a facet of Γ_D; these are given by rows of the facets of all cells."""
+    from scipy.sparse import coo_array  # slow to import, and needed for meshes from files only
+    from scipy.sparse.csgraph import connected_components
+
+    size = len(mesh.cells)
+    one, other = (facets % size for facets in neighbours(everything))
+    links = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(size, size))
+    count, component = connected_components(links, directed=False)
+    free = np.setdiff1d(np.arange(count), component[fixed % size])
+    if count > 1 and len(free) > 0:
+        centre = mesh.points[mesh.cells[np.flatnonzero(component == free[0])[:1]]].mean(axis=1)
+        raise InputError(
+            f"the domain has {count} components that do not meet in facets, and the one around {_places(centre)} has "
+            "no Dirichlet facet"
+        )

@@ -1,0 +1,150 @@
+"""Distributed meshes with named boundary parts and regions, which refinement and files hand on by their vertices."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.parallel import scatter_rows
+
+type Array = npt.NDArray[np.float64]
+type Indices = npt.NDArray[np.int64]
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A named part of the boundary.
+
+    Attributes:
+        along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
+        label: Name of that coordinate.
+        nearest: Nearest points of a curved part to points of shape (3, n) near it; None for a plane or an unknown one.
+    """
+
+    along: Callable[[Array], Array]
+    label: str
+    nearest: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A distributed mesh with named boundary parts and regions.
+
+    Attributes:
+        mesh: The mesh; without ghost cells, so a boundary facet lives on one rank only, with its cell.
+        h: Largest cell diameter over all ranks.
+        parts: Boundary parts, in the order of the shape or file.
+        facets: For each part its facets of this rank, ascending. Parts from a file may overlap or leave facets.
+        regions: For each region of a file its cells of this rank, ascending; none for named shapes.
+        bend: Two meshes of the domain with edges ≤ h are nowhere further apart than bend·h².
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    h: float
+    parts: Mapping[str, Part]
+    facets: Mapping[str, npt.NDArray[np.int32]]
+    regions: Mapping[str, npt.NDArray[np.int32]]
+    bend: float
+
+    def box(self) -> Array:
+        """Smallest and largest coordinates, shape (2, 3) (collective)."""
+        return bounding_box(self.mesh.geometry.x, self.mesh.comm)
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Parts and regions of a mesh, as far as this rank has them.
+
+    Attributes:
+        facets: For each part the vertices of its facets, ascending and numbered as the mesh was made, shape (n, dim).
+        cells: Which cells are in which region, shape (cells, regions); rank 0 has all, in the order in which the mesh
+            was made, the others None.
+        regions: Names of the regions.
+    """
+
+    facets: Mapping[str, Indices]
+    cells: npt.NDArray[np.bool_] | None
+    regions: tuple[str, ...]
+
+
+def bounding_box(points: Array, comm: MPI.Comm) -> Array:
+    """Smallest and largest coordinates of points of all ranks, shape (2, 3) (collective)."""
+    bounds = np.stack([points.min(axis=0, initial=np.inf), (-points).min(axis=0, initial=np.inf)])
+    comm.Allreduce(MPI.IN_PLACE, bounds, op=MPI.MIN)
+    return np.stack([bounds[0], -bounds[1]])
+
+
+def axis_part(label: str) -> Part:
+    """A part listed by one of the coordinates x, y, z."""
+    axis = AXES.index(label)
+    return Part(lambda x: x[axis], label)
+
+
+def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int) -> dolfinx.mesh.Mesh:
+    """Make a distributed mesh without ghost cells (collective).
+
+    Args:
+        comm: Communicator of the mesh.
+        points: Some points on each rank, numbered from rank to rank.
+        cells: Some cells on each rank, of those numbers.
+        dim: Dimension.
+    """
+    cell = {2: "triangle", 3: "tetrahedron"}[dim]
+    element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
+    return dolfinx.mesh.create_mesh(comm, cells, element, points)
+
+
+def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
+    """Largest cell diameter (collective)."""
+    dim = mesh.topology.dim
+    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    return float(mesh.comm.allreduce(mesh.h(dim, cells).max(initial=0.0), MPI.MAX))
+
+
+def marked_domain(mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Part], marks: Marks, bend: float) -> Domain:
+    """Find the marked facets and cells on a mesh (collective)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    size = mesh.topology.index_map(dim).size_local
+    inside = scatter_rows(mesh.comm, mesh.topology.original_cell_index[:size], marks.cells) if marks.regions else None
+    regions = {
+        name: np.flatnonzero(inside[:, column]).astype(np.int32)
+        for column, name in enumerate(marks.regions)
+        if inside is not None
+    }
+    return Domain(mesh, largest_diameter(mesh), parts, _found(mesh, marks.facets), regions, bend)
+
+
+def _found(mesh: dolfinx.mesh.Mesh, marked: Mapping[str, Indices]) -> dict[str, npt.NDArray[np.int32]]:
+    """Boundary facets of this rank among those that any rank has marked, by name (collective)."""
+    boundary = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+    mine = facet_vertices(mesh, boundary)
+    gathered = mesh.comm.allgather(marked)
+    wanted = [np.concatenate([one[name] for one in gathered]) for name in marked]
+    _, number = np.unique(np.concatenate([mine, *wanted]), axis=0, return_inverse=True)
+    facet = np.full(int(number.max(initial=-1)) + 1, -1, dtype=np.int32)
+    facet[number[: len(mine)]] = boundary
+    ends = len(mine) + np.cumsum([0, *map(len, wanted)])
+    rows = {name: facet[number[a:b]] for name, a, b in zip(marked, ends, ends[1:], strict=False)}
+    return {name: np.sort(facets[facets >= 0]) for name, facets in rows.items()}
+
+
+def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Indices:
+    """Vertices of facets of this rank, numbered as the mesh was made, ascending: shape (facets, dim)."""
+    nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
+    return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
+
+
+def membership(domain: Domain) -> npt.NDArray[np.bool_]:
+    """Which owned cells are in which region, shape (cells, regions)."""
+    size = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
+    table = np.zeros((size, len(domain.regions)), dtype=bool)
+    for column, cells in enumerate(domain.regions.values()):
+        table[cells, column] = True
+    return table

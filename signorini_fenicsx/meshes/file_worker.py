@@ -1,0 +1,87 @@
+"""One file by someone unknown, read in a confined process (`confined`).
+
+Gmsh, meshio, XML and HDF5 meet the file here and only here. What they find goes back as arrays.
+"""
+
+import json
+import shutil
+import zipfile
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from signorini_fenicsx.base import confined
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import Contents
+
+
+def main(arguments: list[str], result: BinaryIO) -> None:
+    """Read a file and write what it holds; the current folder is empty.
+
+    Args:
+        arguments: The file, h of a mesh that is made or 0 for the file's own sizes, and the most cells of it.
+        result: For `unpack`.
+    """
+    source, h, max_cells = Path(arguments[0]), float(arguments[1]) or None, float(arguments[2])
+    if source.suffix in (".geo", ".msh"):
+        contents = _by_gmsh(source, h, max_cells)
+    else:
+        from signorini_fenicsx.meshes.meshio_files import read_with_meshio
+
+        confined.seal()
+        contents = read_with_meshio(source)
+    pack(contents, result)
+
+
+def _by_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
+    """Let Gmsh read a copy: beside the file itself, it would read its `.opt` file too."""
+    from signorini_fenicsx.meshes.geo_text import allowed_tokens, text_for_gmsh, with_lines_of
+    from signorini_fenicsx.meshes.gmsh_worker import read_with_gmsh
+
+    copy = Path.cwd() / ("mesh" + source.suffix)
+    if source.suffix == ".geo":
+        tokens = allowed_tokens(source.read_bytes())
+        copy.write_text(text_for_gmsh(tokens), encoding="utf-8")
+        confined.seal()
+        words = partial(with_lines_of, tokens)
+        return read_with_gmsh(copy, h, max_cells, lambda message: words(message).replace(copy.name, source.name))
+    with source.open("rb") as file:
+        if not file.read(64).startswith(b"$MeshFormat"):  # Gmsh would take it for a .geo file
+            raise InputError("is not a mesh of Gmsh, which would begin with $MeshFormat")
+    shutil.copyfile(source, copy)
+    confined.seal()
+    return read_with_gmsh(copy, None, max_cells)
+
+
+def pack(contents: Contents, result: BinaryIO) -> None:
+    """Write contents as arrays."""
+    arrays: dict[str, Any] = {"points": contents.points}
+    arrays |= {f"block_{i}": elements for i, (_, elements) in enumerate(contents.blocks)}
+    groups = []
+    for name, dim, members in contents.groups:
+        groups.append([name, dim, [block for block, _ in members], len(arrays)])
+        arrays[f"rows_{len(arrays)}"] = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in members)])
+        arrays[f"sizes_{groups[-1][3]}"] = np.array([len(rows) for _, rows in members], dtype=np.int64)
+    about = json.dumps({"kinds": [kind for kind, _ in contents.blocks], "groups": groups})
+    np.savez(result, allow_pickle=False, about=np.array(about), **arrays)
+
+
+def unpack(result: BinaryIO) -> Contents:
+    """Read what `pack` wrote.
+
+    Raises:
+        InputError: If it is something else, from a process that went wrong.
+    """
+    try:
+        with np.load(result, allow_pickle=False) as arrays:
+            about = json.loads(str(arrays["about"]))
+            blocks = [(str(kind), arrays[f"block_{i}"]) for i, kind in enumerate(about["kinds"])]
+            groups = []
+            for name, dim, members, key in about["groups"]:
+                parts = np.split(arrays[f"rows_{key}"], np.cumsum(arrays[f"sizes_{key}"])[:-1])
+                groups.append((str(name), int(dim), list(zip(members, parts, strict=False))))
+            return Contents(arrays["points"], blocks, groups)
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError("makes its reader go wrong") from error

@@ -1,0 +1,50 @@
+"""Meshes from files: Gmsh's `.msh` and `.geo` (`gmsh_worker`), and what meshio reads (`meshio_files`).
+
+All of this runs on rank 0. A file is read in another process (`file_worker`), into blocks of elements and named groups
+of them (`Contents`); the cells of its highest dimension become the mesh, groups of cells its regions, and groups of
+facets its boundary parts. Groups without a name go by their number.
+"""
+
+import tempfile
+from pathlib import Path
+
+from signorini_fenicsx.base import confined
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import FileMesh, checked
+from signorini_fenicsx.meshes.file_worker import unpack
+
+MAX_CELLS = 10**8
+"""More cells than this are taken for a mistake in h."""
+
+
+def is_geometry(path: str) -> bool:
+    """Whether a file describes a geometry, which Gmsh meshes as finely as one likes, and not a mesh."""
+    return Path(path).suffix == ".geo"
+
+
+def read_mesh_file(path: str, h: float | None = None) -> FileMesh:
+    """Read a mesh, or let Gmsh make one (rank 0).
+
+    Args:
+        path: Of the file.
+        h: Largest cell diameter of a mesh that Gmsh makes; the sizes of the `.geo` file without one.
+
+    Raises:
+        InputError: If the file cannot be read, or its mesh cannot be computed on.
+    """
+    place = Path(path)
+    if not place.is_file():
+        raise InputError(f"mesh {path}: {'is a folder, not a file' if place.is_dir() else 'no such file'}")
+    try:
+        if place.stat().st_size == 0:
+            raise InputError("the file is empty")
+        with tempfile.TemporaryFile() as result:
+            arguments = [str(place.absolute()), repr(h or 0.0), repr(float(MAX_CELLS))]
+            confined.run("signorini_fenicsx.meshes.file_worker", arguments, result)
+            result.seek(0)
+            contents = unpack(result)
+        return checked(contents)
+    except InputError as error:
+        raise InputError(f"mesh {path}: {error}") from None
+    except OSError as error:
+        raise InputError(f"mesh {path}: {error.strerror or error}") from None

@@ -1,0 +1,104 @@
+"""Gmsh on one file. A malformed one can crash Gmsh; so this runs in a process of its own (`file_worker`)."""
+
+import itertools
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import gmsh
+import numpy as np
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import Contents
+
+KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
+"""Gmsh's numbers of first-order simplices, and meshio's names."""
+
+
+def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: Callable[[str], str] = str) -> Contents:
+    """Read a mesh, or make one from a `.geo` file that is known to be harmless.
+
+    Args:
+        source: The file; beside it, there must be none that Gmsh would read too.
+        h: Largest cell diameter of a mesh that is made, None for the file's own sizes.
+        max_cells: Of a mesh that is made.
+        translate: From Gmsh's messages to those that the user should read.
+
+    Raises:
+        InputError: If Gmsh cannot do it.
+    """
+    try:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        gmsh.open(str(source))
+        if source.suffix == ".geo":
+            generate(h, max_cells)
+        return model_contents()
+    except Exception as error:  # Gmsh raises plain exceptions
+        words = " ".join((str(error) or gmsh.logger.getLastError()).split()) or "it does not say why"
+        raise InputError(
+            f"Gmsh cannot use it: {translate(re.sub(re.escape(str(source)), source.name, words))}"
+        ) from error
+
+
+def generate(h: float | None, max_cells: float) -> None:
+    """Mesh the model with its own sizes, then with them scaled until the largest cell diameter is at most h."""
+    dim = gmsh.model.getDimension()
+    if dim < 2:
+        raise ValueError("the geometry has no surface and no volume")
+    factor = 1.0
+    while True:
+        gmsh.option.setNumber("Mesh.MeshSizeFactor", factor)
+        gmsh.model.mesh.clear()
+        gmsh.model.mesh.generate(dim)
+        cells = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])[1]
+        if h is None or len(cells) == 0:
+            return
+        _, points, _ = gmsh.model.mesh.getNodes()
+        row = node_rows(cells)
+        corners = points.reshape(-1, 3)[row].reshape(-1, dim + 1, 3)
+        diameter = max(
+            np.linalg.norm(corners[:, a] - corners[:, b], axis=1).max()
+            for a, b in itertools.combinations(range(dim + 1), 2)
+        )
+        if h / 2 < diameter <= h:
+            return
+        expected = len(corners) * (diameter / h) ** dim
+        if expected > max_cells:
+            raise ValueError(f"h = {h:g} asks for about {expected:.1e} cells; at most {max_cells:.0e} are made")
+        if not 1e-9 < factor < 1e9:
+            raise ValueError(f"no mesh of it has its largest cell diameter in ({h / 2:g}, {h:g}]")
+        factor *= (0.94 if diameter > h else 0.8) * h / diameter
+
+
+def node_rows(nodes: np.ndarray) -> np.ndarray:
+    """Rows in the array of all nodes."""
+    tags = gmsh.model.mesh.getNodes()[0]
+    order = np.argsort(tags)
+    place = np.minimum(np.searchsorted(tags, nodes, sorter=order), len(tags) - 1)
+    if len(tags) == 0 or np.any(tags[order[place]] != nodes):
+        raise ValueError("an element has a node that the file does not hold")
+    return order[place]
+
+
+def model_contents() -> Contents:
+    """Points, elements by entity and kind, and the physical groups."""
+    _, points, _ = gmsh.model.mesh.getNodes()
+    blocks: list[tuple[str, np.ndarray]] = []
+    blocks_of: dict[tuple[int, int], list[int]] = {}
+    for entity in gmsh.model.getEntities():
+        for kind, _, nodes in zip(*gmsh.model.mesh.getElements(*entity), strict=True):
+            name, _, _, count, _, _ = gmsh.model.mesh.getElementProperties(kind)
+            blocks_of.setdefault(entity, []).append(len(blocks))
+            rows = node_rows(nodes).reshape(-1, count).astype(np.int64)
+            if len(gmsh.model.getPhysicalGroupsForEntity(*entity)) > 1:
+                rows = np.unique(rows, axis=0)  # format 2.2 lists an element once for each of its groups
+            blocks.append((KINDS.get(kind) or name.lower(), rows))
+    groups = []
+    for dim, tag in gmsh.model.getPhysicalGroups():
+        name = gmsh.model.getPhysicalName(dim, tag) or str(tag)
+        entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
+        members = [block for entity in entities for block in blocks_of.get((dim, int(entity)), [])]
+        groups.append((name, dim, [(block, np.arange(len(blocks[block][1]))) for block in members]))
+    return Contents(points.reshape(-1, 3), blocks, groups)

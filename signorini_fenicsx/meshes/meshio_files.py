@@ -1,0 +1,149 @@
+"""Mesh files that meshio reads, and XDMF as DOLFINx writes it, as blocks of elements and named groups of them."""
+
+import contextlib
+import io
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import h5py
+import meshio
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import SIMPLICES, Contents, check_widths, rows_of
+from signorini_fenicsx.meshes.references import check_references
+
+type Indices = npt.NDArray[np.int64]
+
+
+def read_with_meshio(path: Path) -> Contents:
+    """Read a file (rank 0); meshio complains in many ways about one that is broken.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        with warnings.catch_warnings(action="ignore"), contextlib.redirect_stdout(io.StringIO()):
+            check_references(path)
+            if path.suffix == ".xdmf" and (contents := _dolfinx_xdmf(path)) is not None:
+                return contents
+            with contextlib.redirect_stderr(io.StringIO()) as said:
+                mesh = meshio.read(path)
+    except SystemExit:
+        words = " ".join(said.getvalue().split()).removeprefix("Error: ")
+        raise InputError(f"cannot be read: {words or 'its format is not known'}") from None
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        words = " ".join(str(error).split()).replace(str(path), path.name)
+        raise InputError(f"cannot be read ({words[:200] or type(error).__name__})") from None
+    blocks = [(block.type, _elements(block)) for block in mesh.cells]
+    groups = [*_numbered(mesh, blocks), *_named(mesh, blocks)]
+    return Contents(np.asarray(mesh.points, dtype=np.float64), blocks, groups)
+
+
+def _elements(block: meshio.CellBlock) -> Indices:
+    """Points of each element; of kinds that are not understood only how many there are."""
+    if block.type in SIMPLICES:
+        return np.asarray(block.data, dtype=np.int64)
+    return np.empty((len(block.data), 0), dtype=np.int64)
+
+
+def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tuple[str, int, list]]:
+    """Groups by the integers that a file gives its elements, under the names that it has for them."""
+    arrays = {
+        key: values
+        for key, values in mesh.cell_data.items()
+        if key != "gmsh:geometrical"
+        and all(np.issubdtype(block.dtype, np.integer) and block.ndim == 1 for block in values)
+    }
+    if not arrays:
+        return
+    if len(arrays) > 1 and "gmsh:physical" not in arrays:
+        raise InputError(f"several arrays could number its parts: {', '.join(arrays)}; keep one of them")
+    numbers = arrays.get("gmsh:physical", next(iter(arrays.values())))
+    families = getattr(mesh, "cell_tags", {})  # MED: a number may stand for several names
+    for dim in (1, 2, 3):
+        members: dict[str, list[tuple[int, Indices]]] = {}
+        names = {int(tag): [name] for name, (tag, at) in mesh.field_data.items() if at == dim}
+        for index, (kind, _) in enumerate(blocks):
+            if SIMPLICES.get(kind) == dim:
+                for number in np.unique(numbers[index]).tolist():
+                    for name in names.get(number) or families.get(number) or [str(number)]:
+                        members.setdefault(name, []).append((index, np.flatnonzero(numbers[index] == number)))
+        yield from ((name, dim, rows) for name, rows in members.items())
+
+
+def _named(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tuple[str, int, list]]:
+    """Groups that a file has as sets of elements."""
+    for name, members in mesh.cell_sets.items():
+        if name.startswith("gmsh:"):
+            continue
+        for dim in (1, 2, 3):
+            rows = [
+                (index, np.asarray(member, dtype=np.int64))
+                for index, ((kind, _), member) in enumerate(zip(blocks, members, strict=True))
+                if SIMPLICES.get(kind) == dim and member is not None and len(member) > 0
+            ]
+            if rows:
+                yield name, dim, rows
+
+
+def _dolfinx_xdmf(path: Path) -> Contents | None:
+    """Read XDMF as DOLFINx writes it, one grid for the mesh and one for each `MeshTags`; None if it is not that."""
+    grids = list(ElementTree.parse(path).getroot().iterfind("./Domain/Grid"))
+    if len(grids) < 2 or any(grid.find("Topology") is None for grid in grids):
+        return None
+    kinds = {"PolyLine": "line", "Triangle": "triangle", "Tetrahedron": "tetra"}
+    points, blocks, groups = np.empty((0, 3)), [], []
+    for index, grid in enumerate(grids):
+        topology = grid.find("Topology")
+        assert topology is not None
+        kind = kinds.get(topology.get("TopologyType", ""), topology.get("TopologyType", "").lower())
+        blocks.append((kind, _array(path, topology).astype(np.int64)))
+        if index == 0:
+            points = _array(path, grid.find("Geometry")).astype(np.float64)
+        elif kind in SIMPLICES:
+            numbers = _array(path, grid.find("Attribute")).ravel()
+            if len(numbers) != len(blocks[index][1]):
+                raise InputError(
+                    f"the grid '{grid.get('Name')}' has {len(numbers)} numbers for {len(blocks[index][1])} elements; "
+                    "each element needs one"
+                )
+            for number in np.unique(numbers).tolist():
+                groups.append((f"{number:.0f}", SIMPLICES[kind], [(index, np.flatnonzero(numbers == number))]))
+    check_widths(points, blocks)
+    cells = SIMPLICES.get(blocks[0][0])
+    repeated = [i for i, (kind, _) in enumerate(blocks) if i > 0 and SIMPLICES.get(kind) == cells]
+    return Contents(points, *_as_cells_of_the_first(blocks, groups, repeated))
+
+
+def _array(path: Path, owner: ElementTree.Element | None) -> npt.NDArray:
+    """An array of an XDMF file, from its text or from the HDF5 file beside it."""
+    item = None if owner is None else owner.find("DataItem")
+    if item is None or not item.text:
+        raise InputError("cannot be read: an array is missing")
+    if item.get("Format") != "HDF":
+        shape = tuple(int(n) for n in item.get("Dimensions", "").split())
+        return np.array(item.text.split(), dtype=np.float64).reshape(shape)
+    file, _, name = item.text.strip().partition(":")
+    with h5py.File(path.resolve().parent / file, "r") as data:
+        return np.asarray(data[name])
+
+
+def _as_cells_of_the_first(
+    blocks: list[tuple[str, Indices]], groups: list[tuple[str, int, list[tuple[int, Indices]]]], repeated: list[int]
+) -> tuple[list[tuple[str, Indices]], list[tuple[str, int, list[tuple[int, Indices]]]]]:
+    """Turn the elements of some blocks, which repeat cells of the first, into rows of that."""
+    first = np.sort(blocks[0][1], axis=1)
+    rows = {index: rows_of(np.sort(blocks[index][1], axis=1), first) for index in repeated}
+    if any(np.any(found < 0) for found in rows.values()):
+        raise InputError("gives a number to a cell that the mesh does not have")
+    moved = [
+        (name, dim, [(0, rows[block][chosen]) if block in rows else (block, chosen) for block, chosen in members])
+        for name, dim, members in groups
+    ]
+    return [(kind, cells[:0] if i in rows else cells) for i, (kind, cells) in enumerate(blocks)], moved

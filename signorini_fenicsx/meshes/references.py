@@ -1,0 +1,101 @@
+"""What a mesh file in XML or HDF5 may refer to: HDF5 files beside it, and nothing that grows when it is read."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+import h5py
+
+from signorini_fenicsx.base.errors import InputError
+
+XML = (".vtu", ".xdmf", ".xmf", ".xml")
+HDF5 = (".h5m", ".hmf", ".med", ".cgns")
+
+
+def check_references(path: Path) -> None:
+    """Look at a file before a library reads it.
+
+    Raises:
+        InputError: If it refers to what it may not, or declares XML entities.
+    """
+    suffix = path.suffix.lower()  # as meshio takes it
+    if suffix in XML:
+        _check_head(path)
+    if suffix in HDF5:
+        _check_hdf5(path)
+    if suffix in (".xdmf", ".xmf"):
+        for file in {_beside(path, item) for item in ElementTree.parse(path).iter()} - {None}:
+            _check_hdf5(Path(str(file)))
+
+
+class _Root(Exception):
+    """The first element has begun, and nothing can be declared after it."""
+
+
+def _check_head(path: Path) -> None:
+    """Refuse declarations: entities can be other files, or grow beyond all memory. DOLFINx writes an empty DOCTYPE."""
+
+    def refuse(*_: object) -> None:
+        raise InputError(
+            "declares entities or defaults in its DOCTYPE, which can grow or be other files; leave them out"
+        )
+
+    def stop(*_: object) -> None:
+        raise _Root
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = parser.AttlistDeclHandler = refuse
+    parser.ElementDeclHandler = parser.NotationDeclHandler = refuse
+    parser.StartElementHandler = stop
+    try:
+        with path.open("rb") as file:
+            parser.ParseFile(file)
+    except _Root:
+        return
+    except expat.ExpatError as error:
+        raise InputError(f"is not XML ({error})") from None
+
+
+def _beside(path: Path, item: ElementTree.Element) -> Path | None:
+    """The HDF5 file of an array in XDMF, None if there is none; meshio takes arrays from elements of any name."""
+    kind, text = item.get("Format", "XML"), (item.text or "").strip()
+    if kind == "XML":
+        return None
+    if kind != "HDF":
+        raise InputError(f"has an array in the format '{kind}'; XML and HDF will do")
+    name = text.partition(":")[0]
+    folder = path.resolve().parent
+    if not name or Path(name).is_absolute() or not (folder / name).resolve().is_relative_to(folder):
+        raise InputError(f"has an array in '{name}', which is outside the folder of the mesh")
+    if not (folder / name).is_file():
+        raise InputError(f"has an array in '{name}', and there is no such file beside it")
+    return folder / name
+
+
+def _check_hdf5(path: Path) -> None:
+    """Refuse links to other files, and arrays whose values lie in other files."""
+    with h5py.File(path, "r") as file:
+        seen: set[int] = set()
+        todo: list[h5py.Group] = [file]
+        while todo:
+            group = todo.pop()
+            for name in group:
+                try:
+                    link = group.get(name, getlink=True)
+                except TypeError:
+                    link = None
+                if isinstance(link, h5py.SoftLink):  # what it leads to is met where it is
+                    continue
+                if not isinstance(link, h5py.HardLink):
+                    raise InputError(
+                        f"'{name}' in {path.name} is a link to another file; an array has to be in the file"
+                    )
+                thing = group[name]
+                address = h5py.h5o.get_info(thing.id).addr
+                if isinstance(thing, h5py.Group) and address not in seen:
+                    todo.append(thing)
+                seen.add(address)
+                if isinstance(thing, h5py.Dataset) and (thing.is_virtual or thing.external):
+                    raise InputError(
+                        f"the values of '{name}' in {path.name} are in another file; an array has to be in the file"
+                    )

@@ -1,0 +1,160 @@
+"""Local refinement: which cells, and the refined mesh. Neither depends on the number of ranks."""
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import la
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, marked_domain, membership
+
+type Array = npt.NDArray[np.float64]
+
+SAME = 1e-6
+"""Indicators that differ by less than this, relatively, are refined together: rounding must not choose among them."""
+NEGLIGIBLE = 1e-20
+FLAT = 0.1
+"""A cell that keeps less than this part of its volume when vertices move to a curved boundary is spoilt."""
+SKEW = np.eye(3) + 1e-6 * np.array(
+    [[0, 0, 0], [1 / np.sqrt(2), 1 / np.sqrt(3), 0], [1 / np.pi, 1 / np.e, 1 / np.sqrt(7)]]
+)
+"""Breaks ties between edges of equal length by their direction, not by their number, which depends on the ranks."""
+
+
+def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.int32]:
+    """Few cells that carry the part θ of Σ η_T² (collective).
+
+    Args:
+        indicator: η_T of the owned cells.
+        theta: Between 0 and 1; 1 takes all cells.
+        comm: Communicator of the mesh.
+
+    Returns:
+        Owned cells with η_T above a threshold that is the same on all ranks.
+    """
+    squares = indicator**2
+    wanted = theta * comm.allreduce(squares.sum())
+    high = comm.allreduce(squares.max(initial=0.0), MPI.MAX)
+    if theta >= 1 or high == 0:
+        return np.arange(len(squares), dtype=np.int32)
+    low = NEGLIGIBLE * high
+    while high > (1 + SAME) * low:
+        middle = np.sqrt(low * high)
+        if comm.allreduce(squares[squares >= middle].sum()) >= wanted:
+            low = middle
+        else:
+            high = middle
+    return np.flatnonzero(squares >= low).astype(np.int32)
+
+
+def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
+    """Halve all edges of some cells, and those of others that this asks for, by longest-edge bisection (collective).
+
+    New vertices on curved parts of the boundary move there; a mesh from a file keeps its polygon or polyhedron. Parts
+    and regions are inherited. The refined mesh is distributed anew.
+
+    Args:
+        domain: What to refine.
+        cells: Owned cells to refine.
+
+    Raises:
+        NumericalFailure: If moving the vertices to a curved boundary would flatten or invert a cell.
+    """
+    mesh = domain.mesh
+    dim = mesh.topology.dim
+    fine, parent_cell, parent_facet = _bisected(mesh, cells)
+    before = _volumes(fine)
+    boundary, children = _boundary_facets(mesh, fine, parent_cell, parent_facet)
+    descendants = {name: children[np.isin(boundary, facets)] for name, facets in domain.facets.items()}
+    for name, part in domain.parts.items():
+        if part.nearest is not None:
+            nodes = _on_all_ranks(fine, descendants[name].ravel())
+            fine.geometry.x[nodes] = part.nearest(fine.geometry.x[nodes].T).T
+    if not mesh.comm.allreduce(bool(np.all(_volumes(fine) / before > FLAT)), MPI.LAND):
+        raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
+
+    nodes = fine.geometry.index_map()
+    cell_nodes = nodes.local_to_global(fine.geometry.dofmaps[0].ravel()).reshape(-1, dim + 1)
+    marks = Marks(
+        {
+            name: np.sort(nodes.local_to_global(rows.ravel()).reshape(-1, dim), axis=1)
+            for name, rows in descendants.items()
+        },
+        gather_rows(mesh.comm, membership(domain)[parent_cell]) if domain.regions else None,
+        tuple(domain.regions),
+    )
+    distributed = distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim)
+    return marked_domain(distributed, domain.parts, marks, domain.bend)
+
+
+def _bisected(
+    mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32]
+) -> tuple[dolfinx.mesh.Mesh, npt.NDArray[np.int32], npt.NDArray[np.int8]]:
+    """Refine without moving anything (collective).
+
+    Returns:
+        The refined mesh, on the ranks of its parents, for each cell its parent, and for each facet of each cell which
+        facet of the parent holds it, or −1; facet i is opposite to vertex i.
+    """
+    dim = mesh.topology.dim
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    mesh.topology.create_connectivity(1, dim)
+    edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
+    x = mesh.geometry.x.copy()
+    mesh.geometry.x[:] = x @ SKEW
+    fine, parent_cell, parent_facet = dolfinx.mesh.refine(
+        mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
+    )
+    topology = fine.topology  # its cells have been reordered, those of parent_cell not
+    order = topology.original_cell_index - topology.index_map(dim).local_range[0]
+    parent_cell, parent_facet = parent_cell[order], parent_facet.reshape(-1, dim + 1)[order]
+    parents, children = _corners(mesh)[parent_cell], _corners(fine)
+    mesh.geometry.x[:] = x
+    barycentric = np.round(2 * np.linalg.solve(_affine(parents), _affine(children)).transpose(0, 2, 1)) / 2
+    fine.geometry.x[fine.geometry.dofmaps[0], :dim] = barycentric @ _corners(mesh)[parent_cell]
+    return fine, parent_cell, parent_facet
+
+
+def _corners(mesh: dolfinx.mesh.Mesh) -> Array:
+    """Vertices of the cells of this rank, shape (cells, dim + 1, dim)."""
+    return mesh.geometry.x[mesh.geometry.dofmaps[0], : mesh.topology.dim]
+
+
+def _affine(corners: Array) -> Array:
+    """Per cell the matrix with a column (x, 1) for each vertex x."""
+    return np.concatenate([corners, np.ones_like(corners[:, :, :1])], axis=2).transpose(0, 2, 1)
+
+
+def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:
+    """Signed volumes of the cells, up to a factor."""
+    return np.linalg.det(_affine(_corners(mesh)))
+
+
+def _boundary_facets(
+    mesh: dolfinx.mesh.Mesh,
+    fine: dolfinx.mesh.Mesh,
+    parent_cell: npt.NDArray[np.int32],
+    parent_facet: npt.NDArray[np.int8],
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Facets of the mesh's boundary and the refined ones in them: each one's parent and nodes, shape (facets, dim)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim, dim - 1)
+    facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+    cells, opposite = np.nonzero(parent_facet >= 0)
+    parents = facets[parent_cell[cells], parent_facet[cells, opposite]]
+    outside = np.isin(parents, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    nodes = fine.geometry.dofmaps[0][cells[outside]]
+    others = nodes[np.arange(dim + 1) != opposite[outside, None]]
+    return parents[outside], others.reshape(-1, dim)
+
+
+def _on_all_ranks(mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Nodes of this rank that are among those of any rank (collective)."""
+    marked = la.vector(mesh.geometry.index_map())
+    marked.array[nodes] = 1.0
+    marked.scatter_reverse(la.InsertMode.add)
+    marked.scatter_forward()
+    return np.flatnonzero(marked.array > 0).astype(np.int32)

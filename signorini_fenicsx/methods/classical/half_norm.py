@@ -1,0 +1,99 @@
+"""A discrete H^{1/2}(Γ_S) inner product on Λ_h, its Riesz map and its projection onto p ≥ 0.
+
+The facet Laplacian K has a two-point flux between facets that share a vertex (2D) or an edge (3D), and p = 0 beyond the
+end of Γ_S, as H_00^{1/2} wants. With the mass matrix M = diag(|e|) and L = |Ω|^(1/d),
+
+    H = M^{1/2} (M^{-1/2} K M^{-1/2} + L⁻²)^{1/2} M^{1/2},
+
+the square root by eigenvectors. Like K, H has no positive entry off its diagonal (the square root of an M-matrix is
+one), so that the primal-dual active set method for the projection ends after finitely many steps.
+"""
+
+import itertools
+from collections import defaultdict
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.methods.classical.on_root import RootRows
+
+type Array = npt.NDArray[np.float64]
+
+
+class HalfNorm:
+    """(p, q)_H = pᵀHq on distributed facet arrays; dense algebra on rank 0. All methods are collective."""
+
+    def __init__(self, spaces: Spaces):
+        """Gather the facets and take the square root."""
+        mesh = spaces.mesh
+        dim = mesh.topology.dim
+        self._rows = RootRows(mesh.comm, len(spaces.facets))
+        mesh.topology.create_connectivity(dim - 1, dim)
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, spaces.facets).reshape(-1, dim)
+        vertices = self._rows.gather(mesh.geometry.input_global_indices[nodes])
+        corners = self._rows.gather(mesh.geometry.x[nodes])
+        measure = self._rows.gather(spaces.facet_measure)
+        length = spaces.length()
+        self._matrix: Array | None = None
+        if vertices is not None and corners is not None and measure is not None:
+            laplacian = _facet_laplacian(vertices, corners)
+            self._measure = measure
+            root = np.sqrt(measure)
+            values, vectors = np.linalg.eigh(laplacian / np.outer(root, root) + np.eye(len(root)) / length**2)
+            self._matrix = root[:, None] * ((vectors * np.sqrt(values)) @ vectors.T) * root
+            self._factor = scipy.linalg.cho_factor(self._matrix)
+            self._free = np.ones(len(root), dtype=bool)
+
+    def inner(self, p: Array, q: Array) -> float:
+        """(p, q)_H."""
+        both = self._rows.gather(np.column_stack([p, q]))
+        value = None if self._matrix is None or both is None else float(both[:, 0] @ self._matrix @ both[:, 1])
+        return float(self._rows.comm.bcast(value))
+
+    def riesz(self, flux: Array) -> Array:
+        """Rg, the p with (p, q)_H = (g, q) on Γ_S for all q."""
+        g = self._rows.gather(flux)
+        return self._rows.scatter(None if g is None else scipy.linalg.cho_solve(self._factor, self._measure * g))
+
+    def project(self, p: Array, flux: Array) -> Array:
+        """The H-projection of p − R flux onto q ≥ 0: the minimiser of ½qᵀHq − qᵀ(Hp − M flux) there."""
+        both = self._rows.gather(np.column_stack([p, flux]))
+        if self._matrix is None or both is None:
+            return self._rows.scatter(None)
+        return self._rows.scatter(self._minimise(self._matrix, self._matrix @ both[:, 0] - self._measure * both[:, 1]))
+
+    def _minimise(self, matrix: Array, b: Array) -> Array:
+        """Primal-dual active set from the last free set: q = 0 or Hq = b, until the signs of q and Hq − b are right."""
+        q = np.zeros_like(b)
+        for _ in range(len(b) + 1):
+            free = self._free
+            q = np.zeros_like(b)
+            q[free] = scipy.linalg.solve(matrix[np.ix_(free, free)], b[free], assume_a="pos")
+            reaction = np.where(free, 0.0, matrix @ q - b)
+            self._free = q - reaction > 0
+            if np.array_equal(self._free, free):
+                break
+        return np.maximum(q, 0.0)
+
+
+def _facet_laplacian(vertices: npt.NDArray[np.int64], corners: Array) -> Array:
+    """K, from the vertex numbers and the corners of each facet, of shape (facets, d) and (facets, d, 3)."""
+    size, dim = vertices.shape
+    middle = corners.mean(axis=1)
+    ridges = defaultdict(list)  # facets around each vertex (2D) or edge (3D), with its place and measure
+    for facet, local in itertools.product(range(size), itertools.combinations(range(dim), dim - 1)):
+        points = corners[facet, list(local)]
+        measure = float(np.linalg.norm(points[-1] - points[0])) if dim == 3 else 1.0
+        ridges[tuple(sorted(vertices[facet, list(local)].tolist()))].append((facet, points.mean(axis=0), measure))
+    laplacian = np.zeros((size, size))
+    for around in ridges.values():
+        distance = sum(float(np.linalg.norm(middle[facet] - place)) for facet, place, _ in around)
+        conductance = around[0][2] / distance
+        for facet, _, _ in around:
+            laplacian[facet, facet] += conductance
+        for (one, _, _), (two, _, _) in itertools.permutations(around, 2):
+            laplacian[one, two] -= conductance
+    return laplacian

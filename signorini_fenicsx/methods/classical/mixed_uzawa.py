@@ -1,0 +1,156 @@
+"""The projection iterations for (MLM-I)_h and (MLM-II)_h: in σ·n or in p, in L²(Γ_S) or in H^{1/2}(Γ_S).
+
+With the discrete Dirichlet-to-Neumann map S on Λ_h, σ·n = Sp + g_0 for given p and p = S⁻¹(σ·n − g_0) for given σ·n.
+The spectrum of S reaches from O(1) to O(1/h), so
+
+    mixed-uzawa1     σ·n ← max(0, σ·n − ρp)         converges for ρ < 2 λ_min(S),
+    mixed-uzawa2     p ← max(0, p − ρσ·n)           converges for ρ < 2/λ_max(S),
+
+both in O(1/h) iterations, each a back substitution with one factorisation. mixed-uzawa-h12 projects in H^{1/2}(Γ_S)
+instead and takes a number of iterations that does not depend on h (see `half_uzawa`).
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from forms.norms import l2
+from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.methods.classical.half_norm import HalfNorm
+from signorini_fenicsx.methods.classical.projection import (
+    StepLength,
+    iterate_projection,
+    scattered_values,
+    step_length,
+)
+from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
+from signorini_fenicsx.methods.classical.task import Task
+from signorini_fenicsx.methods.loop import Outcome, Recorder
+
+type Array = npt.NDArray[np.float64]
+
+
+class _Response:
+    """The iterate that belongs to facet values x: σ·n = x or p = x on Γ_S."""
+
+    def __init__(self, task: Task, *, by_flux: bool):
+        self._system = SaddlePoint(task.spaces, task.data)
+        self._by_flux = by_flux
+        self._system.give_flux(np.full(len(task.spaces.facets), by_flux))
+        self.start = np.zeros(len(task.spaces.facets))
+        self.gradient(self.start)
+        self.scale = _scale(task.spaces, self.iterate)
+        self._recorder = Recorder(task.spaces, self.iterate, self._conditions(self.start), task.on_step)
+
+    def gradient(self, x: Array) -> Array:
+        """The trace p for given σ·n, σ·n for given p; keeps the iterate."""
+        self.iterate: Iterate = self._system.respond(flux=x, trace=x)
+        return self.iterate.p if self._by_flux else self.iterate.flux
+
+    def slope(self, x: Array) -> Array:
+        """Its linear part, S⁻¹ or S."""
+        response = self._system.respond(flux=x, trace=x, loaded=False)
+        return response.p if self._by_flux else response.flux
+
+    def record(self, x: Array) -> None:
+        """Add the present iterate to the history."""
+        self._recorder.add(self.iterate, self._conditions(x))
+
+    def outcome(self, x: Array, step: StepLength, failure: str | None) -> Outcome:
+        """How it ended."""
+        return Outcome(
+            self.iterate,
+            self._conditions(x),
+            self._recorder.steps,
+            failure or "the projection changes nothing any more",
+            failure is None,
+            self._system.name,
+            self._system.dofs,
+            self._system.solver(),
+            details=step.details(),
+        )
+
+    def _conditions(self, x: Array) -> FacetConditions:
+        at_bound, free = (
+            (Condition.NO_FLUX, Condition.ZERO_TRACE) if self._by_flux else (Condition.ZERO_TRACE, Condition.NO_FLUX)
+        )
+        return FacetConditions(np.where(x > 0, free, at_bound).astype(np.int8))
+
+
+def flux_uzawa(task: Task) -> Outcome:
+    """σ·n^(n) = max(0, σ·n^(n−1) − ρp^(n−1)), from σ·n^(0) = 0 (collective).
+
+    The step over ρ is a trace; its size is that of the KKT residual of p ≥ 0.
+    """
+    response = _Response(task, by_flux=True)
+    return _pointwise(task, response, 1 / math.sqrt(task.spaces.length()))
+
+
+def trace_uzawa(task: Task) -> Outcome:
+    """p^(n) = max(0, p^(n−1) − ρσ·n^(n−1)), from p^(0) = 0 (collective).
+
+    The step over ρ is a flux; its size is that of the KKT residual of σ·n ≥ 0.
+    """
+    response = _Response(task, by_flux=False)
+    return _pointwise(task, response, math.sqrt(task.spaces.length()))
+
+
+def _pointwise(task: Task, response: _Response, unit: float) -> Outcome:
+    spaces = task.spaces
+    comm, e = spaces.mesh.comm, spaces.facet_measure
+
+    def inner(x: Array, y: Array) -> float:
+        return float(comm.allreduce(float(e @ (x * y))))
+
+    step = step_length(task.rho, response.slope, inner, scattered_values(spaces))
+    x, failure = iterate_projection(
+        response.start,
+        response.gradient,
+        lambda x, change: np.maximum(0, x - change),
+        lambda change: unit * math.sqrt(inner(change, change)) / response.scale,
+        step=step,
+        max_iterations=task.max_iterations,
+        record=response.record,
+    )
+    return response.outcome(x, step, failure)
+
+
+def half_uzawa(task: Task) -> Outcome:
+    """p^(n) = P(p^(n−1) − ρ R σ·n^(n−1)) in H^{1/2}(Γ_S), from p^(0) = 0 (collective).
+
+    R is the Riesz map of the discrete H^{1/2} inner product (p, q)_H = pᵀHq (see `half_norm`), R = H⁻¹M with M the mass
+    matrix of Λ_h. The projection is the one that belongs to this inner product,
+
+        P(z) = argmin over q ≥ 0 of ½(q − z)ᵀH(q − z),
+
+    a small bound-constrained quadratic programme, solved exactly: max(0, z), facet by facet, would have other fixed
+    points, because (z − P(z), q − P(z))_H ≤ 0 for all q ≥ 0 is what makes them solutions of (10c). H is spectrally
+    equivalent to S, so the number of iterations is bounded as h → 0. Dense, on rank 0: for up to a few thousand Γ_S
+    facets.
+    """
+    response = _Response(task, by_flux=False)
+    half = HalfNorm(task.spaces)
+
+    def size(change: Array) -> float:
+        return math.sqrt(max(half.inner(change, change), 0.0)) / response.scale
+
+    step = step_length(task.rho, lambda x: half.riesz(response.slope(x)), half.inner, scattered_values(task.spaces))
+    x, failure = iterate_projection(
+        response.start,
+        response.gradient,
+        half.project,
+        size,
+        step=step,
+        max_iterations=task.max_iterations,
+        record=response.record,
+    )
+    return response.outcome(x, step, failure)
+
+
+def _scale(spaces: Spaces, iterate: Iterate) -> float:
+    """‖σ‖ of the start, or 1 if there is nothing to solve."""
+    return math.sqrt(spaces.integrate(l2(iterate.sigma, ufl.dx))) or 1.0

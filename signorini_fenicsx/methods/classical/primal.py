@@ -1,0 +1,265 @@
+"""The conforming P1 system that the primal methods share, and what it says about σ, u and p (see `forms.primal`)."""
+
+import math
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import assemble_matrix, create_vector
+from petsc4py import PETSc
+from ufl.core.expr import Expr
+
+from forms.crouzeix_raviart import stiffness
+from forms.mixed import flux_product, load, trace_term
+from forms.primal import gradient, mass, vertex_weight
+from signorini_fenicsx.backends.contract import Iterate, direct_solver, solve_linear, solver_name
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.kkt import TOLERANCE
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, owned_on_facets
+from signorini_fenicsx.methods.classical.task import Task
+from signorini_fenicsx.methods.loop import History, Outcome, reached
+
+type Array = npt.NDArray[np.float64]
+type Indices = npt.NDArray[np.int32]
+
+
+class P1System:
+    """(κ_h∇u, ∇v) = (f_h, v) + (g_N, v) + (q_S, v) in P1 with u = u_D at the vertices of Γ_D, in terms of u − ψ on Γ_S.
+
+    Arrays hold values at the vertices of this rank, on Γ_S those of u − ψ.
+
+    Attributes:
+        spaces: The mixed spaces, of which it takes mesh and Γ_S.
+        space: P1.
+        dirichlet: Owned vertices of Γ_D.
+        signorini: Owned vertices of Γ_S that are not on Γ_D.
+        load: Right side: u_D on Γ_D, else the loads less what u_D and ψ contribute.
+        weights: w_i = ∫_ΓS φ_i of the vertices `signorini`.
+        matrix: Stiffness matrix with the rows and columns of Γ_D those of the identity.
+        diagonal: Its diagonal.
+    """
+
+    def __init__(self, spaces: Spaces, data: Data):
+        """Assemble (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self.spaces = spaces
+        self.space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
+        self._size = self.space.dofmap.index_map.size_local
+        self.dofs = self.space.dofmap.index_map.size_global
+        v = ufl.TestFunction(self.space)
+        self.dirichlet = owned_on_facets(self.space, spaces.dirichlet_facets)
+        self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
+        self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
+        self._system = ConditionedMatrix(
+            fem.form(stiffness(ufl.TrialFunction(self.space), v, data.kappa_h)), PETSc.Mat.Option.SPD
+        )
+        self._stiffness = self._system.natural
+        self.change_matrix()
+        self.matrix = self._system.matrix.duplicate(copy=True)
+        self.diagonal = self.matrix.getDiagonal().array_r.copy()
+
+        self._x, self._b = create_vector(self.space), create_vector(self.space)
+        u_D, psi = self._values(data.u_D), self._values(data.psi)
+        self._data, self._psi = data, self.at_signorini(psi[self.signorini])
+        known = self._psi.copy()
+        known[self.dirichlet] = u_D[self.dirichlet]
+        given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
+        self.load = self._owned(load(data.f_h, v) + given_flux) - self._product(self._stiffness, known)
+        self.load[self.dirichlet] = u_D[self.dirichlet]
+        self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
+        self._ksp = direct_solver(self._system.matrix, "cholesky")
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return solver_name(self._ksp)
+
+    def change_matrix(self, *, fixed: Indices | None = None, added: Array | None = None) -> None:
+        """Make the next solves those with u = 0 at the vertices `fixed` and `added` to the diagonal (collective).
+
+        Args:
+            fixed: Some of the vertices `signorini`.
+            added: A value for each of the vertices `signorini`.
+        """
+        essential = self.dirichlet if fixed is None else np.concatenate([self.dirichlet, fixed])
+        self._system.impose(essential, self.signorini, 0.0 if added is None else added)
+
+    def solve(self, b: Array) -> Array:
+        """Solve with this right side, which is 0 at all fixed vertices (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        self._b.array_w[:] = b
+        solve_linear(self._ksp, self._b, self._x)
+        return self._x.array_r.copy()
+
+    def at_signorini(self, values: Array) -> Array:
+        """Values at the vertices `signorini` extended by 0."""
+        everywhere = np.zeros(self._size)
+        everywhere[self.signorini] = values
+        return everywhere
+
+    def times(self, u: Array) -> Array:
+        """`matrix` times u (collective)."""
+        return self._product(self.matrix, u)
+
+    def dot(self, u: Array, v: Array) -> float:
+        """Σ u_i v_i over all ranks (collective)."""
+        return float(self.spaces.mesh.comm.allreduce(float(u @ v)))
+
+    def energy_norm(self, u: Array) -> float:
+        """(κ_h∇u, ∇u)^½ (collective)."""
+        return math.sqrt(max(self.dot(u, self._product(self._stiffness, u)), 0.0))
+
+    def residual(self, u: Array, eps: float = 0.0) -> float:
+        """Natural residual of (VI) in P1, or of (P_ε) with ε > 0; free of scale (collective).
+
+        With r_i the reaction and D_i the diagonal it is √(Σ D_i m_i²)/‖∇u‖, m_i = min(u_i + ε r_i/w_i, r_i/D_i) on Γ_S
+        and r_i/D_i in Ω. It vanishes at the solution only; it is infinite where ∇u = 0 is not the solution.
+        """
+        size = self.energy_norm(u + self._psi)
+        reaction = self.times(u) - self.load
+        natural = reaction / self.diagonal
+        on = self.signorini
+        natural[on] = np.minimum(natural[on], u[on] + eps * reaction[on] / self.weights)
+        norm = math.sqrt(self.dot(self.diagonal, natural**2))
+        if size == 0:
+            return math.inf if norm > 0 else 0.0
+        return norm / size
+
+    def conditions(self, zero: npt.NDArray[np.bool_], kind: Condition, beta: float = 1.0) -> FacetConditions:
+        """Facet conditions (collective): `kind` where u = 0 on Γ_D or in `zero` at all vertices.
+
+        Args:
+            zero: Which of the vertices `signorini` are in contact.
+            kind: The condition of contact.
+            beta: β of a ROBIN condition.
+        """
+        marked = fem.Function(self.space)
+        marked.x.array[self.dirichlet] = ~self._above_bound
+        marked.x.array[self.signorini] = zero
+        marked.x.scatter_forward()
+        touching = marked.x.array[self._facet_vertices].min(axis=1, initial=1.0) > 0
+        return FacetConditions(np.where(touching, kind, Condition.NO_FLUX).astype(np.int8), beta)
+
+    def recover(self, u: Array) -> Iterate:
+        """σ, the L² projection of ∇u to RT0, u by its cell means and p by the facet means of its trace (collective).
+
+        Raises:
+            LinearSolveFailure: If the projection does not converge.
+        """
+        spaces = self.spaces
+        u_h = fem.Function(self.space)
+        u_h.x.array[: self._size] = u + self._psi
+        u_h.x.scatter_forward()
+        means = fem.Function(spaces.Q, name="u")
+        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q))) / cell_measures(spaces.Q)
+        sigma = _projected_flux(u_h, self._data, spaces)
+        p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
+        return Iterate(sigma, means, p, spaces.normal_flux(sigma) - self._data.q_Sh, 1)
+
+    def _product(self, matrix: PETSc.Mat, u: Array) -> Array:
+        self._x.array_w[:] = u
+        matrix.mult(self._x, self._b)
+        return self._b.array_r.copy()
+
+    def _values(self, given: Expr) -> Array:
+        """Values at the vertices."""
+        function = fem.Function(self.space)
+        zero = fem.Constant(self.space.mesh, 0.0)
+        function.interpolate(fem.Expression(given + zero, self.space.element.interpolation_points))
+        return np.asarray(function.x.array[: self._size], dtype=np.float64)
+
+    @cached_property
+    def _facet_vertices(self) -> Indices:
+        """Vertices of each Γ_S facet, owned or ghosts, shape (facets, d): those of its cell but the opposite one."""
+        spaces = self.spaces
+        dofs = self.space.dofmap.list[spaces.cells]
+        opposite = np.argmax(spaces.V.dofmap.list[spaces.cells] == spaces.flux_dofs[:, None], axis=1)
+        keep = np.arange(dofs.shape[1]) != opposite[:, None]
+        return dofs[keep].reshape(len(dofs), spaces.mesh.topology.dim)
+
+    def _owned(self, form: ufl.Form) -> Array:
+        return assembled(form)[: self._size].copy()
+
+
+class P1History:
+    """The history of a P1 method: the change of σ is ‖∇(u^(n) − u^(n−1))‖, as ∇u_h has no divergence."""
+
+    def __init__(self, task: Task, system: P1System, u: Array, conditions: FacetConditions):
+        """Begin with the start, which is not a step itself (collective)."""
+        self._system, self._last = system, u
+        trial, test = ufl.TrialFunction(system.space), ufl.TestFunction(system.space)
+        self._mass = assemble_matrix(fem.form(mass(trial, test)))
+        self._mass.assemble()
+        self._change, self._image = self._mass.createVecs()
+        self._history = History(task.spaces, conditions, task.on_step)
+        self.steps = self._history.steps
+
+    def add(self, u: Array, conditions: FacetConditions) -> None:
+        """Record an iteration (collective)."""
+        change = u - self._last
+        self._change.array_w[:] = change
+        self._mass.mult(self._change, self._image)
+        u_change = math.sqrt(max(self._change.dot(self._image), 0.0))
+        with reached(lambda: self._system.recover(u), conditions, self.steps):
+            self._history.append(conditions, self._system.energy_norm(change), u_change)
+        self._last = u
+
+
+def primal_outcome(
+    system: P1System,
+    history: P1History,
+    u: Array,
+    conditions: FacetConditions,
+    failure: str | None,
+    *,
+    reason: str,
+    solver: str,
+    eps: float = 0.0,
+    details: dict[str, float] | None = None,
+) -> Outcome:
+    """How a P1 method ended, judged by its natural residual (collective)."""
+    residual = system.residual(u, eps)
+    if failure is None and not residual <= TOLERANCE:
+        failure = f"the natural residual of the P1 problem is {residual:.1e}, above {TOLERANCE:g}"
+    return Outcome(
+        system.recover(u),
+        conditions,
+        history.steps,
+        failure or reason,
+        failure is None,
+        "P1",
+        system.dofs,
+        solver,
+        own_residual=residual,
+        details=details or {},
+    )
+
+
+def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function:
+    """The projection of κ_h∇u to RT0 in (κ_h⁻¹·, ·), by CG on its well-conditioned mass matrix (collective)."""
+    tau = ufl.TestFunction(spaces.V)
+    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, data.kappa_h)))
+    matrix.assemble()
+    x, b = matrix.createVecs()
+    b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]
+    ksp = PETSc.KSP().create(spaces.mesh.comm)  # not the solver of the method: it takes no options
+    ksp.setOperators(matrix)
+    ksp.setType("cg")
+    ksp.getPC().setType("jacobi")
+    ksp.setTolerances(rtol=1e-14, max_it=1000)
+    solve_linear(ksp, b, x)
+    sigma = fem.Function(spaces.V, name="sigma")
+    sigma.x.array[: x.getLocalSize()] = x.array_r
+    sigma.x.scatter_forward()
+    for thing in (ksp, matrix, x, b):
+        thing.destroy()
+    return sigma

@@ -1,0 +1,66 @@
+"""Uzawa's iteration for (VL) in P1: a multiplier λ ≥ 0 per vertex of Γ_S, one factorisation for all steps."""
+
+import math
+
+import numpy as np
+
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.methods.classical.primal import Array, P1History, P1System, primal_outcome
+from signorini_fenicsx.methods.classical.projection import iterate_projection, scattered, step_length
+from signorini_fenicsx.methods.classical.task import Task
+from signorini_fenicsx.methods.loop import Outcome
+
+
+def primal_uzawa(task: Task) -> Outcome:
+    """λ^(n) = max(0, λ^(n−1) − ρu^(n−1)), u^(n) the solution with reaction w_i λ_i^(n), from λ^(0) = 0 (collective).
+
+    The map λ ↦ u on Γ_S is the discrete inverse of Dirichlet-to-Neumann: its largest eigenvalue does not depend on h,
+    its smallest is of order h, and the iteration takes O(1/h) steps.
+
+    Raises:
+        LinearSolveFailure: If a linear system cannot be solved.
+    """
+    system = P1System(task.spaces, task.data)
+    on, weights = system.signorini, system.weights
+    u = system.solve(system.load)
+    scale = system.energy_norm(u) or 1.0
+    length = math.sqrt(system.dot(np.ones(len(weights)), weights)) or 1.0  # all of Γ_S may be beside Γ_D
+
+    def trace(multiplier: Array) -> Array:
+        nonlocal u
+        u = system.solve(system.load + system.at_signorini(weights * multiplier))
+        return u[on]
+
+    def inner(x: Array, y: Array) -> float:
+        return system.dot(weights, x * y)
+
+    def conditions(multiplier: Array) -> FacetConditions:
+        return system.conditions(multiplier > 0, Condition.ZERO_TRACE)
+
+    start = np.zeros(len(on))
+    history = P1History(task, system, u, conditions(start))
+    step = step_length(
+        task.rho,
+        lambda x: system.solve(system.at_signorini(weights * x))[on],
+        inner,
+        scattered(system.space.tabulate_dof_coordinates()[on]),
+    )
+    multiplier, failure = iterate_projection(
+        start,
+        trace,
+        lambda x, change: np.maximum(0, x - change),
+        lambda change: math.sqrt(inner(change, change)) / (length * scale),
+        step=step,
+        max_iterations=task.max_iterations,
+        record=lambda x: history.add(u, conditions(x)),
+    )
+    return primal_outcome(
+        system,
+        history,
+        u,
+        conditions(multiplier),
+        failure,
+        reason="the projection changes nothing any more",
+        solver=system.solver(),
+        details=step.details(),
+    )

@@ -1,0 +1,127 @@
+"""The iteration that Uzawa's methods share: x^(n) = P(x^(n−1) − ρ g(x^(n−1))), P a projection and g affine.
+
+With the linear part T of g symmetric and positive in the inner product that P belongs to, x^(n) converges for 0 < ρ <
+2/λ_max(T) to the solution of the variational inequality of g, at the rate 1 − ρ λ_min(T) of gradient descent.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.methods.classical.task import TOLERANCE
+
+type Array = npt.NDArray[np.float64]
+
+POWER_STEPS = 30
+"""Power iterations for λ_max; what it is underestimated by then is far below what STEP leaves."""
+STEP = 1.5
+"""ρ λ_max(T) if ρ is automatic."""
+DIVERGED = 1e8
+"""Scale-free size of a step that no convergent iteration makes."""
+
+
+@dataclass(frozen=True)
+class StepLength:
+    """ρ, and the end of the range in which the iteration is sure to converge.
+
+    Contact takes unknowns out of the iteration, so that it may bear more.
+
+    Attributes:
+        rho: ρ > 0.
+        limit: 2/λ_max(T).
+    """
+
+    rho: float
+    limit: float
+
+    def details(self) -> dict[str, float]:
+        """As a run reports it."""
+        return {"rho": self.rho, "rho_limit": self.limit}
+
+    def warning(self) -> str:
+        """What a failed run says about ρ."""
+        return "" if self.rho < self.limit else f"; ρ = {self.rho:.3g} is outside of its range (0, {self.limit:.3g})"
+
+
+def step_length(
+    rho: float | None,
+    slope: Callable[[Array], Array],
+    inner: Callable[[Array, Array], float],
+    start: Array,
+) -> StepLength:
+    """ρ and its range by power iterations (collective).
+
+    Args:
+        rho: ρ, or None for an automatic one.
+        slope: T.
+        inner: Inner product in which T is symmetric (collective).
+        start: Vector to start from, nearly orthogonal to no eigenvector.
+    """
+    x, eigenvalue = start, 0.0
+    for _ in range(POWER_STEPS):
+        size = math.sqrt(inner(x, x))
+        if size == 0:
+            break
+        x = x / size
+        image = slope(x)
+        eigenvalue = inner(x, image)
+        x = image
+    limit = 2 / eigenvalue if eigenvalue > 0 else math.inf
+    automatic = STEP * limit / 2 if math.isfinite(limit) else 1.0
+    return StepLength(rho or automatic, limit)
+
+
+def scattered_values(spaces: Spaces) -> Array:
+    """A value per Γ_S facet that looks random but depends on its midpoint only, not on the ranks."""
+    dim = spaces.mesh.topology.dim
+    x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
+    return scattered(x)
+
+
+def scattered(x: Array) -> Array:
+    """A value per point, of shape (points, 3), that looks random."""
+    return np.sin(1e3 * (x @ np.sqrt([2.0, 3.0, 5.0]))) + 0.5
+
+
+def iterate_projection(
+    start: Array,
+    evaluate: Callable[[Array], Array],
+    project: Callable[[Array, Array], Array],
+    size: Callable[[Array], float],
+    *,
+    step: StepLength,
+    max_iterations: int,
+    record: Callable[[Array], None],
+) -> tuple[Array, str | None]:
+    """Repeat x ← P(x − ρ g(x)) until the step is small (collective).
+
+    Args:
+        start: x^(0) on this rank.
+        evaluate: g.
+        project: From x and ρ g(x) to P(x − ρ g(x)).
+        size: Scale-free norm of a step over ρ (collective).
+        step: ρ.
+        max_iterations: Iterations allowed.
+        record: Called after each iteration with its x; the last evaluation is that of this x.
+
+    Returns:
+        The last x, and why it is no solution or None.
+    """
+    x = start
+    gradient = evaluate(x)
+    for _ in range(max_iterations):
+        new = project(x, step.rho * gradient)
+        change = size((new - x) / step.rho)
+        if change <= TOLERANCE:
+            return x, None
+        if not change <= DIVERGED:
+            return x, "the iteration diverges" + step.warning()
+        x = new
+        gradient = evaluate(x)
+        record(x)
+    return x, f"a step still has size {change:.1e} after {max_iterations} iterations" + step.warning()

@@ -1,0 +1,92 @@
+"""Slimane's stabilised form, and the minimisation Uzawa iteration, each of whose steps has that form.
+
+Both minimise over the convex set Ṽ_h of fluxes with τ·n ≥ 0 on Γ_S, and their minimisers satisfy a unilateral mixed
+problem:
+
+    slimane            ½‖τ‖² + (1/2ε)‖∇·τ + f_h‖²,                      u = (1/ε)(∇·σ + f_h),
+    mixed-uzawa-wang   ½‖τ‖² + (u^(n−1), ∇·τ + f_h) + (ρ/2)‖∇·τ + f_h‖², u^(n) = u^(n−1) + ρ(∇·σ^(n) + f_h).
+
+Slimane's solution solves −Δu + εu = f: its mass balance is off by εu, which tends to 0 with ε. Uzawa's iteration for
+the augmented Lagrangian of (MVI)_h ends only where ∇·σ + f_h = 0. It converges for any ρ > 0, by the factor 1/(1 +
+ρλ_1) per step with λ_1 the smallest eigenvalue of the mixed Laplacian, whatever h. Without its last term each step
+would be a minimisation with the mass matrix alone, but the step in u would be bounded by O(h²).
+"""
+
+import math
+from dataclasses import replace
+
+import ufl
+from dolfinx import fem
+
+from forms.norms import l2
+from signorini_fenicsx.discrete.kkt import kkt_residuals
+from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
+from signorini_fenicsx.methods.classical.task import TOLERANCE, Task, nothing_yet
+from signorini_fenicsx.methods.loop import Outcome, Recorder, iterate_sets
+from signorini_fenicsx.methods.registry import ALGORITHMS
+
+
+def stabilised_form(task: Task) -> Outcome:
+    """Slimane's form by the active-set loop of Algorithm 1, with −ε(u, v) in the mass balance (collective).
+
+    Raises:
+        LinearSolveFailure: If the start cannot be solved.
+    """
+    spaces = task.spaces
+    system = SaddlePoint(spaces, task.data, stabilisation=task.eps)
+    outcome = iterate_sets(
+        system,
+        ALGORITHMS["slimane"],
+        rho=task.rho or 1.0,
+        eps=task.eps,
+        max_iterations=task.max_iterations,
+        on_step=task.on_step,
+    )
+    iterate = outcome.iterate
+    p, load = spaces.multiplier(iterate.p + task.data.psi_h), fem.Function(spaces.Q)
+    load.x.array[:] = task.data.f_h.x.array - task.eps * iterate.u.x.array
+    residual = max(vars(kkt_residuals(spaces, iterate.sigma, iterate.u, p, replace(task.data, f_h=load))).values())
+    return replace(outcome, own_residual=residual)
+
+
+def minimisation_uzawa(task: Task) -> Outcome:
+    """The Uzawa iteration in u for (MVI)_h, from u^(0) = 0 (collective).
+
+    Each minimisation starts from the facet sets of the one before, so that most of them are one back substitution. The
+    automatic ρ is |Ω|^(2/d), the square of a length like 1/λ_1.
+
+    Raises:
+        LinearSolveFailure: If a linear system cannot be solved.
+    """
+    spaces = task.spaces
+    length = spaces.length()
+    rho = task.rho or length**2
+    system = SaddlePoint(spaces, task.data, stabilisation=1 / rho)
+    iterate, conditions = nothing_yet(spaces)
+    recorder = Recorder(spaces, iterate, conditions, task.on_step)
+    failure: str | None = f"the mass balance does not hold after {task.max_iterations} iterations"
+    for _ in range(task.max_iterations):
+        inner = iterate_sets(
+            system, ALGORITHMS["alg1"], rho=1.0, eps=1.0, max_iterations=task.max_iterations, predicted=conditions
+        )
+        iterate, conditions = inner.iterate, inner.conditions
+        system.before.x.array[:] = iterate.u.x.array
+        recorder.add(iterate, conditions)
+        if not inner.converged:
+            failure = f"a minimisation did not end: {inner.reason}"
+            break
+        sigma_norm = math.sqrt(spaces.integrate(l2(iterate.sigma, ufl.dx)))
+        if recorder.steps[-1].u_change * length <= TOLERANCE * rho * sigma_norm:
+            failure = None
+            break
+    return Outcome(
+        iterate,
+        conditions,
+        recorder.steps,
+        failure or "the mass balance holds",
+        failure is None,
+        system.name,
+        system.dofs,
+        system.solver(),
+        details={"rho": rho, "rho_limit": math.inf},
+    )

@@ -1,0 +1,155 @@
+"""The penalty formulations (25) and (26) handed to PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import NonlinearProblem, assign
+from petsc4py import PETSc
+
+from forms.mixed import multiplier_residual, trace_term
+from forms.penalty import flux_penalty_law, trace_penalty_law
+from signorini_fenicsx.backends.contract import (
+    Iterate,
+    petsc_reason,
+    refuse_options,
+    set_direct,
+    solver_name,
+    take_options,
+)
+from signorini_fenicsx.base.signals import pass_on
+from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.methods.loop import Outcome, Recorder, Step
+from signorini_fenicsx.methods.registry import Penalty
+
+CONTINUATION = 10.0
+"""Factor between successive ε when the direct start fails."""
+
+
+class PenaltyNewton:
+    """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
+
+    SNES gets the laws free of 1/ε (see `forms.penalty`) with the derivative that UFL makes of them, for σ − σ_lift, u
+    and p − ψ. All its options are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type
+    newtontr, …
+    """
+
+    def __init__(self, spaces: Spaces, data: Data, penalty: Penalty, *, eps: float, max_iterations: int):
+        """Compile the forms and set up SNES (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self._spaces, self._data, self._penalty, self._eps = spaces, data, penalty, eps
+        V, Q, Lambda = spaces.V, spaces.Q, spaces.Lambda
+        self._fields = fem.Function(V, name="sigma"), fem.Function(Q, name="u"), fem.Function(Lambda, name="p")
+        sigma, u, p = self._fields
+        tau, v, q = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TestFunction(Lambda)
+        self._eps_now = fem.Constant(spaces.mesh, eps)
+        self._reset()
+        law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
+        flux_residual, balance = multiplier_residual(
+            sigma + data.sigma_lift, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h
+        )
+        residual = [
+            flux_residual - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds),
+            balance,
+            law(sigma, p, q, self._eps_now, spaces.n, spaces.ds),
+        ]
+        self._problem = NonlinearProblem(
+            residual,
+            list(self._fields),
+            kind="mpi",
+            bcs=[fem.dirichletbc(fem.Function(V), spaces.neumann_dofs)],
+            entity_maps=[spaces.entity_map],
+            petsc_options_prefix="signorini_",  # DOLFINx wants one and, given defaults, deletes the user's namesakes
+        )
+        self._snes = self._problem.solver
+        self._set_defaults(max_iterations)
+        self._snes.setOptionsPrefix("")
+        take_options(self._snes)
+
+    def _set_defaults(self, max_iterations: int) -> None:
+        """Full Newton steps with MUMPS until a step changes nothing: a small residual may belong to a wrong set."""
+        snes = self._snes
+        snes.setType("newtonls")
+        snes.getLineSearch().setType("basic")
+        snes.setTolerances(rtol=0.0, atol=0.0, stol=1e-12, max_it=max_iterations)
+        snes.setDivergenceTolerance(PETSc.UNLIMITED)
+        set_direct(snes.getKSP(), "lu")
+
+    def solve(self, on_step: Callable[[Step], None] = lambda step: None) -> Outcome:
+        """Solve, directly or, if that fails, by continuation in ε from 1 down (collective)."""
+        start = self._iterate()
+        recorder = Recorder(self._spaces, start, self._conditions(start), on_step)
+
+        def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
+            if iteration > 0:
+                assign(snes.getSolution(), list(self._fields))
+                iterate = self._iterate()
+                recorder.add(iterate, self._conditions(iterate))
+
+        failure = self._newton(self._eps, record)
+        remark = ""
+        if failure is not None and self._eps < 1:
+            remark = f", by continuation from ε = 1: the direct start ended with {failure}"
+            self._reset()
+            stages = int(np.ceil(-np.log(self._eps) / np.log(CONTINUATION)))
+            for exponent in range(stages + 1):
+                failure = self._newton(self._eps ** (exponent / stages), record)
+        self._snes.cancelMonitor()  # PETSc holds it and it holds this object: a cycle that Python cannot collect
+        iterate = self._iterate()
+        reason = (failure or "SNES changes nothing any more") + remark
+        solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
+        dofs = self._problem.x.getSize()
+        return Outcome(
+            iterate, self._conditions(iterate), recorder.steps, reason, failure is None, "mixed", dofs, solver
+        )
+
+    def _reset(self) -> None:
+        """The start: 0 or, without Γ_D, contact everywhere: the first linear problem must not be a Neumann problem."""
+        for field in self._fields:
+            field.x.array[:] = 0.0
+        if not self._spaces.has_dirichlet:
+            self._fields[2].x.array[:] = -1.0
+
+    def _newton(self, eps: float, record: Callable[[PETSc.SNES, int, float], None]) -> str | None:
+        """One run of SNES from the present fields; the reason of its failure, or None."""
+        self._eps_now.value[...] = eps
+        self._snes.cancelMonitor()
+        take_options(self._snes)  # cancelling removed the user's monitors as well
+        self._snes.setMonitor(record)
+        try:
+            self._problem.solve()
+        except PETSc.Error as error:
+            pass_on(error)
+            refuse_options(error)
+            return f"PETSc: {petsc_reason(error)}"
+        reason = self._snes.getConvergedReason()
+        return None if reason > 0 else f"SNES reason {reason} after {self._snes.getIterationNumber()} iterations"
+
+    def _iterate(self) -> Iterate:
+        """A copy of the present fields, the values that their facet conditions prescribe made exact."""
+        sigma, u, p = (field.copy() for field in self._fields)
+        sigma.x.scatter_forward()
+        u.x.scatter_forward()
+        size = len(self._spaces.facets)
+        trace = p.x.array[:size].astype(np.float64)
+        flux = self._spaces.normal_flux(sigma)
+        sigma.x.array[:] += self._data.sigma_lift.x.array
+        raw = Iterate(sigma, u, trace, flux, self._snes.getKSP().getIterationNumber())
+        p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux, self._data.stiffness)
+        return replace(raw, p=p_clean, flux=flux_clean)
+
+    def _conditions(self, iterate: Iterate) -> FacetConditions:
+        """The branch of min that each facet is on, as facet conditions."""
+        p, flux = self._penalty.shift(iterate.p, iterate.flux, self._eps)
+        if self._penalty is Penalty.TRACE:
+            kind = np.where(flux < p, Condition.NO_FLUX, Condition.ROBIN)
+        else:
+            kind = np.where(p < flux, Condition.ZERO_TRACE, Condition.ROBIN)
+        return FacetConditions(kind.astype(np.int8), self._penalty.beta(self._eps))

@@ -1,0 +1,1 @@
+"""What is written: checkpoints, fields, tables, pictures."""

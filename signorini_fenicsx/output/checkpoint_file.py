@@ -1,0 +1,223 @@
+"""The file of a checkpoint, read without trusting it: nothing of it reaches DOLFINx that could not have been written.
+
+All of this runs on rank 0.
+"""
+
+import tokenize
+import warnings
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import Case, complaint
+from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.meshes.checks import Contents, check_boundary, checked
+from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.methods.loop import Step
+
+type Arrays = dict[str, npt.NDArray]
+
+UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
+"""What NumPy and zipfile raise of a damaged file; with a warning, NumPy reads what it never wrote."""
+
+LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
+    "points": (np.float64, "points", "dim"),
+    "cells": (np.int64, "cells", "corners"),
+    "u": (np.float64, "cells"),
+    "sigma": (np.float64, "cells", "dim"),
+    "divergence": (np.float64, "cells"),
+    "facet_part": (np.int64, "facets"),
+    "facet_x": (np.float64, "facets", "space"),
+    "facet_along": (np.float64, "facets"),
+    "facet_measure": (np.float64, "facets"),
+    "facet_u": (np.float64, "facets"),
+    "facet_p": (np.float64, "facets"),
+    "facet_flux": (np.float64, "facets"),
+    "facet_condition": (np.int64, "facets"),
+    "facet_vertices": (np.int64, "facets", "dim"),
+}
+"""Type and shape of the arrays that each file holds; a word stands for the same number everywhere."""
+VALUES = ("u", "sigma", "divergence", "facet_u", "facet_p", "facet_flux")
+"""Those that need not be finite if the run has failed."""
+SIMPLICES = {1: "line", 2: "triangle", 3: "tetra"}
+
+
+class About(BaseModel):
+    """What a file says besides its arrays; see `Solution` for what has the same name there.
+
+    Attributes:
+        name: Name of the case.
+        case: The case, as its file has it.
+        part_names: Boundary parts of Γ_S.
+        parts: For each boundary part the label of the coordinate along it.
+        regions: Names of the regions.
+        bend: See `Domain`.
+        history: One step per iteration.
+        beta: β of the ROBIN facets.
+        kkt: The KKT residuals when it was written; files of version 0.1 do not have them.
+    """
+
+    model_config = ConfigDict(strict=True)
+
+    name: str
+    case: dict[str, Any]
+    part_names: list[str]
+    parts: dict[str, str]
+    regions: list[str]
+    bend: FiniteFloat = Field(ge=0)
+    history: list[Step]
+    beta: FiniteFloat = Field(gt=0)
+    kkt: dict[str, float] | None = None
+    reason: str
+    converged: bool
+    backend: str
+    dofs: NonNegativeInt
+    linear_solver: str
+    own_residual: float | None = None
+    details: dict[str, float] = {}
+    rough_steps: int
+    timings: dict[str, float]
+    peak_memory: int
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A file that has passed all checks but that of its residuals.
+
+    Attributes:
+        about: What it says.
+        case: Its case.
+        arrays: Its arrays, see `LAYOUT`; also `part_0` … with the facets of each boundary part, shape (facets, dim),
+            and `inside`, shape (cells, regions), if there are regions.
+    """
+
+    about: About
+    case: Case
+    arrays: Arrays
+
+    @property
+    def dim(self) -> int:
+        """Dimension, 2 or 3."""
+        return int(self.arrays["points"].shape[1])
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Read a file and check all that can be checked without solving.
+
+    Raises:
+        InputError: If there is none, or it could not have been written by this program.
+    """
+    try:
+        if not path.is_file():
+            raise InputError(f"{path.parent}: holds no {path.name}, so no solution to start from")
+        arrays = _read(path)
+        about = About.model_validate_json(str(arrays.pop("about", "")))
+        case = _case(about)
+        _check_layout(about, case, arrays)
+        _check_mesh(about, case, arrays)
+        return Checkpoint(about, case, arrays)
+    except ValidationError as error:
+        raise InputError(f"{path}: not a readable solution ({complaint(error, About)})") from None
+    except InputError as error:
+        raise error if str(path.parent) in str(error) else InputError(f"{path}: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    except UNREADABLE as error:
+        raise InputError(f"{path}: not a readable solution ({error})") from None
+
+
+def _read(path: Path) -> Arrays:
+    """All arrays of a file; what it says of their sizes is compared with its own before memory is taken."""
+    with zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="error"):
+        entries = archive.infolist()
+        if any(entry.flag_bits & 1 or entry.compress_type != zipfile.ZIP_STORED for entry in entries):
+            raise InputError("not a readable solution (it is compressed or encrypted, as this program never does)")
+        if sum(entry.file_size for entry in entries) > path.stat().st_size:
+            raise InputError("not a readable solution (it says that it holds more than it does)")
+        return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray:
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in header:
+            raise InputError(f"not a readable solution ({entry.filename} is not an array)")
+        shape, _, kind = header[version](file)
+        count = 1
+        for length in shape:
+            count *= length
+        if kind.hasobject or min(shape, default=0) < 0 or count * kind.itemsize != entry.file_size - file.tell():
+            raise InputError(f"not a readable solution ({entry.filename} does not have the size that it says)")
+        file.seek(0)
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def _case(about: About) -> Case:
+    try:
+        return Case.model_validate(about.case | {"name": about.name})
+    except ValidationError:
+        raise InputError("its case is from another version, or its data were given in Python") from None
+
+
+def _check_layout(about: About, case: Case, arrays: Arrays) -> None:
+    """Types, shapes and numbers that must be finite, or among the known ones."""
+    layout = LAYOUT | {
+        f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
+    }
+    if about.regions:
+        layout["inside"] = (np.bool_, "cells", "regions")
+    missing = [name for name in layout if name not in arrays]
+    if missing:
+        raise InputError(f"not a readable solution (it holds no {missing[0]})")
+    points = arrays["points"]
+    dim = points.shape[-1] if points.shape[-1:] in ((2,), (3,)) else 0
+    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions)}
+    for name, (kind, *words) in layout.items():
+        array = arrays[name]
+        lengths = [sizes.setdefault(word, size) for word, size in zip(words, array.shape, strict=False)]
+        if dim == 0 or array.dtype != kind or list(array.shape) != lengths or len(words) != array.ndim:
+            raise InputError(f"not a readable solution ({name} has type {array.dtype} and shape {array.shape})")
+        if kind is np.float64 and not (np.isfinite(array).all() or (name in VALUES and not about.converged)):
+            raise InputError(f"is damaged: {name} is not finite everywhere")
+    if not np.isin(arrays["facet_condition"], list(Condition)).all():
+        raise InputError("is damaged: facet_condition holds what is no condition")
+    if not np.isin(arrays["facet_part"], range(len(about.part_names))).all():
+        raise InputError("is damaged: facet_part holds what is no part")
+    if case.geometry.shape is not None and SHAPES[case.geometry.shape].dim != dim:
+        raise InputError(f"is damaged: its mesh has dimension {dim}, which '{case.geometry.name}' has not")
+    case.check_dimension(dim)
+
+
+def _check_mesh(about: About, case: Case, arrays: Arrays) -> None:
+    """The mesh as that of any file; Γ_S must be the facets that have values."""
+    dim = arrays["points"].shape[1]
+    if case.geometry.shape is None:
+        known = set(about.parts.values()) <= set(AXES[:dim])
+    else:
+        known = list(about.parts) == list(SHAPES[case.geometry.shape].parts)
+    if not known:
+        raise InputError(f"is damaged: its boundary parts are not those of '{case.geometry.name}'")
+    if about.part_names != case.boundary.signorini:
+        raise InputError("is damaged: its parts of Γ_S are not those of its case")
+    facets = [arrays[f"part_{index}"] for index in range(len(about.parts))]
+    kinds = [(SIMPLICES[dim], arrays["cells"]), *((SIMPLICES[dim - 1], rows) for rows in facets)]
+    groups = [(name, dim - 1, [(k, np.arange(len(facets[k - 1])))]) for k, name in enumerate(about.parts, 1)]
+    try:
+        mesh = checked(Contents(arrays["points"], kinds, groups))
+        check_boundary(mesh, case.boundary.model_dump(exclude_none=True))
+    except InputError as error:
+        raise InputError(f"is damaged: its mesh: {error}") from None
+    if len(mesh.points) != len(arrays["points"]):
+        raise InputError("is damaged: its mesh has points without cells")
+    gamma = np.unique(np.concatenate([mesh.parts[name] for name in about.part_names]), axis=0)
+    vertices = arrays["facet_vertices"]
+    if len(vertices) != len(gamma) or not np.array_equal(np.unique(vertices, axis=0), gamma):
+        raise InputError("is damaged: its facets with values are not those of Γ_S")

@@ -1,0 +1,91 @@
+"""Pictures of a solution, from gathered arrays on rank 0. Only those in space need VTK."""
+
+import math
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
+from signorini_fenicsx.output.pictures import plane_files, style
+from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
+from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.solving.solution import Solution
+
+__all__ = ["draw_all", "draw_bounds", "draw_errors", "draw_mesh", "scene_of", "write_page"]
+
+
+def scene_of(
+    solution: Solution,
+    fields: Fields,
+    facets: FacetTable,
+    boundary: Boundary,
+    regions: npt.NDArray[np.bool_] | None = None,
+    certificate: Certificate | None = None,
+) -> Scene:
+    """What pictures need of a solution and its gathered arrays (rank 0)."""
+    spaces, case = solution.spaces, solution.case
+    return Scene(
+        title=case.title or case.name,
+        caption=caption(solution, len(fields.cells), certificate),
+        fields=fields,
+        facets=facets,
+        boundary=boundary,
+        regions=regions,
+        labels={name: spaces.domain.parts[name].label for name in spaces.part_names},
+        contact=solution.algorithm.contact,
+        history=solution.history,
+    )
+
+
+def caption(solution: Solution, cells: int, certificate: Certificate | None) -> str:
+    """Algorithm, h, ε, cells and the certified error, in mathematical type."""
+    solve, h = solution.case.solve, solution.spaces.domain.h
+    asked = solution.case.geometry.shape is not None and solve.h / 2 < h <= solve.h * (1 + 1e-12)
+    words = [method(solution), rf"$h = {style.power(solve.h if asked else h)}$"]
+    if solution.algorithm.has_eps:
+        words.append(rf"$\varepsilon = {style.power(solve.eps)}$")
+    words.append(f"{cells} cells")
+    if certificate is not None and math.isfinite(certificate.bound):
+        words.append(
+            rf"certified energy error $\leq {style.power(certificate.bound)}$ "
+            rf"({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)"
+        )
+    return ", ".join(words)
+
+
+def method(solution: Solution) -> str:
+    """The title of its algorithm, in mathematical type."""
+    return solution.algorithm.title.replace("_h", "$_h$")
+
+
+@mpl.rc_context(style.STYLE)
+def draw_all(folder: Path, scene: Scene) -> None:
+    """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and, with one, `certificate.png`."""
+    if scene.dim == 2:
+        plane_files.draw_files(folder, scene)
+    else:
+        from signorini_fenicsx.output.pictures import space_files  # takes VTK
+
+        space_files.draw_files(folder, scene)
+    draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
+
+
+def write_page(path: Path, scene: Scene) -> None:
+    """Write pictures that can be turned with the mouse, in one file for a browser (rank 0)."""
+    from signorini_fenicsx.output.pictures import page  # takes Plotly
+
+    page.write_page(path, scene)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_mesh(path: Path, scene: Scene) -> None:
+    """Draw the mesh with Γ_S, in contact and not in contact, in colours (rank 0)."""
+    if scene.dim == 2:
+        plane_files.draw_mesh_file(path, scene)
+    else:
+        from signorini_fenicsx.output.pictures import space_files
+
+        space_files.draw_mesh_file(path, scene)

@@ -1,0 +1,87 @@
+"""Curves over iterations, mesh sizes, ε and unknowns."""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from signorini_fenicsx.certificate.adaptive import AdaptRow
+from signorini_fenicsx.comparing.convergence import ErrorRow, Vary
+from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.output.pictures import style
+
+FEW = 25
+"""Up to this many points have markers."""
+
+ERROR_LABELS = {
+    "sigma_V": r"$\|\sigma_{\mathrm{ref}}-\sigma_h\|_V$",
+    "u_Q": r"$\|u_{\mathrm{ref}}-u_h\|_Q$",
+    "p_Lambda": r"$\|p_{\mathrm{ref}}-p_h\|_\Lambda$",
+    "p_half": r"$\|p_{\mathrm{ref}}-p_h\|_{1/2}$",
+    "flux_scaled": r"$\sqrt{\varepsilon}\,\|(\sigma_{\mathrm{ref}}-\sigma_h)\cdot n\|_\Lambda$",
+}
+
+
+def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
+    """The iteration errors ‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q on a logarithmic scale."""
+    n = np.array([step.iteration - 1 for step in history])
+    few = len(n) <= FEW
+    for key, label, look in (
+        ("sigma_change", r"$\|\sigma_h^{(n+1)}-\sigma_h^{(n)}\|_V$", "o-" if few else "-"),
+        ("u_change", r"$\|u_h^{(n+1)}-u_h^{(n)}\|_Q$", "s--" if few else "--"),
+    ):
+        values = np.array([getattr(step, key) for step in history])
+        positive = values > 0  # a repeated set changes nothing, and 0 has no logarithm
+        axes.semilogy(n[positive], values[positive], look, label=label, markersize=4)
+    axes.set(xlabel="$n$", title=title)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+@mpl.rc_context(style.STYLE)
+def draw_iterations(path: Path, history: list[Step], title: str) -> None:
+    """Draw the iteration errors into a file (rank 0)."""
+    figure = Figure(figsize=(4.8, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    draw_steps(axes, history, title)
+    style.legend_below(figure, axes.get_legend_handles_labels()[0])
+    style.save(figure, path)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> None:
+    """Draw errors over h or ε on logarithmic axes, with the slides' and lines of slope 1 and ½ (rank 0)."""
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    base = 10 if vary is Vary.EPS else 2
+    x = np.array([float(base) ** -row.level for row in rows])
+    for index, (name, label) in enumerate(ERROR_LABELS.items()):
+        for key, look, suffix in ((name, "o-", ""), (f"slides_{name}", "x:", ", slides")):
+            values = [getattr(row, key, None) or np.nan for row in rows]
+            if not np.all(np.isnan(values)):
+                axes.loglog(x, values, look, color=f"C{index}", label=label + suffix, markersize=5)
+    for slope, look in ((1.0, "k--"), (0.5, "k:")):
+        axes.loglog(x, rows[0].sigma_V * 0.5 * (x / x[0]) ** slope, look, linewidth=0.8, label=f"slope {slope:g}")
+    axes.set_xscale("log", base=base)
+    axes.set(xlabel=r"$\varepsilon$" if vary is Vary.EPS else "$h$", ylabel="error", title=title)
+    figure.legend(loc="outside right center")
+    style.save(figure, path)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_bounds(path: Path, rows: list[AdaptRow], dim: int, title: str) -> None:
+    """Draw the certified error over the unknowns, with a line of the best possible slope −1/d (rank 0)."""
+    figure = Figure(figsize=(5.6, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    for refinement, look in (("adaptive", "o-"), ("uniform", "s--")):
+        chosen = [row for row in rows if row.refinement == refinement]
+        if chosen:
+            x, bounds = [row.unknowns for row in chosen], [row.bound for row in chosen]
+            axes.loglog(x, bounds, look, label=refinement, markersize=4)
+    ends = np.array([rows[0].unknowns, max(row.unknowns for row in rows)])
+    axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** (-1 / dim), "k:", label=f"slope $-1/{dim}$")
+    axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
+    style.legend_below(figure, axes.get_legend_handles_labels()[0])
+    style.save(figure, path)

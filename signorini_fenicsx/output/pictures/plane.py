@@ -1,0 +1,200 @@
+"""Maps of a solution in the plane: u_h, σ_h, the certificate, the mesh. Each draws into axes that it is given."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.ticker import MaxNLocator
+from matplotlib.tri import Triangulation
+
+from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
+from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
+from signorini_fenicsx.output.pictures.streams import streamlines
+from signorini_fenicsx.output.pictures.water import Water
+
+type Array = npt.NDArray[np.float64]
+
+MOST_TRIANGLES = 30_000
+"""Of a map: one is then a few pixels large."""
+MOST_FACES = 4_000
+"""Of a surface in perspective, which Matplotlib sorts and paints one by one."""
+WIDE = 1.8
+"""A domain this much wider than high gets panels below each other, and no surface."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The maps of a solution in the plane."""
+
+    scene: Scene
+
+    @cached_property
+    def box(self) -> Array:
+        """Smallest and largest coordinates, shape (2, 2)."""
+        return _box(self.scene.fields.points)
+
+    @property
+    def aspect(self) -> float:
+        """Width over height."""
+        width, height = np.ptp(self.box, axis=0)
+        return float(width / height)
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is much wider than high."""
+        return self.aspect > WIDE
+
+    @cached_property
+    def water(self) -> Water | None:
+        """The water of a seepage problem, None in others."""
+        return Water.of(self.scene)
+
+    @cached_property
+    def triangulation(self) -> tuple[Triangulation, npt.NDArray[np.int64]]:
+        """What is painted, and the cells that it is made of."""
+        fields = self.scene.fields
+        triangles, rows = thinned(fields.points, fields.cells, MOST_TRIANGLES)
+        return Triangulation(*fields.points.T, triangles), rows
+
+    @cached_property
+    def streams(self) -> tuple[list[Array], Array]:
+        """Streamlines of σ_h and their arrow heads."""
+        return streamlines(self.scene.fields)
+
+    @cached_property
+    def outline(self) -> Outline:
+        """The domain as one path, with its holes."""
+        points = self.scene.fields.points
+        loops = [points[vertices] for _, vertices in chains(self.scene.boundary.vertices)]
+        outlines = [Outline(loop) for loop in loops]
+        paths = []
+        for loop in loops:
+            hole = sum(other.contains_point(loop[:2].mean(axis=0)) for other in outlines if other.vertices is not loop)
+            area = np.sum(loop[:-1, 0] * loop[1:, 1] - loop[1:, 0] * loop[:-1, 1])
+            forwards = (area > 0) == (hole % 2 == 0)
+            codes = [Outline.MOVETO, *[Outline.LINETO] * (len(loop) - 2), Outline.CLOSEPOLY]
+            paths.append(Outline(loop if forwards else loop[::-1], codes))
+        return Outline.make_compound_path(*paths)
+
+    def draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h as a map with contour lines."""
+        scene = self.scene
+        triangulation, _ = self.triangulation
+        values = -scene.u if self.water else scene.u
+        image = axes.tripcolor(triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
+        levels = MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
+        lines = axes.tricontour(triangulation, values, levels, colors="white", linewidths=0.6, alpha=0.8)
+        bar = style.colour_bar(figure, axes, image, "$H = -u_h$" if self.water else "$u_h$")
+        bar.add_lines(lines)
+        self._surroundings(axes, title)
+
+    def draw_surface(self, axes: Axes, title: str) -> None:
+        """u_h as a surface over the domain, seen from the side of Γ_S."""
+        scene = self.scene
+        points = scene.fields.points
+        triangles, _ = thinned(points, scene.fields.cells, MOST_FACES)
+        axes.plot_trisurf(
+            *points.T, scene.u, triangles=triangles, cmap=style.U_MAP, linewidth=0, antialiased=False, rasterized=True
+        )
+        for chosen, color in ((scene.touching, style.CONTACT), (~scene.touching, style.FREE)):
+            for _, vertices in chains(scene.facets.vertices[chosen]):
+                axes.plot(*points[vertices].T, scene.u[vertices], color=color, linewidth=2, zorder=10)
+        side = np.average(scene.facets.x[:, :2], axis=0, weights=scene.facets.measure) - points.mean(axis=0)
+        far = np.linalg.norm(side) > 0.1 * np.ptp(self.box, axis=0).max()
+        azimuth = np.degrees(np.arctan2(side[1], side[0])) if far else -90.0
+        axes.view_init(elev=28, azim=azimuth + 30)
+        axes.set(xlabel="$x$", ylabel="$y$", title=title)
+        axes.set_box_aspect((*np.ptp(self.box, axis=0) / np.ptp(self.box, axis=0).max(), 0.55), zoom=1.1)
+        axes.locator_params(nbins=4)
+
+    def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """Streamlines of σ_h on |σ_h|."""
+        scene = self.scene
+        triangulation, _ = self.triangulation
+        low, high, extend = style.limits(scene.sigma_norm, scene.measure)
+        norm = np.linalg.norm(scene.sigma, axis=1)
+        image = axes.tripcolor(
+            triangulation, norm, cmap=style.FLUX_MAP, vmin=low, vmax=high, shading="gouraud", rasterized=True
+        )
+        style.colour_bar(figure, axes, image, r"$|\sigma_h|$", extend)
+        lines, heads = self.streams
+        clip = PathPatch(self.outline, transform=axes.transData)
+        for drawn in (LineCollection(lines, colors="white", linewidths=0.7), PolyCollection(heads, facecolors="white")):
+            axes.add_collection(drawn, autolim=False)
+            drawn.set_clip_path(clip)
+        self._surroundings(axes, title)
+
+    def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """η_T, what each cell contributes to the certified error, on a logarithmic scale."""
+        indicator = self.scene.fields.indicator
+        assert indicator is not None
+        triangulation, rows = self.triangulation
+        norm = log_norm(indicator)
+        image = axes.tripcolor(
+            triangulation, np.maximum(indicator[rows], norm.vmin), norm=norm, cmap=style.ERROR_MAP, rasterized=True
+        )
+        style.colour_bar(figure, axes, image, r"$\eta_T$")
+        self._surroundings(axes, title)
+
+    def draw_mesh(self, axes: Axes) -> None:
+        """The mesh."""
+        fields = self.scene.fields
+        axes.triplot(Triangulation(*fields.points.T, fields.cells), color="0.55", linewidth=0.3)
+        self._surroundings(axes, f"{len(fields.cells)} cells")
+
+    def handles(self) -> list:
+        """What the legend of a map lists."""
+        scene = self.scene
+        kinds = set(scene.boundary.kind.tolist())
+        contact = r"$\Gamma_S$, contact" + (" (seepage face)" if self.water else "")
+        listed = [
+            (scene.touching.any(), contact, {"color": style.CONTACT, "linewidth": 3}),
+            (not scene.touching.all(), r"$\Gamma_S$, no contact", {"color": style.FREE, "linewidth": 3}),
+            (DIRICHLET in kinds, r"$\Gamma_D$", {"color": "black", "linewidth": 1.2}),
+            (NEUMANN in kinds, r"$\Gamma_N$", {"color": "black", "linewidth": 1.2, "linestyle": ":"}),
+            (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
+        ]
+        handles = [Line2D([], [], label=label, **look) for there, label, look in listed if there]
+        return handles + ([] if self.water is None else self.water.handles())
+
+    def _surroundings(self, axes: Axes, title: str) -> None:
+        """Boundary, regions and water, the same on all maps."""
+        scene = self.scene
+        points = scene.fields.points
+        if self.water is not None:
+            self.water.draw(axes)
+        inner = LineCollection(points[scene.interfaces()], colors="black", linewidths=0.8, linestyles="--")
+        axes.add_collection(inner)
+        for kind, look in ((DIRICHLET, "-"), (NEUMANN, ":")):
+            for _, vertices in chains(scene.boundary.vertices[scene.boundary.kind == kind]):
+                axes.plot(*points[vertices].T, color="black", linewidth=1.2, linestyle=look, clip_on=False)
+        edge = [patheffects.Stroke(linewidth=4.5, foreground="black"), patheffects.Normal()]
+        for chosen, color in ((~scene.touching, style.FREE), (scene.touching, style.CONTACT)):
+            for _, vertices in chains(scene.facets.vertices[chosen]):
+                line = axes.plot(*points[vertices].T, color=color, linewidth=3, clip_on=False, zorder=5)[0]
+                line.set(solid_capstyle="butt", path_effects=edge)
+        style.shape_axes(axes, title)
+        pools = [] if self.water is None else self.water.pools
+        low, high = _box(np.concatenate([points, *pools]))
+        room = 0.02 * (high - low).max()
+        axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+
+
+def log_norm(indicator: Array) -> LogNorm:
+    """Four decades below the largest η_T."""
+    largest = max(float(indicator.max()), 1e-300)
+    return LogNorm(max(float(indicator.min()), 1e-4 * largest), largest)
+
+
+def _box(points: Array) -> Array:
+    return np.stack([points.min(axis=0), points.max(axis=0)])

@@ -1,0 +1,177 @@
+"""What there is to draw: gathered arrays of one solution on rank 0, and what pictures make of them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
+
+type Array = npt.NDArray[np.float64]
+type Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A solution as pictures take it (rank 0).
+
+    Attributes:
+        title: What was solved.
+        caption: How, in mathematical type.
+        fields: Mesh and cell values.
+        facets: Γ_S.
+        boundary: The whole boundary.
+        regions: Which cells are in which region, shape (cells, regions), or None.
+        labels: Name of the coordinate along each part of Γ_S, by the name of the part.
+        contact: Condition of the facets in contact.
+        history: Steps of the algorithm.
+    """
+
+    title: str
+    caption: str
+    fields: Fields
+    facets: FacetTable
+    boundary: Boundary
+    regions: npt.NDArray[np.bool_] | None
+    labels: dict[str, str]
+    contact: Condition
+    history: list[Step]
+
+    @property
+    def dim(self) -> int:
+        """2 or 3."""
+        return int(self.fields.points.shape[1])
+
+    @property
+    def touching(self) -> npt.NDArray[np.bool_]:
+        """Which facets of Γ_S are in contact."""
+        return self.facets.condition == self.contact
+
+    @cached_property
+    def measure(self) -> Array:
+        """|T|."""
+        corners = self.fields.points[self.fields.cells]
+        edges = corners[:, 1:] - corners[:, :1]
+        return np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
+
+    @cached_property
+    def u(self) -> Array:
+        """u_h at the vertices: p_h on Γ_S, u_D on Γ_D, elsewhere the mean over the cells around."""
+        inner = self.at_vertices(self.fields.u)
+        known = np.isfinite(self.boundary.u)
+        vertices = self.boundary.vertices[known].ravel()
+        count = np.bincount(vertices, minlength=len(inner))
+        total = np.bincount(vertices, np.repeat(self.boundary.u[known], self.dim), minlength=len(inner))
+        return np.where(count > 0, total / np.maximum(count, 1), inner)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """σ_h at the vertices, the mean over the cells around, shape (points, dim)."""
+        return np.column_stack([self.at_vertices(component) for component in self.fields.sigma.T])
+
+    @cached_property
+    def sigma_norm(self) -> Array:
+        """|σ_h| per cell, at its centroid."""
+        return np.linalg.norm(self.fields.sigma, axis=1)
+
+    def at_vertices(self, values: Array) -> Array:
+        """The mean over the cells around each vertex."""
+        vertices = self.fields.cells.ravel()
+        count = np.bincount(vertices, minlength=len(self.fields.points))
+        total = np.bincount(vertices, np.repeat(values, self.dim + 1), minlength=len(self.fields.points))
+        return total / np.maximum(count, 1)
+
+    def interfaces(self) -> Indices:
+        """Edges between cells of different regions, in the plane: shape (edges, 2)."""
+        if self.regions is None or self.regions.shape[1] < 2:
+            return np.empty((0, 2), dtype=np.int64)
+        cells = self.fields.cells
+        edges = np.sort(np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
+        _, region = np.unique(self.regions, axis=0, return_inverse=True)
+        both = np.column_stack([edges, np.tile(region.ravel(), 3)])
+        different = np.unique(both, axis=0)[:, :2]
+        found, times = np.unique(different, axis=0, return_counts=True)
+        return found[times == 2]
+
+
+def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indices]:
+    """Fewer triangles with the same corners and edges, for pictures of large meshes.
+
+    All vertices within a box of a grid become one of them: the one that sticks out most from its neighbours, so that a
+    boundary stays where it is.
+
+    Returns:
+        Triangles, and the rows they were in.
+    """
+    rows = np.arange(len(triangles))
+    if len(triangles) <= most:
+        return triangles, rows
+    corners = np.zeros((len(triangles), 3, 3))
+    corners[:, :, : points.shape[1]] = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.sqrt(np.linalg.norm(normals, axis=1).sum() / most)  # twice the area, two triangles a box
+    box = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    _, box_of = np.unique(box, axis=0, return_inverse=True)
+    box_of = box_of.ravel()
+    vertices, others = triangles.ravel(), np.roll(triangles, 1, axis=1).ravel()
+    count = np.maximum(np.bincount(vertices, minlength=len(points)), 1)
+    offsets = [np.bincount(vertices, x[others] - x[vertices], minlength=len(points)) / count for x in points.T]
+    order = np.lexsort((np.linalg.norm(offsets, axis=0), box_of))
+    last = np.append(np.diff(box_of[order]) > 0, True)
+    chosen = order[last][box_of]
+    moved = chosen[triangles]
+    kept = (moved[:, 0] != moved[:, 1]) & (moved[:, 1] != moved[:, 2]) & (moved[:, 2] != moved[:, 0])
+    return moved[kept], rows[kept]
+
+
+def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
+    """Edges joined end to end.
+
+    Args:
+        edges: Vertices of each, shape (edges, 2).
+
+    Returns:
+        For each chain the rows of its edges, and its vertices in order, one more than edges; a closed chain ends with
+        its first vertex.
+    """
+    around: dict[int, list[int]] = {}
+    for row, ends in enumerate(edges.tolist()):
+        for vertex in ends:
+            around.setdefault(vertex, []).append(row)
+    left = set(range(len(edges)))
+    ends_of = edges.tolist()
+    starts = [row for row, (a, b) in enumerate(ends_of) if len(around[a]) == 1 or len(around[b]) == 1]
+    found = []
+    for row in [*starts, *range(len(edges))]:
+        if row not in left:
+            continue
+        a, b = ends_of[row]
+        vertices, rows = ([b, a] if len(around[b]) == 1 else [a, b]), [row]
+        left.discard(row)
+        while (following := next((r for r in around[vertices[-1]] if r in left), None)) is not None:
+            left.discard(following)
+            rows.append(following)
+            a, b = ends_of[following]
+            vertices.append(a if b == vertices[-1] else b)
+        found.append((np.array(rows), np.array(vertices)))
+    return found
+
+
+def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:
+    """Edges at which triangles end or meet at more than this angle, shape (edges, 2); how they turn does not matter."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]]), axis=1)
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    order = np.lexsort(edges.T)
+    first, second = order[:-1], order[1:]
+    pair = np.all(edges[first] == edges[second], axis=1)
+    cosine = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1))
+    flat = cosine >= np.cos(np.radians(angle))
+    inner = np.zeros(len(edges), dtype=bool)
+    inner[first] |= pair & flat
+    inner[second] |= pair & flat
+    return np.unique(edges[~inner], axis=0)

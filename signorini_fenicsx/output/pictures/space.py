@@ -1,0 +1,323 @@
+"""Views of a solution in space: VTK renders surfaces without any text, Matplotlib adds titles, axes and colour bars."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyvista
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+
+from signorini_fenicsx.discrete.spaces import SIGNORINI
+from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.plane import log_norm
+from signorini_fenicsx.output.pictures.rendering import cropped, offscreen, screen, triad
+from signorini_fenicsx.output.pictures.scene import Scene, creases
+
+type Array = npt.NDArray[np.float64]
+
+PIXELS = 700
+STREAMLINES = 70
+EDGES_UP_TO = 6_000
+"""Triangles of Γ_S whose edges can be told apart."""
+USUAL_VIEW = np.array([1.0, -1.6, 0.9])
+VIEWS = [
+    np.array([np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)])
+    for up in np.radians([25, -25, 50, -50])
+    for turn in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
+]
+"""Directions from which one may look, the usual ones first."""
+HALVES = ("half", "sigma", "certificate")
+"""Views of half of the domain."""
+SAME = 0.92
+"""A view that shows this part of all that can be seen is enough."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """The views of a solution in space.
+
+    Attributes:
+        scene: The solution.
+        rendered: Images by what they show and from where.
+    """
+
+    scene: Scene
+    rendered: dict[tuple[str, tuple[float, ...]], npt.NDArray[np.uint8]] = field(default_factory=dict)
+
+    @cached_property
+    def grid(self) -> pyvista.UnstructuredGrid:
+        """The mesh with u_h and σ_h at its vertices."""
+        scene = self.scene
+        grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: scene.fields.cells}, scene.fields.points)
+        grid.cell_data["cell"] = np.arange(len(scene.fields.cells))
+        grid.point_data["u"] = scene.u
+        grid.point_data["sigma"] = scene.sigma
+        grid.point_data["sigma_norm"] = np.linalg.norm(scene.sigma, axis=1)
+        return grid
+
+    @cached_property
+    def extent(self) -> float:
+        """The longest side of the domain."""
+        return float(np.ptp(self.scene.fields.points, axis=0).max())
+
+    @cached_property
+    def hull(self) -> pyvista.PolyData:
+        """The boundary without Γ_S."""
+        return self._triangles(self.scene.boundary.vertices[self.scene.boundary.kind != SIGNORINI])
+
+    @cached_property
+    def gamma(self) -> pyvista.PolyData:
+        """The triangles of Γ_S."""
+        return self._triangles(self.scene.facets.vertices)
+
+    @cached_property
+    def frame(self) -> pyvista.PolyData:
+        """The edges of the domain."""
+        return _lines(self.scene.fields.points, creases(self.scene.fields.points, self.scene.boundary.vertices))
+
+    @cached_property
+    def rim(self) -> pyvista.PolyData:
+        """The rim of the contact set."""
+        touching = self.scene.facets.vertices[self.scene.touching]
+        return _lines(self.scene.fields.points, creases(self.scene.fields.points, touching, angle=180))
+
+    @cached_property
+    def views(self) -> list[Array]:
+        """One direction from which Γ_S is seen, or two if one hides a part of it."""
+        seen = np.array([self._seen(view) for view in VIEWS])
+        possible = seen.max(axis=0).sum()
+        preferred = 1 + 0.02 * np.array([view @ USUAL_VIEW / np.linalg.norm(USUAL_VIEW) for view in VIEWS])
+        first = int(np.argmax(seen.sum(axis=1) * preferred))
+        more = np.maximum(seen - seen[first], 0).sum(axis=1)
+        if more.max() < (1 - SAME) * possible:
+            return [VIEWS[first]]
+        return [VIEWS[first], VIEWS[int(np.argmax(more * preferred))]]
+
+    def slices(self) -> pyvista.PolyData:
+        """Three cuts through the middle, at right angles."""
+        return self.grid.slice_orthogonal().combine().extract_surface(algorithm=None)
+
+    def half(self, *, whole_cells: bool = False) -> pyvista.PolyData:
+        """The surface of the half of the domain behind its middle, seen from where Γ_S is seen best."""
+        return self._behind(self.grid, crinkle=whole_cells).extract_surface(algorithm=None)
+
+    def _behind(self, data: pyvista.DataSet, **options: Any) -> pyvista.DataSet:
+        axis = int(np.argmax(np.abs(self.views[0][:2])))
+        normal = np.zeros(3)
+        normal[axis] = np.sign(self.views[0][axis])
+        return data.clip(normal, origin=self.grid.center, **options) if data.n_cells else data
+
+    @cached_property
+    def streamlines(self) -> pyvista.PolyData:
+        """Streamlines of σ_h through points spread over the domain."""
+        measure = np.cumsum(self.scene.measure)
+        share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
+        cells = np.searchsorted(measure, share * measure[-1])
+        seeds = pyvista.PolyData(self.scene.fields.points[self.scene.fields.cells[cells]].mean(axis=1))
+        return self.grid.streamlines_from_source(
+            seeds, vectors="sigma", max_length=2 * self.extent, initial_step_length=0.5, max_steps=400
+        )
+
+    def draw_half(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h on half of the domain, with contour lines."""
+        self._draw_u(figure, axes, title, "half", self.half())
+
+    def draw_cuts(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """u_h on three cuts, with contour lines."""
+        self._draw_u(figure, axes, title, "cuts", self.slices())
+
+    def _draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
+        low, high = float(self.scene.u.min()), float(self.scene.u.max())
+        lines = surface.contour(np.linspace(low, high, 12)[1:-1], scalars="u")
+
+        def build(plotter: pyvista.Plotter) -> None:
+            _add_colours(plotter, surface, "u", style.U_MAP, (low, high))
+            if lines.n_points:
+                self._add_lines(plotter, lines, self.views[0], "white", 1.5)
+
+        self._show(axes, title, key, build, self.views[0])
+        _bar(figure, axes, Normalize(low, high), style.U_MAP, "$u_h$")
+
+    def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """|σ_h| on half of the domain."""
+        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
+        half = self.half()
+
+        def build(plotter: pyvista.Plotter) -> None:
+            _add_colours(plotter, half, "sigma_norm", style.FLUX_MAP, (low, high))
+
+        self._show(axes, title, "sigma", build, self.views[0])
+        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
+
+    def draw_streamlines(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """Streamlines of σ_h, coloured by |σ_h|, and the contact set."""
+        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
+        lines = self.streamlines
+
+        def build(plotter: pyvista.Plotter) -> None:
+            self._add_contact(plotter, opacity=0.3)
+            if lines.n_points:
+                tubes = lines.tube(radius=0.005 * self.extent, n_sides=8)
+                _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
+
+        self._show(axes, title, "streamlines", build, self.views[0])
+        _bar(figure, axes, Normalize(low, high), style.STREAM_MAP, r"$|\sigma_h|$", extend)
+
+    def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """η_T on half of the domain, on a logarithmic scale."""
+        indicator = self.scene.fields.indicator
+        assert indicator is not None
+        norm = log_norm(indicator)
+        half = self.half(whole_cells=True)
+        half.cell_data["log"] = np.log10(np.maximum(indicator, norm.vmin))[half.cell_data["cell"]]
+
+        def build(plotter: pyvista.Plotter) -> None:
+            _add_colours(plotter, half, "log", style.ERROR_MAP, np.log10([norm.vmin, norm.vmax]).tolist())
+
+        self._show(axes, title, "certificate", build, self.views[0])
+        _bar(figure, axes, norm, style.ERROR_MAP, r"$\eta_T$")
+
+    def draw_trace(self, figure: Figure | SubFigure, axes: Axes, column: str, label: str, view: Array) -> None:
+        """A column of the table of facets, as colours on Γ_S."""
+        facets = self.scene.facets
+        values = getattr(facets, column)
+        low, high, extend = style.limits(values - values.min(), facets.measure)
+        low, high = low + values.min(), high + values.min()
+
+        def build(plotter: pyvista.Plotter) -> None:
+            _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), **self._edges())
+            self._add_hull(plotter)
+
+        self._show(axes, label, column, build, view)
+        _bar(figure, axes, Normalize(low, high), style.U_MAP, "", extend)
+
+    def draw_contact(self, figure: Figure | SubFigure, axes: Axes, title: str, view: Array) -> None:
+        """The contact set on Γ_S."""
+
+        def build(plotter: pyvista.Plotter) -> None:
+            self._add_contact(plotter)
+            self._add_hull(plotter)
+
+        self._show(axes, title, "contact", build, view)
+
+    def draw_mesh(self, figure: Figure | SubFigure, axes: Axes, view: Array) -> None:
+        """The mesh on the boundary, with the contact set."""
+
+        def build(plotter: pyvista.Plotter) -> None:
+            plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
+            self._add_contact(plotter)
+
+        self._show(axes, f"{len(self.scene.fields.cells)} cells", "mesh", build, view)
+
+    def handles(self) -> list:
+        """What the legend of Γ_S lists."""
+        touching = self.scene.touching
+        listed = [(touching.any(), "contact", style.CONTACT), (not touching.all(), "no contact", style.FREE)]
+        return [Patch(color=color, label=rf"$\Gamma_S$, {label}") for there, label, color in listed if there]
+
+    def _triangles(self, vertices: npt.NDArray[np.int64]) -> pyvista.PolyData:
+        return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
+
+    def _edges(self) -> dict[str, Any]:
+        return {"show_edges": self.gamma.n_cells <= EDGES_UP_TO, "line_width": 0.4, "edge_color": "dimgrey"}
+
+    def _add_contact(self, plotter: pyvista.Plotter, opacity: float = 1.0) -> None:
+        for chosen, color in ((self.scene.touching, style.CONTACT), (~self.scene.touching, style.FREE)):
+            if chosen.any():
+                triangles = self._triangles(self.scene.facets.vertices[chosen])
+                edges = self._edges() if opacity == 1.0 else {}
+                plotter.add_mesh(triangles, color=color, opacity=opacity, lighting=False, **edges)
+
+    def _add_hull(self, plotter: pyvista.Plotter) -> None:
+        if self.hull.n_cells:
+            plotter.add_mesh(self.hull, color="grey", opacity=0.12, lighting=False)
+
+    def _add_lines(
+        self, plotter: pyvista.Plotter, lines: pyvista.PolyData, view: Array, color: str, width: float
+    ) -> None:
+        """Lines, moved towards the eye a little, so that the surface on which they lie does not cover them."""
+        moved = lines.translate(0.004 * self.extent * view)
+        plotter.add_mesh(moved, color=color, line_width=width, lighting=False, render_lines_as_tubes=width > 2)
+
+    def _seen(self, view: Array) -> Array:
+        """How much of each triangle of Γ_S one sees from a direction: its area, less if aslant, 0 if hidden."""
+        scene = self.scene
+        corners = scene.fields.points[scene.facets.vertices]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)
+        across, up = screen(view)
+        depth = scene.facets.x @ view
+        size = 1.5 * np.sqrt(scene.facets.measure.max())
+        pixel = np.floor(scene.facets.x @ np.column_stack([across, up]) / size).astype(np.int64)
+        _, where = np.unique(pixel, axis=0, return_inverse=True)
+        nearest = np.full(where.max() + 1, -np.inf)
+        np.maximum.at(nearest, where.ravel(), depth)
+        visible = depth > nearest[where.ravel()] - 3 * size
+        return scene.facets.measure * visible * np.minimum(slant, 0.35)
+
+    def _show(self, axes: Axes, title: str, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> None:
+        """Render into axes, with the edges of the domain and the directions of the coordinates; each view once."""
+        if (key, tuple(view)) not in self.rendered:
+            self.rendered[key, tuple(view)] = self._render(key, build, view)
+        image = self.rendered[key, tuple(view)]
+        height, width = image.shape[:2]
+        axes.imshow(image, interpolation="antialiased")
+        axes.set(xlim=(-0.1 * width, width), ylim=(1.1 * height, 0))  # room for the directions
+        axes.set_axis_off()
+        axes.set_title(title)
+        triad(axes, view)
+
+    def _render(self, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> npt.NDArray[np.uint8]:
+        with offscreen():
+            plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
+            plotter.set_background("white")
+            build(plotter)
+            rim = self._behind(self.rim) if key in HALVES else self.rim
+            for lines, color, width in ((self.frame, "black", 1.5), (rim, style.CONTACT, 4)):
+                if lines.n_cells:
+                    self._add_lines(plotter, lines, view, color, width)
+            plotter.enable_parallel_projection()
+            plotter.view_vector(view, (0, 0, 1))
+            plotter.enable_anti_aliasing("msaa")
+            image = plotter.screenshot(return_img=True)
+            plotter.close()
+        return cropped(image)
+
+
+def _lines(points: Array, edges: npt.NDArray[np.int64]) -> pyvista.PolyData:
+    if not len(edges):
+        return pyvista.PolyData()
+    return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
+
+
+def _add_colours(
+    plotter: pyvista.Plotter,
+    surface: pyvista.PolyData,
+    scalars: str | Array,
+    cmap: str,
+    ends: tuple[float, float] | list[float],
+    *,
+    lighting: bool = False,
+    **options: Any,
+) -> None:
+    plotter.add_mesh(
+        surface, scalars=scalars, cmap=cmap, clim=ends, lighting=lighting, show_scalar_bar=False, **options
+    )
+
+
+def _bar(
+    figure: Figure | SubFigure,
+    axes: Axes,
+    norm: Normalize | LogNorm,
+    cmap: str,
+    label: str,
+    extend: str = "neither",
+) -> None:
+    style.colour_bar(figure, axes, ScalarMappable(norm, cmap), label, extend)

@@ -1,0 +1,81 @@
+"""The picture files of a solution in space."""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.curves import draw_steps
+from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.output.pictures.space import Space
+
+
+def draw_files(folder: Path, scene: Scene) -> None:
+    """Draw all but `iterations.png` into a folder."""
+    space = Space(scene)
+    figure, (left, right) = _row(2)
+    space.draw_half(figure, left, "(a) $u_h$ on half of the domain")
+    space.draw_cuts(figure, right, "(b) $u_h$ on cuts through the middle")
+    _finish(figure, space, folder / "u.png")
+
+    figure, (left, right) = _row(2)
+    space.draw_sigma(figure, left, r"(a) $|\sigma_h|$ on half of the domain")
+    space.draw_streamlines(figure, right, r"(b) streamlines of $\sigma_h$")
+    _finish(figure, space, folder / "sigma.png")
+
+    if scene.fields.indicator is not None:
+        figure, (axes,) = _row(1)
+        space.draw_certificate(figure, axes, r"contributions $\eta_T$ to the certified error, half of the domain")
+        style.save(figure, folder / "certificate.png")
+
+    figure = Figure(figsize=(12, 0.6 + 3.8 * len(space.views)), layout="constrained")
+    panels = figure.subplots(len(space.views), 3, squeeze=False)
+    number = 0
+    for row, view in zip(panels, space.views, strict=True):
+        for axes, (column, label) in zip(row, TRACES.items(), strict=False):
+            space.draw_trace(figure, axes, column, f"{style.letter(number)} {label} on $\\Gamma_S$", view)
+            number += 1
+        space.draw_contact(figure, row[2], f"{style.letter(number)} contact set", view)
+        number += 1
+    _finish(figure, space, folder / "signorini.png")
+    _draw_overview(folder / "overview.png", space)
+
+
+TRACES = {"p": "$p_h$", "flux": r"$\sigma_h\cdot n$"}
+
+
+def draw_mesh_file(path: Path, scene: Scene) -> None:
+    """Draw `mesh.png`."""
+    space = Space(scene)
+    figure, panels = _row(len(space.views))
+    for axes, view in zip(panels, space.views, strict=True):
+        space.draw_mesh(figure, axes, view)
+    _finish(figure, space, path)
+
+
+def _row(panels: int) -> tuple[Figure, list]:
+    figure = Figure(figsize=(5.2 * panels, 4.8), layout="constrained")
+    return figure, list(figure.subplots(1, panels, squeeze=False)[0])
+
+
+def _finish(figure: Figure, space: Space, path: Path) -> None:
+    style.legend_below(figure, space.handles())
+    style.save(figure, path)
+
+
+def _draw_overview(path: Path, space: Space) -> None:
+    scene = space.scene
+    figure = Figure(figsize=(12.5, 9), layout="constrained")
+    panels = figure.subplots(2, 3).ravel()
+    space.draw_half(figure, panels[0], "(a) $u_h$ on half of the domain")
+    space.draw_streamlines(figure, panels[1], r"(b) streamlines of $\sigma_h$")
+    if scene.fields.indicator is None:
+        space.draw_sigma(figure, panels[2], r"(c) $|\sigma_h|$ on half of the domain")
+    else:
+        space.draw_certificate(figure, panels[2], r"(c) contributions $\eta_T$ to the certified error")
+    space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
+    space.draw_trace(figure, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
+    draw_steps(panels[5], scene.history, "(f) iteration errors")
+    panels[5].legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
+    figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
+    _finish(figure, space, path)

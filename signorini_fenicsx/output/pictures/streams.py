@@ -1,0 +1,75 @@
+"""Streamlines of σ_h in the plane."""
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from signorini_fenicsx.output.gather import Fields
+
+type Array = npt.NDArray[np.float64]
+
+GRID = 110
+"""Points of the grid along the longer side of the domain."""
+ARROW = 0.022
+"""Length of the arrow heads over that side."""
+NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+
+
+def streamlines(fields: Fields) -> tuple[list[Array], Array]:
+    """Streamlines of σ_h, and arrow heads in their middle.
+
+    Returns:
+        Points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
+    """
+    low, high = fields.points.min(axis=0), fields.points.max(axis=0)
+    size = float((high - low).max())
+    x, y = (np.linspace(a, b, max(round(GRID * (b - a) / size), 8)) for a, b in zip(low, high, strict=True))
+    sigma = _spread(on_grid(fields, x, y))
+    if not np.nanmax(np.abs(sigma), initial=0.0) > 0:
+        return [], np.empty((0, 3, 2))
+    found = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
+    lines = [line for line in found.lines.get_segments() if len(line) > 2]
+    return lines, np.array([_head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
+
+
+def on_grid(fields: Fields, x: Array, y: Array) -> Array:
+    """σ_h at the points of a regular grid, shape (2, len(y), len(x)); not a number outside of the domain."""
+    origin, spacing = np.array([x[0], y[0]]), np.array([x[1] - x[0], y[1] - y[0]])
+    corners = (fields.points[fields.cells] - origin) / spacing  # in units of the grid
+    first = np.ceil(corners.min(axis=1) - 1e-9).astype(np.int64)
+    number = np.maximum(np.floor(corners.max(axis=1) + 1e-9).astype(np.int64) - first + 1, 0)
+    count = number.prod(axis=1)
+    cell = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count)
+    node = first[cell] + np.column_stack([within % number[cell, 0], within // number[cell, 0]])
+    edges = corners[:, 1:] - corners[:, :1]
+    inverse = np.linalg.inv(edges.transpose(0, 2, 1))
+    share = np.einsum("kij,kj->ki", inverse[cell], node - corners[cell, 0])
+    inside = (share.min(axis=1) > -1e-6) & (share.sum(axis=1) < 1 + 1e-6)
+    cell, (i, j) = cell[inside], node[inside].T
+    centroids = fields.points[fields.cells[cell]].mean(axis=1)
+    offset = origin + spacing * node[inside] - centroids
+    sigma = np.full((2, len(y), len(x)), np.nan)
+    sigma[:, j, i] = (fields.sigma[cell] + fields.divergence[cell, None] / 2 * offset).T
+    return sigma
+
+
+def _spread(sigma: Array) -> Array:
+    """The same field, continued by one point of the grid, so that streamlines reach the boundary."""
+    padded = np.pad(sigma, ((0, 0), (1, 1), (1, 1)), constant_values=np.nan)
+    rows, columns = sigma.shape[1:]
+    around = np.stack([padded[:, 1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS])
+    known = np.isfinite(around)
+    mean = np.where(known, around, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    return np.where(np.isfinite(sigma), sigma, np.where(known.any(axis=0), mean, np.nan))
+
+
+def _head(line: Array, length: float) -> Array:
+    """A triangle in the middle of a line, pointing along it."""
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    at = int(np.searchsorted(np.cumsum(steps), steps.sum() / 2))
+    along = line[at + 1] - line[at]
+    along *= length / max(float(np.linalg.norm(along)), 1e-300)
+    across = 0.38 * np.array([-along[1], along[0]])
+    middle = (line[at] + line[at + 1]) / 2
+    return np.array([middle + along / 2, middle - along / 2 + across, middle - along / 2 - across])

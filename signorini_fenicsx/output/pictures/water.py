@@ -1,0 +1,79 @@
+"""Seepage: where ψ is minus the height, u is minus the head of water, and its pictures show the water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.tri import Triangulation
+
+from signorini_fenicsx.discrete.spaces import DIRICHLET
+from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.scene import Scene, chains
+
+type Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Water:
+    """The water in a domain of the plane and outside of it.
+
+    Attributes:
+        scene: The solution.
+        pools: Outlines of the water outside, each of shape (n, 2).
+    """
+
+    scene: Scene
+    pools: list[Array]
+
+    @classmethod
+    def of(cls, scene: Scene) -> Water | None:
+        """The water of a problem whose ψ is −y, None for other problems."""
+        y = scene.facets.x[:, 1]
+        size = float(np.ptp(scene.fields.points[:, 1]))
+        if not np.allclose(scene.facets.psi, -y, rtol=0, atol=1e-6 * size) or np.ptp(y) < 0.05 * size:
+            return None
+        boundary = scene.boundary
+        given = boundary.kind == DIRICHLET
+        pools = []
+        for level in np.unique(np.round(-boundary.u[given] / size, 9)) * size:
+            wet = given & np.isclose(-boundary.u, level, rtol=0, atol=1e-6 * size)
+            for _, vertices in chains(boundary.vertices[wet]):
+                points = scene.fields.points[vertices]
+                if points[:, 1].max() <= level + 1e-6 * size:
+                    pools.append(_pool(points, level, scene.fields.points))
+        return cls(scene, pools)
+
+    def draw(self, axes: Axes) -> None:
+        """Draw the water outside with its level, and the water table, on which the pressure is 0."""
+        size = float(np.ptp(self.scene.fields.points[:, 1]))
+        for pool in self.pools:
+            axes.fill(*pool.T, color=style.WATER, alpha=0.35, linewidth=0)
+            low, high, level = pool[:, 0].min(), pool[:, 0].max(), pool[:, 1].max()
+            axes.plot([low, high], [level, level], color=style.WATER, linewidth=1.2)
+            axes.plot((low + high) / 2, level + 0.03 * size, "v", color=style.WATER, markersize=5)
+        fields = self.scene.fields
+        pressure = -self.scene.u - fields.points[:, 1]
+        if pressure.min() < 0 < pressure.max():
+            axes.tricontour(
+                Triangulation(*fields.points.T, fields.cells), pressure, [0.0], colors="black", linewidths=1.8
+            )
+
+    def handles(self) -> list:
+        """What the legend says about it."""
+        table = Line2D([], [], color="black", linewidth=1.8, label="water table")
+        level = Line2D([], [], color=style.WATER, marker="v", linewidth=1.2, label="water outside")
+        return [table, level]
+
+
+def _pool(wall: Array, level: float, domain: Array) -> Array:
+    """The outline of the water before a wall: up to its level, a quarter of the domain's height wide, over the base."""
+    order = np.argsort(wall[:, 1])
+    wall = wall[order]
+    left = wall[:, 0].mean() < domain[:, 0].mean()
+    away = 0.25 * float(np.ptp(domain[:, 1]))
+    end = domain[:, 0].min() - away if left else domain[:, 0].max() + away
+    return np.concatenate([wall, [[wall[-1, 0], level], [end, level], [end, wall[0, 1]]]])

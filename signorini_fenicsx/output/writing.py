@@ -1,0 +1,307 @@
+"""Writes a solution: summary and tables as text, fields for ParaView."""
+
+import csv
+import json
+import math
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import dolfinx
+import ufl
+from dolfinx import fem, io
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx import __version__
+from signorini_fenicsx.base.errors import WriteFailure
+from signorini_fenicsx.base.parallel import Stopwatch, on_root
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.certificate.adaptive import AdaptRow
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes, write_table
+from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
+from signorini_fenicsx.output.gather import (
+    FacetTable,
+    centroid_flux,
+    gather_boundary,
+    gather_facets,
+    gather_fields,
+    gather_marks,
+)
+from signorini_fenicsx.rigorous.proof import Proof
+from signorini_fenicsx.solving.solution import Solution
+
+
+def write_solution(
+    solution: Solution,
+    folder: Path | str,
+    *,
+    certificate: Certificate | None = None,
+    proof: Proof | None = None,
+    plot: bool = False,
+    html: bool = False,
+    fields: bool = True,
+) -> None:
+    """Write all files of a solution into an existing folder (collective).
+
+    Args:
+        solution: What to write.
+        folder: Where; files of the same names are overwritten.
+        certificate: Its error bound, if it has one.
+        proof: What came of the attempt to prove it, if there was one.
+        plot: Also draw PNGs.
+        html: Also write `solution.html`, pictures that one can turn.
+        fields: Also write the fields for ParaView.
+    """
+    folder = Path(folder)
+    watch = Stopwatch()
+    indicator = None if certificate is None else certificate.indicator
+    table, cells = gather_facets(solution), gather_fields(solution, indicator)
+    boundary = gather_boundary(solution) if plot or html else None
+    marks = gather_marks(solution.spaces.domain)
+    summary = solution.summary()
+    if certificate is not None:
+        summary["certificate"] = certificate.summary()
+        summary["timings"] |= {"certificate": certificate.seconds}
+    if proof is not None:
+        summary["certificate"] |= proof.summary()
+
+    def write() -> None:
+        if table is not None and cells is not None:
+            part = folder / f"{FILE}.part"
+            write_checkpoint(part, solution, cells, table, marks)
+            part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
+            write_facets(folder / "facets.csv", solution.spaces.part_names, table)
+            if boundary is not None:
+                from signorini_fenicsx.output import (
+                    pictures,  # costs a second, which a run without pictures need not wait
+                )
+
+                scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+                if plot:
+                    pictures.draw_all(folder, scene)
+                if html:
+                    pictures.write_page(folder / "solution.html", scene)
+        write_history(folder / "history.csv", solution.history)
+
+    comm = solution.spaces.mesh.comm
+    on_root(comm, write)
+    if fields:
+        write_fields(solution, folder, certificate)
+    watch.lap("output")
+    summary["timings"] |= watch.longest(comm)
+    on_root(comm, lambda: write_summary(folder, summary))
+
+
+def write_convergence(
+    case: Case, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+) -> None:
+    """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
+
+    def write() -> None:
+        from signorini_fenicsx.output import pictures
+
+        write_table(folder / "convergence.csv", rows)
+        against = {
+            Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
+            Vary.EPS: "alg1 on the same mesh",
+        }.get(vary, f"alg1, h = 2^-{reference}")
+        title = f"{case.name}, {case.solve.algorithm}, against {against}"
+        pictures.draw_errors(folder / "convergence.png", rows, vary, title)
+        summary = {
+            "case": case.name,
+            "algorithm": case.solve.algorithm,
+            "vary": vary.value,
+            "reference": against,
+            "rows": [asdict(row) for row in rows],
+            "slopes": fitted_slopes(rows, vary),
+            "ranks": comm.size,
+        }
+        write_summary(folder, summary)
+
+    on_root(comm, write)
+
+
+def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+    table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
+
+    def write() -> None:
+        from signorini_fenicsx.output import pictures
+
+        with (folder / "adapt.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
+            writer.writeheader()
+            writer.writerows(asdict(row) for row in rows)
+        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
+        if table is not None and cells is not None and boundary is not None:
+            pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """Write `summary.json`, with versions and the command (rank 0)."""
+    summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
+    (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
+
+
+def json_text(values: Mapping[str, Any]) -> str:
+    """Values as JSON, with null for a number that is not finite."""
+    return json.dumps(_without_nan(values), indent=2, allow_nan=False)
+
+
+def _without_nan(value: Any) -> Any:
+    """Replace numbers that JSON does not know by null, at any depth: a failed state may hold them."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that can change a result."""
+    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
+    return {
+        "signorini_fenicsx": __version__,
+        "dolfinx": dolfinx.__version__,
+        "petsc": petsc,
+        "gmsh": version("gmsh"),
+        "mpi": MPI.Get_library_version().splitlines()[0].strip("\0 "),
+        "python": platform.python_version(),
+    }
+
+
+def write_history(path: Path, history: list[Step]) -> None:
+    """Write one row per iteration (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Step)])
+        writer.writeheader()
+        writer.writerows(asdict(step) for step in history)
+
+
+def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> None:
+    """Write one row per Γ_S facet, by part and then along it (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition"])
+        for part, x, measure, p, flux, condition in zip(
+            table.part, table.x.tolist(), table.measure, table.p, table.flux, table.condition, strict=True
+        ):
+            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
+
+
+def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
+
+    A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
+    exact. XDMF takes P0: there σ is its value at the centroid.
+
+    Raises:
+        OSError: On all ranks, if there is no room.
+        WriteFailure: If a library cannot write, on this rank at least.
+    """
+    comm = solution.spaces.mesh.comm
+    sizes = _sizes(solution)
+    on_root(comm, lambda: _check_room(folder, sizes))
+    try:
+        _write_fields(solution, folder, certificate)
+    except RuntimeError as error:  # as its cause it keeps the open file alive, whose end would abort the program
+        raise WriteFailure("the fields for ParaView cannot be written") from error
+    on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
+
+
+def _sizes(solution: Solution) -> dict[str, int]:
+    """About the largest sizes that the files of `write_fields` may have, in bytes (collective)."""
+    spaces = solution.spaces
+    mesh, ranks = spaces.mesh, spaces.mesh.comm.size
+    dim = mesh.topology.dim
+    cells = mesh.topology.index_map(dim).size_global
+    points = mesh.geometry.index_map().size_global
+    facets = spaces.mesh.comm.allreduce(len(spaces.facets))
+    number, place, vtx = 8, 3 * 8, 9  # a value, a point or vector, and what VTX has per point besides
+    head = 12_000 + 3_000 * ranks
+    return {
+        "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
+        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 3 * number) + head,
+        "solution.h5": cells * ((dim + 1) * number + place + 3 * number) + points * dim * number + head,
+    }
+
+
+def _check_room(folder: Path, sizes: Mapping[str, int]) -> None:
+    """Take the room that files need and give it back: ADIOS2 and HDF5 abort where there is none (rank 0).
+
+    Raises:
+        OSError: If there is none.
+    """
+    places = {folder / f"{name}.room": size for name, size in sizes.items()}
+    try:
+        for place, size in places.items():
+            with place.open("wb") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
+    finally:
+        for place in places:
+            place.unlink(missing_ok=True)
+
+
+def _write_fields(solution: Solution, folder: Path, certificate: Certificate | None) -> None:
+    spaces = solution.spaces
+    mesh = spaces.mesh
+    comm, dim = mesh.comm, mesh.geometry.dim
+
+    linear = fem.functionspace(mesh, ("DG", 1))
+    sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
+    sigma.interpolate(solution.sigma)
+    u = fem.Function(linear, name="u")
+    u.interpolate(solution.u)
+    magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
+    _write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
+
+    flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
+    condition = spaces.multiplier(solution.conditions.kind, "condition")
+    _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition])
+
+    sigma = centroid_flux(solution)
+    magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
+    file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
+    file.write_mesh(mesh)
+    for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
+        file.write_function(function)
+    file.close()
+
+
+def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
+    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective)."""
+    file = io.VTXWriter(comm, path, functions)
+    file.write(0.0)
+    file.close()
+
+
+def _join_grids(path: Path) -> None:
+    """Move all functions onto the one mesh grid; DOLFINx gives each a grid of its own, which meshio cannot read."""
+    tree = ElementTree.parse(path)
+    domain = tree.getroot()[0]
+    mesh, *functions = list(domain)
+    for grid in functions:
+        mesh.extend(grid.iter("Attribute"))
+        domain.remove(grid)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _interpolated(expression: ufl.core.expr.Expr, space: fem.FunctionSpace, name: str) -> fem.Function:
+    function = fem.Function(space, name=name)
+    function.interpolate(fem.Expression(expression, space.element.interpolation_points))
+    return function

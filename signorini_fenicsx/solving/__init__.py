@@ -1,0 +1,1 @@
+"""From a domain, a boundary and a problem to a solution."""

@@ -1,0 +1,1 @@
+"""Parameter studies: many runs of a case, kill-safe."""

@@ -1,0 +1,204 @@
+"""A study on disk: one folder per finished run, one launch at a time, and the tables made of all runs."""
+
+import csv
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.exchange import PARTIAL, clear, failed_place, repair
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.signals import Interruption
+from signorini_fenicsx.output.writing import versions
+from signorini_fenicsx.studies.study import Run, flattened
+
+LOCK = ".lock"
+"""A folder that holds this file is a study's."""
+CLAIMS = ".claims"
+
+RECORD = "run.json"
+NOT_RESULTS = (
+    *("case", "title", "algorithm", "converged", "reason", "rows"),
+    *("versions", "command", "ranks", "timings", "peak_memory"),
+)
+"""Keys of a summary that stand elsewhere in the tables, or nowhere because they differ from launch to launch."""
+
+type Row = dict[str, Any]
+
+
+class Status(Enum):
+    """Where a run stands."""
+
+    TODO = "to do"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Record:
+    """What is known of a finished run.
+
+    Attributes:
+        status: DONE or FAILED.
+        summary: Its `summary.json`.
+        seconds: Wall time it took.
+        ranks: Ranks it ran on.
+    """
+
+    status: Status
+    summary: dict[str, Any]
+    seconds: float
+    ranks: int
+
+    @property
+    def reason(self) -> str:
+        """Why it ended as it did, in words; empty for measured errors."""
+        return str(self.summary.get("reason", ""))
+
+
+class StudyFolder:
+    """The folder of a study; a context manager, entered by all ranks together, that no second launch can enter.
+
+    A run's folder appears under `runs` whole, when it is finished; a failed one ends in `.failed`.
+    """
+
+    def __init__(self, comm: MPI.Comm, path: Path | str):
+        """Name the folder; nothing is touched before the context is entered."""
+        self._comm = comm
+        self.path = Path(path).absolute()
+        self.claims = self.path / CLAIMS
+        self._lock: int | None = None
+
+    def __enter__(self) -> Self:
+        """Create the folder, lock it and clear what a killed launch left (collective).
+
+        Raises:
+            InputError: If it cannot be written, is something else, or another launch is in it.
+        """
+        on_root(self._comm, self._open)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, Interruption):
+            error.args = (f"{error}; finished runs are kept, and the same command does the others",)
+        if self._lock is not None:
+            shutil.rmtree(self.claims, ignore_errors=True)
+            os.close(self._lock)
+            self._lock = None
+
+    def place(self, run: Run) -> Path:
+        """Folder of a run that has succeeded."""
+        return self.path / "runs" / run.name
+
+    def status(self, run: Run) -> Status:
+        """Where a run stands, from the files alone."""
+        if (self.place(run) / RECORD).is_file():
+            return Status.DONE
+        if (failed_place(self.place(run)) / RECORD).is_file():
+            return Status.FAILED
+        return Status.RUNNING if (self.claims / run.name).exists() else Status.TODO
+
+    def record(self, run: Run) -> Record:
+        """Read what a finished run has left.
+
+        Raises:
+            InputError: If it has been damaged since.
+        """
+        status = self.status(run)
+        folder = self.place(run) if status is Status.DONE else failed_place(self.place(run))
+        try:
+            summary = dict(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+            own = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+            return Record(status, summary, float(own["seconds"]), int(own["ranks"]))
+        except (OSError, ValueError, TypeError, LookupError, RecursionError):
+            raise InputError(f"{folder}: is damaged; delete it, and the run will be done again") from None
+
+    def forget_failures(self, runs: Sequence[Run]) -> None:
+        """Let failed runs be tried again (rank 0)."""
+        for run in runs:
+            if self.status(run) is Status.FAILED:
+                clear(failed_place(self.place(run)))
+
+    def write_tables(self, runs: Sequence[Run]) -> None:
+        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, each at once (rank 0).
+
+        The table has one row per run, or per level of a run that measures errors, with all parameters and results, and
+        nothing that depends on how the study was launched; that is in the timings.
+        """
+        import pyarrow.parquet  # takes a second, which only the end of a study need wait
+
+        records = [(run, self.record(run)) for run in runs]
+        table = _rectangular([row for run, record in records for row in _rows(run, record)])
+        timings = [
+            {"run": run.name, "ranks": record.ranks, "seconds": record.seconds} | record.summary.get("timings", {})
+            for run, record in records
+        ]
+        self._write_csv("table.csv", table)
+        self._write_csv("timings.csv", _rectangular(timings))
+        part = self.path / "table.parquet.part"
+        pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), part)
+        part.rename(part.with_suffix(""))
+        (self.path / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
+
+    def _write_csv(self, name: str, rows: list[Row]) -> None:
+        part = self.path / f"{name}.part"
+        with part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+        part.rename(part.with_suffix(""))
+
+    def _open(self) -> None:
+        try:
+            if self.path.exists() and not self.path.is_dir():
+                raise InputError(f"output {self.path}: is a file, not a folder")
+            if self.path.is_dir() and any(self.path.iterdir()) and not (self.path / LOCK).is_file():
+                raise InputError(f"output {self.path}: is not empty and not the folder of a study; choose another")
+            for folder in (self.path / "runs", self.claims):
+                if folder.exists() and not folder.is_dir():
+                    raise InputError(f"output {folder}: is in the way, as it is not a folder; move it elsewhere")
+            (self.path / "runs").mkdir(parents=True, exist_ok=True)
+            lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR, 0o666)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system lifts it when the process dies
+            except BlockingIOError:
+                os.close(lock)
+                raise InputError(f"output {self.path}: another launch of a study is at work in it") from None
+            self._lock = lock
+            shutil.rmtree(self.claims, ignore_errors=True)
+            self.claims.mkdir()
+            for left in self.path.glob(f"runs/.*{PARTIAL}"):
+                repair(left.with_name(left.name[1 : -len(PARTIAL)]))
+        except OSError as error:
+            raise InputError(f"output {self.path}: cannot be written ({error.strerror})") from None
+
+
+def _rows(run: Run, record: Record) -> list[Row]:
+    """The rows of a run: its parameters, then its results."""
+    summary = record.summary
+    first = {"run": run.name, "status": record.status.value, "reason": record.reason, **_plain(run.parameters)}
+    results = flattened({key: value for key, value in summary.items() if key not in NOT_RESULTS})
+    return [first | _plain(results) | row for row in summary.get("rows", [{}])]
+
+
+def _plain(values: Row) -> Row:
+    """Lists as JSON text, so that each cell of a table is one value."""
+    return {key: json.dumps(value) if isinstance(value, list) else value for key, value in values.items()}
+
+
+def _rectangular(rows: list[Row]) -> list[Row]:
+    """The same columns in all rows, in order of first appearance, with None where a row has no value."""
+    columns = dict.fromkeys(key for row in rows for key in row)
+    return [{key: row.get(key) for key in columns} for row in rows]

@@ -1,0 +1,249 @@
+"""Studies: a case and lists of values, expanded to runs; read from TOML and validated before anything runs."""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from signorini_fenicsx import __version__
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.shipped import data_folder, study_names
+from signorini_fenicsx.cases.case import Case, Solve, complaint, load_case, read_toml
+from signorini_fenicsx.cases.discretisation import rough_cells
+from signorini_fenicsx.comparing.convergence import Vary, level_values
+from signorini_fenicsx.methods.registry import ALGORITHMS
+
+SHORT = tuple(Solve.model_fields)
+"""Keys of [solve] that a study may write without `solve.`"""
+MAX_RUNS = 100_000
+"""More runs than this are taken for a mistake in the lists."""
+
+type Level = Annotated[int, Field(ge=0, le=30, strict=True)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Convergence(_Section):
+    """`[convergence]`: each run measures errors, as `signorini convergence` does, instead of solving once."""
+
+    vary: Vary = Vary.H
+    levels: list[Level] = Field(min_length=1)
+    reference: Level = 8
+
+    @model_validator(mode="after")
+    def _levels_get_finer(self) -> Self:
+        if any(one >= other for one, other in itertools.pairwise(self.levels)):
+            raise ValueError(f"levels must ascend, not {self.levels}")
+        if self.vary is not Vary.EPS and max(self.levels) >= self.reference:
+            raise ValueError(f"reference = {self.reference} must be finer than the last level, {max(self.levels)}")
+        return self
+
+
+class Study(_Section):
+    """A study file.
+
+    Attributes:
+        name: Short name, used for the default output folder; not a key of the file.
+        title: What it is about.
+        case: Name or path of the case, unless it is varied.
+        ranks_per_run: Ranks that share a run.
+        fields: Whether each run also writes its fields for ParaView.
+        plot: Whether each run also draws its pictures.
+        set: Values of all runs.
+        vary: Lists of values; the runs are all their combinations, the last list varying fastest.
+        together: Groups of equally long lists that vary in step, as one list of `vary` does.
+        convergence: What a run is, if not one solve.
+    """
+
+    name: str = Field(default="study", exclude=True)
+    title: str = ""
+    case: str | None = None
+    ranks_per_run: int = Field(default=1, ge=1, le=10**6, strict=True)
+    fields: bool = False
+    plot: bool = False
+    set: dict[str, Any] = {}
+    vary: dict[str, Any] = {}
+    together: list[dict[str, Any]] = []
+    convergence: Convergence | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a study.
+
+    Attributes:
+        name: Name of its folder, with a digest of everything that determines the result: equal runs of different
+            studies share it, a changed one has another.
+        case: What to solve.
+        convergence: Which errors to measure, or None for one solve.
+        fields: Whether to write fields for ParaView.
+        plot: Whether to draw pictures.
+        cells: Rough number of cells of all its meshes, the measure of its work.
+    """
+
+    name: str
+    case: Case
+    convergence: Convergence | None
+    fields: bool
+    plot: bool
+    cells: float
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """All keys of the case with their values, dotted, those of [solve] last."""
+        return {"case": self.case.name} | flattened(self.case.model_dump(mode="json", exclude={"title"}))
+
+
+def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested dictionaries as one with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        flat |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return flat
+
+
+def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
+    """Read a study by name or path and expand it to its runs; equal ones only once.
+
+    Raises:
+        InputError: If there is no such study, it is malformed, or one of its cases is.
+    """
+    text = str(name_or_path)
+    if text.endswith(".toml") or "/" in text:
+        path = Path(text)
+    elif text in study_names():
+        path = data_folder("studies") / f"{text}.toml"
+    else:
+        raise InputError(f"unknown study '{text}'; use one of {', '.join(study_names())} or the path of a .toml file")
+    tree = read_toml(path)
+    if "name" in tree:
+        raise InputError(f"{path}: unknown key 'name'; a study is called as its file")
+    try:
+        study = Study.model_validate(tree | {"name": path.stem})
+        return study, expanded(study, path.parent)
+    except ValidationError as error:
+        raise InputError(f"{path}: {complaint(error, Study)}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply") from None
+
+
+def expanded(study: Study, folder: Path) -> list[Run]:
+    """The runs of a study, in its order; equal ones only once.
+
+    Args:
+        study: The study.
+        folder: Where paths of its cases start.
+
+    Raises:
+        InputError: If lists or values are not valid.
+    """
+    fixed = _values("set", study.set)
+    axes = [[{key: value} for value in _list(key, values)] for key, values in _values("vary", study.vary).items()]
+    axes += [_in_step(_values("together", group)) for group in study.together]
+    keys = [key for axis in axes for key in axis[0]]
+    twice = [key for key in keys if keys.count(key) > 1]
+    if twice:
+        raise InputError(f"{twice[0]}: varies in two places")
+    count = 1
+    for axis in axes:
+        count *= len(axis)
+    if count > MAX_RUNS:
+        raise InputError(f"asks for {count} runs; at most {MAX_RUNS} are made")
+    runs: dict[str, Run] = {}
+    for combination in itertools.product(*axes):
+        values = fixed | {key: value for part in combination for key, value in part.items()}
+        run = _run(study, folder, values)
+        runs.setdefault(run.name, run)
+    return list(runs.values())
+
+
+def _values(section: str, tree: Mapping[str, Any]) -> dict[str, Any]:
+    """A section with dotted keys, `solve.` added where it may be left out."""
+    values: dict[str, Any] = {}
+    for short, value in flattened(tree).items():
+        key = f"solve.{short}" if short in SHORT else short
+        if key in values:
+            raise InputError(f"[{section}] {key}: is given twice")
+        values[key] = value
+    if section == "set" and "case" in values:
+        raise InputError("[set] case: belongs to the top of the file")
+    return values
+
+
+def _list(key: str, values: object) -> list[Any]:
+    if not isinstance(values, list) or not values:
+        raise InputError(f"[vary] {key}: must be a list of values, not {values!r}")
+    return values
+
+
+def _in_step(lists: dict[str, Any]) -> list[dict[str, Any]]:
+    lengths = {key: len(_list(key, values)) for key, values in lists.items()}
+    if len(set(lengths.values())) != 1:
+        raise InputError(f"[[together]]: the lists must be equally long, not {lengths}")
+    return [dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)]
+
+
+def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
+    values = dict(values)
+    name = values.pop("case", study.case)
+    if not isinstance(name, str):
+        raise InputError("case: must be the name or path of a case, at the top of the file or in a list of [vary]")
+    path = folder / name
+    case = load_case(path if name.endswith(".toml") else name).with_values(values)
+    task = study.convergence
+    if task is not None and task.vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
+        penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
+        raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
+    if task is not None:
+        for level in task.levels:
+            case.with_values(level_values(task.vary, level))  # refused now, not when other runs have been done
+    return make_run(case, task, fields=study.fields, plot=study.plot)
+
+
+def _file_digest(path: str) -> str:
+    """Digest of a mesh file: a run is known by the mesh, not by the name of its file (rank 0).
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"mesh {path}: {error.strerror}") from None
+
+
+def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
+    """A run, named by what it is."""
+    values = case.model_dump(mode="json")
+    if case.geometry.file is not None:
+        values["geometry"]["file"] = _file_digest(case.geometry.file)
+    content = {
+        "version": __version__,
+        "case": case.name,
+        "values": values,
+        "convergence": None if task is None else task.model_dump(mode="json"),
+        "fields": fields,
+        "plot": plot,
+    }
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+    return Run(f"{case.name}-{case.solve.algorithm}-{digest}", case, task, fields, plot, sum(_cells(case, task)))
+
+
+def _cells(case: Case, task: Convergence | None) -> Iterator[float]:
+    """Rough sizes of the meshes of a run."""
+    if task is None:
+        yield rough_cells(case)
+    elif task.vary is Vary.EPS:
+        yield (len(task.levels) + 1) * rough_cells(case)
+    else:
+        for level in (*task.levels, task.reference):
+            yield rough_cells(case.with_values({"solve.h": 2.0**-level}))
