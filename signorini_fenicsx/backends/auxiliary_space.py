@@ -7,8 +7,8 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from forms.crouzeix_raviart import stiffness
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 
@@ -25,7 +25,7 @@ class AuxiliarySpace:
         self._spaces, self._weak = spaces, data.stiffness
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
         self._full_interpolation = facet_means(self._space, data.u_lift.function_space)
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
@@ -43,7 +43,7 @@ class AuxiliarySpace:
         coarse.setType("preonly")
         coarse.getPC().setType("gamg")
 
-    def update(self, pc: PETSc.PC, conditions: FacetConditions, essential: npt.NDArray[np.int32]) -> None:
+    def update(self, pc: PETSc.PC, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
         """Take over new facet conditions (collective).
 
         Args:
@@ -83,10 +83,10 @@ class AuxiliarySpace:
         if spaces.has_dirichlet:
             return np.zeros(len(self._all))
         return self._lumped_robin(
-            FacetConditions(np.full(len(spaces.facets), Condition.ROBIN, dtype=np.int8), self._weak)
+            SiteConditions.everywhere(Condition.ROBIN, len(spaces.facets), self._weak)
         )
 
-    def _lumped_robin(self, conditions: FacetConditions) -> npt.NDArray[np.float64]:
+    def _lumped_robin(self, conditions: SiteConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN
         self._beta.x.array[: len(robin)] = np.where(robin, conditions.beta, 0.0)
         self._beta.x.scatter_forward()

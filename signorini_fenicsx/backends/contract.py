@@ -1,159 +1,159 @@
-"""What the active-set loop needs from a discretisation: one linear solve under given facet conditions."""
+"""What the loop over the sets needs from a discretisation: one linear solve under given conditions on its sites.
 
-import re
+`Backend` is all that every backend gives; `facets.FacetBackend` has what those share whose sites are the facets of Γ_S,
+so that a new one is a name, a solver and a solve.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
-from petsc4py import PETSc
+from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.discrete.conditions import FacetConditions
+from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
-
-
-MUMPS_WORKSPACE = "mat_mumps_icntl_14"
-"""PETSc's name for the part of the estimate, in per cent, that is added to it."""
-
-
-OPTION_ERRORS = (56, 62, 63, 83, 86, 92)
-"""PETSc's codes for: not supported, wrong value, out of range, unusable, unknown type, no such factorisation."""
+type Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Iterate:
-    """Solution of one linear mixed problem. Functions hold owned and up-to-date ghost values.
+class Pairs:
+    """The solution of one linear problem, as the rules see it.
 
     Attributes:
-        sigma: Flux in RT0.
-        u: Scalar in P0.
-        p: Trace above its bound, p − ψ, per Γ_S facet of this rank.
-        flux: Flux above its bound, σ·n − q_S, per Γ_S facet of this rank.
+        p: Trace above its bound, p − ψ, per site of this rank.
+        flux: Flux above its bound, σ·n − q_S, per site of this rank.
         linear_iterations: Iterations of the Krylov solver; 1 for a direct one.
     """
 
-    sigma: fem.Function
-    u: fem.Function
     p: Array
     flux: Array
     linear_iterations: int
 
 
-class LinearSolveFailure(NumericalFailure):
-    """A Krylov or direct solver of PETSc gave up."""
+@dataclass(frozen=True)
+class Iterate(Pairs):
+    """Solution of one linear mixed problem, its sites being facets. Functions have up-to-date ghost values.
 
-
-def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:
-    """Factor with MUMPS, "lu" or "cholesky", unless the user's options say else."""
-    ksp.setType("preonly")
-    ksp.getPC().setType(factorisation)
-    ksp.getPC().setFactorSolverType("mumps")
-
-
-def direct_solver(matrix: PETSc.Mat, factorisation: str) -> PETSc.KSP:
-    """A solver that factors with MUMPS, "lu" or "cholesky", unless the user's options say else (collective).
-
-    Raises:
-        InputError: If PETSc refuses an option.
+    Attributes:
+        sigma: Flux in RT0.
+        u: Scalar in P0.
     """
-    ksp = PETSc.KSP().create(matrix.getComm())
-    ksp.setOperators(matrix)
-    set_direct(ksp, factorisation)
-    take_options(ksp)
-    return ksp
+
+    sigma: fem.Function
+    u: fem.Function
 
 
-def take_options(solver: PETSc.KSP | PETSc.SNES) -> None:
-    """Let the user's PETSc options change a solver that has its defaults (collective).
+class Inexact(Protocol):
+    """What an iterative backend gives beyond `Backend`: solves that stop as soon as the next sets are known."""
 
-    MUMPS gets twice the workspace that it estimates, which on several ranks and small meshes is sometimes too little.
+    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve from the last solution, to the tolerance or until enough is said (collective).
 
-    Raises:
-        InputError: If PETSc refuses an option.
-    """
-    options = PETSc.Options()
-    if not options.hasName(MUMPS_WORKSPACE):
-        options[MUMPS_WORKSPACE] = 100
-        options.hasName(MUMPS_WORKSPACE)  # or PETSc complains at its end where nobody has asked for it
-    try:
-        solver.setFromOptions()
-    except PETSc.Error as error:
-        raise InputError(f"PETSc options: {petsc_reason(error)}") from None
+        `Backend.solve` under the same conditions goes on from there.
 
+        Args:
+            conditions: Conditions on the sites.
+            enough: Called on all ranks after each iteration with what would be `Pairs.p` and `Pairs.flux`.
 
-def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-    """Solve and make sure of it (collective).
-
-    Args:
-        ksp: The linear solver.
-        b: Right side.
-        x: Solution, and the start if the solver takes one.
-
-    Raises:
-        InputError: If PETSc does not know what its options ask for.
-        LinearSolveFailure: If the solver does not converge or PETSc gives up.
-    """
-    try:
-        ksp.solve(b, x)
-    except PETSc.Error as error:
-        refuse_options(error)
-        raise LinearSolveFailure(f"the linear solver {solver_name(ksp)} failed: {petsc_reason(error)}") from None
-    reason = ksp.getConvergedReason()
-    if reason < 0:
-        raise LinearSolveFailure(
-            f"the linear solver {solver_name(ksp)} stopped with PETSc's reason {reason} "
-            f"after {ksp.getIterationNumber()} iterations"
-        )
-
-
-def solver_name(ksp: PETSc.KSP) -> str:
-    """Krylov method, preconditioner and, if it factors, the package that does."""
-    pc = ksp.getPC()
-    package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky") else None
-    return "+".join(part for part in (ksp.getType(), pc.getType(), package) if part)
-
-
-def petsc_reason(error: PETSc.Error) -> str:
-    """The sentence at the end of PETSc's stack of calls."""
-    *_, last = str(error).splitlines()
-    return last.partition("] ")[2] or last
-
-
-def refuse_options(error: RuntimeError) -> None:
-    """Say that an error, raised by PETSc or by DOLFINx for it, is one of the user's options, if it is one.
-
-    Raises:
-        InputError: If PETSc does not know what its options ask for.
-    """
-    told = re.search(r"PETSc error code is: (\d+), *(.*?)(\. |$)", str(error))
-    code = int(told[1]) if told else getattr(error, "ierr", 0)
-    if code in OPTION_ERRORS and PETSc.Options().getAll():
-        reason = told[2] if told else petsc_reason(error)
-        raise InputError(f"PETSc options: {reason} (PETSc's error {code})") from None
-
-
-class Backend(Protocol):
-    """A discretisation of the mixed Poisson problem, set up once, that accepts facet conditions."""
-
-    name: str
-    spaces: Spaces
-    data: Data
-    dofs: int
-    """Number of unknowns of its linear system."""
-
-    def solve(self, conditions: FacetConditions) -> Iterate:
-        """Solve with these conditions on Γ_S, u = u_D on Γ_D, σ·n = g_N on Γ_N (collective).
+        Returns:
+            `Pairs.p` and `Pairs.flux` in the end.
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
         ...
 
+    def solve_near(
+        self, sites: Mask, layers: int, share: float
+    ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
+        """Exact solves near some sites that leave the last solution elsewhere as it is (collective).
+
+        Args:
+            sites: Tells which sites of this rank.
+            layers: Cells in each direction.
+            share: Part of all unknowns up to which such solves are worth it.
+
+        Returns:
+            From conditions to `Pairs.p` and `Pairs.flux` (collective; raises LinearSolveFailure if a factorisation
+            fails); None if there would be more unknowns than that.
+        """
+        ...
+
+
+class Backend[I: Pairs](Protocol):
+    """A linear problem with conditions on sites, set up once. Sites are numbered per rank and owned; there may be none.
+
+    Attributes:
+        name: Of the discrete system, as results call it.
+        noun: What a site is, in the singular and in the plural.
+        comm: Communicator.
+        sites: Number of sites of this rank.
+        dofs: Unknowns of the linear system, over all ranks.
+        precise: Makes a backend for the same problem whose flux stays precise where κ jumps by many orders on bad
+            cells, where that of this one does not; None if this one is precise, or that one would cost too much.
+    """
+
+    name: str
+    noun: tuple[str, str]
+    comm: MPI.Comm
+    sites: int
+    dofs: int
+    precise: "Callable[[], Backend[I]] | None"
+
+    @property
+    def inexact(self) -> Inexact | None:
+        """Its early stops, if its linear solver iterates."""
+        ...
+
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
         ...
+
+    def solve(self, conditions: SiteConditions) -> I:
+        """Solve with these conditions on Γ_S, u = u_D on Γ_D, σ·n = g_N on Γ_N (collective).
+
+        Raises:
+            InputError: If it cannot take one of the conditions.
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        ...
+
+    def without_flux(self, iterate: I, where: Mask) -> I:
+        """The iterate with σ·n = q_S on these sites, and p that belongs to it (collective); refused by some."""
+        ...
+
+    def scales(self, iterate: I) -> tuple[Array, Array]:
+        """Sizes per site of the terms whose sums p and σ·n are: what is small beside them is rounding (collective)."""
+        ...
+
+    def change(self, iterate: I, before: I) -> tuple[float, float]:
+        """Norms of what changed, ‖σ − σ'‖ and ‖u − u'‖ (collective)."""
+        ...
+
+    def places(self) -> Array:
+        """A row per site that no other site has, the same bits on any number of ranks."""
+        ...
+
+    def in_mixed_spaces(self, iterate: I, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
+        """σ_h, u_h, p_h and facet conditions that belong to an iterate and its conditions (collective)."""
+        ...
+
+
+class BackendFactory(Protocol):
+    """Makes a backend: a class of them, or a function (collective)."""
+
+    def __call__(self, spaces: Spaces, data: Data) -> Backend[Iterate]:
+        """Assemble.
+
+        Args:
+            spaces: The discrete spaces.
+            data: The data and their means over cells and facets.
+        """
+        ...
+

@@ -9,16 +9,12 @@ from petsc4py import PETSc
 
 from forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
 from forms.mixed import load, trace_term
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
+from signorini_fenicsx.backends.contract import Array, Iterate
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, cell_measures, cells_and_dofs, centroids
-
-type Array = npt.NDArray[np.float64]
-
-DIRECT_UP_TO = 60_000
-"""Unknowns up to which a direct factorisation takes tenths of a second, whatever κ and the cells are like."""
 
 
 class FacetSystem:
@@ -38,21 +34,22 @@ class FacetSystem:
         large: Whether iterative solvers are the default at this size.
     """
 
-    def __init__(self, spaces: Spaces, data: Data):
+    def __init__(self, spaces: Spaces, data: Data, tuning: Tuning):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            data: Its means over cells and facets.
+            data: The data and their means over cells and facets.
+            tuning: For the size from which it is large.
         """
         self.spaces, self._data = spaces, data
         self.space = data.u_lift.function_space
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
-        self.large = self.dofs > DIRECT_UP_TO
+        self.large = self.dofs > tuning.direct_up_to
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
         self._load = fem.assemble_vector(
@@ -63,7 +60,7 @@ class FacetSystem:
         self.x.set(0.0)
         self._recovery = _Recovery(spaces, data)
 
-    def apply(self, conditions: FacetConditions) -> npt.NDArray[np.int32]:
+    def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Make `matrix`, `b` and `x` those of these conditions and return the owned unknowns they fix (collective)."""
         zero_trace, robin = conditions.kind == Condition.ZERO_TRACE, conditions.kind == Condition.ROBIN
         essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
@@ -74,7 +71,7 @@ class FacetSystem:
         self.x.array_w[essential] = 0.0
         return essential
 
-    def recover(self, conditions: FacetConditions, linear_iterations: int) -> Iterate:
+    def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from the present `x`, a solution under these conditions (collective)."""
         spaces = self.spaces
         sigma, u = self._recovery.fields(self.x)
@@ -83,9 +80,9 @@ class FacetSystem:
         sigma.x.array[spaces.flux_dofs] = (flux + self._data.q_Sh) * spaces.facet_measure / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
-        return Iterate(sigma, u, p, flux, linear_iterations)
+        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
 
-    def traces(self, x: PETSc.Vec, conditions: FacetConditions) -> tuple[Array, Array]:
+    def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """What `recover` would give per Γ_S facet for this x, which need not be a solution (collective)."""
         flux = self._recovery.normal_flux(x) - self._data.q_Sh
         return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.stiffness)

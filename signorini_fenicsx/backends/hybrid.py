@@ -1,61 +1,78 @@
 """The hybrid backend: the facet system, solved by Cholesky or by CG with auxiliary-space multigrid."""
 
 from collections.abc import Callable
+from functools import partial
 
-import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.auxiliary_space import AuxiliarySpace
-from signorini_fenicsx.backends.contract import Array, Iterate, set_direct, solve_linear, solver_name, take_options
+from signorini_fenicsx.backends.contract import Array, Inexact, Iterate, Mask
 from signorini_fenicsx.backends.facet_system import FacetSystem
+from signorini_fenicsx.backends.facets import FacetBackend
+from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.discrete.conditions import FacetConditions
+from signorini_fenicsx.backends.petsc import LinearSolver, options_of, set_direct
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
 
-TOLERANCE = 1e-12
-"""Relative tolerance of CG; making the recovered flux conforming amplifies what is left by 1/h."""
 
-
-class HybridBackend:
+class HybridBackend(FacetBackend):
     """The facet system with its linear solver, set up once.
 
     Small systems go to MUMPS (Cholesky), larger ones to CG with auxiliary-space multigrid; PETSc options override
-    either.
-
-    Attributes:
-        iterative: Whether the linear solver iterates, so that it may stop early.
+    either. A factorised system is as precise as the saddle point but for κ∇u where κ is large and cells are bad.
     """
 
     name = "hybrid"
 
-    def __init__(self, spaces: Spaces, data: Data, *, multigrid: bool = False):
+    def __init__(
+        self,
+        spaces: Spaces,
+        data: Data,
+        *,
+        tuning: Tuning | None = None,
+        multigrid: bool = False,
+        prefix: str = "facet_",
+    ):
         """Assemble and choose the solver (collective).
 
         Args:
             spaces: The discrete spaces.
-            data: Its means over cells and facets.
+            data: The data and their means over cells and facets.
+            tuning: For the size from which multigrid is the default.
             multigrid: Whether multigrid is the default at any size.
+            prefix: Of its PETSc options.
+
+        Raises:
+            InputError: If PETSc refuses an option.
         """
-        self.spaces, self.data = spaces, data
-        self._system = FacetSystem(spaces, data)
+        super().__init__(spaces, data)
+        self._system = FacetSystem(spaces, data, tuning or Tuning())
         self.dofs = self._system.dofs
-        self._ksp = PETSc.KSP().create(spaces.mesh.comm)
-        self._ksp.setOperators(self._system.matrix)
+        self._solver = LinearSolver(self._system.matrix, prefix)
+        self._ksp = self._solver.ksp
         self._auxiliary = self._set_up_solver(multigrid=multigrid or self._system.large)
-        self.iterative = self._ksp.getType() != "preonly"
         self._early_stop = _EarlyStop()
-        if self.iterative:
+        if self._ksp.getType() == "preonly":
+            self.precise = partial(MixedBackend, spaces, data)
+        else:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
-        self._applied: FacetConditions | None = None
+        self._applied: SiteConditions | None = None
         self._iterations = 0
+
+    @property
+    def inexact(self) -> Inexact | None:
+        """Itself, if its linear solver iterates."""
+        return None if self._ksp.getType() == "preonly" else self
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        return solver_name(self._ksp)
+        return self._solver.name()
 
-    def solve(self, conditions: FacetConditions) -> Iterate:
+    def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says, starting from the last solution (collective).
 
         Raises:
@@ -64,15 +81,8 @@ class HybridBackend:
         self._solve(conditions)
         return self._system.recover(conditions, self._iterations)
 
-    def solve_until(self, conditions: FacetConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
-        """Solve from the last solution, to the tolerance or until enough is said (collective).
-
-        Args:
-            conditions: Facet conditions.
-            enough: Called on all ranks after each iteration with what would be `Iterate.p` and `Iterate.flux`.
-
-        Returns:
-            `Iterate.p` and `Iterate.flux` in the end.
+    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve as `Inexact.solve_until` says (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -84,33 +94,33 @@ class HybridBackend:
             self._early_stop.asks = None
         return self._system.traces(self._system.x, conditions)
 
-    def patch(self, facets: npt.NDArray[np.bool_], layers: int) -> Patch:
-        """The unknowns near some of the Γ_S facets of this rank (collective)."""
-        return Patch(self._system.matrix, self._system.trace_dofs[facets], layers)
+    def solve_near(
+        self, sites: Mask, layers: int, share: float
+    ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
+        """Solves as `Inexact.solve_near` says (collective)."""
+        patch = Patch(self._system.matrix, self._system.trace_dofs[sites], layers)
 
-    def solve_on(self, patch: Patch, conditions: FacetConditions) -> tuple[Array, Array]:
-        """Change the last solution on the patch alone; `Iterate.p` and `Iterate.flux` of what it then is (collective).
+        def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
+            self._applied = None
+            self._system.apply(conditions)
+            patch.solve(self._system.matrix, self._system.b, self._system.x)
+            return self._system.traces(self._system.x, conditions)
 
-        Raises:
-            LinearSolveFailure: If a factorisation fails.
-        """
-        self._applied = None
-        self._system.apply(conditions)
-        patch.solve(self._system.matrix, self._system.b, self._system.x)
-        return self._system.traces(self._system.x, conditions)
+        return None if patch.size > share * self.dofs else solve_on_patch
 
-    def _solve(self, conditions: FacetConditions) -> None:
+    def _solve(self, conditions: SiteConditions) -> None:
         """Apply the conditions and solve, unless that is done; go on if the last solve under them stopped early."""
-        if conditions is self._applied:
+        if conditions.same(self._applied, self.comm):
             reason = self._ksp.getConvergedReason()
             if reason > 0 and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
                 return
         else:
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
-                self._auxiliary.update(self._ksp.getPC(), conditions, essential)
+                with options_of(self._solver.prefix):
+                    self._auxiliary.update(self._ksp.getPC(), conditions, essential)
             self._applied, self._iterations = conditions, 0
-        solve_linear(self._ksp, self._system.b, self._system.x)
+        self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
 
     def _set_up_solver(self, *, multigrid: bool) -> AuxiliarySpace | None:
@@ -118,13 +128,13 @@ class HybridBackend:
         ksp, pc = self._ksp, self._ksp.getPC()
         if multigrid:
             ksp.setType("cg")
-            ksp.setTolerances(rtol=TOLERANCE)
+            ksp.setTolerances(rtol=LINEAR)
             ksp.setInitialGuessNonzero(True)
             pc.setType("mg")
         else:
             set_direct(ksp, "cholesky")
         auxiliary = AuxiliarySpace(self.spaces, self.data, pc) if multigrid else None
-        take_options(ksp)
+        self._solver.take_options()
         if ksp.getType() == "preonly":
             ksp.setInitialGuessNonzero(False)
         return auxiliary if pc.getType() == "mg" else None

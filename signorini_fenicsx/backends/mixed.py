@@ -1,4 +1,4 @@
-"""The saddle-point backend: (11b)-(11c) on RT0/P0, assembled once, solved with MUMPS unless PETSc options say else."""
+"""The saddle-point backend: (11b)-(11c) on RT0/P0, assembled once, solved with MUMPS unless PETSc options differ."""
 
 import numpy as np
 import ufl
@@ -7,106 +7,158 @@ from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
 from forms.mixed import flux_equation, load, mass_balance, trace_term
-from signorini_fenicsx.backends.contract import Iterate, direct_solver, solve_linear, solver_name
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
+from signorini_fenicsx.backends.contract import Array, Iterate
+from signorini_fenicsx.backends.facets import FacetBackend
+from signorini_fenicsx.backends.petsc import direct_solver
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Array, Spaces, assembled
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures
 
 
-class MixedBackend:
+class MixedBackend(FacetBackend):
     """The mixed method as it is written: unknowns σ_h and u_h, then p_h from the identity (12).
 
-    The matrix [(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), 0] is assembled once; what is solved for is σ − σ_lift and u. A NO_FLUX
-    facet is an essential condition on its flux degree of freedom, a ZERO_TRACE facet a natural one, a ROBIN facet adds
-    to the diagonal: a step changes rows and columns of facets only and the sparsity pattern, with its symbolic
-    factorisation, stays.
+        (κ_h⁻¹σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,      (∇·σ, v) − ε(u, v) = −(f_h, v) − ε(u_before, v).
+
+    ε = 0 is the mixed method. ε > 0 is Slimane's stabilisation of it for u_before = 0, and a step of the proximal
+    iteration u = u_before + (1/ε)(∇·σ + f_h) otherwise.
+
+    The matrix is assembled once; what is solved for is σ − σ_lift and u. A NO_FLUX facet is an essential condition on
+    its flux degree of freedom, a ZERO_TRACE facet a natural one, a ROBIN facet adds to the diagonal: a step changes
+    rows and columns of facets only and the sparsity pattern, with its symbolic factorisation, stays.
+
+    Attributes:
+        before: u_before.
     """
 
     name = "mixed"
 
-    def __init__(self, spaces: Spaces, data: Data):
+    def __init__(self, spaces: Spaces, data: Data, *, tuning: Tuning | None = None, stabilisation: float = 0.0):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
-            data: Its means over cells and facets.
+            data: The data and their means over cells and facets.
+            tuning: Nothing here depends on it.
+            stabilisation: ε ≥ 0.
+
+        Raises:
+            InputError: If PETSc refuses an option.
         """
-        self.spaces, self.data = spaces, data
+        super().__init__(spaces, data)
         V, Q = spaces.V, spaces.Q
-        self._system = saddle_point_matrix(spaces, data)
+        self._stabilisation = stabilisation
+        self._system = _matrix(spaces, data, stabilisation)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
-
-        self._load = saddle_point_load(spaces, data, self._system)
-        self._b = create_vector([V, Q])
-        self._ksp = direct_solver(self._system.matrix, "lu")
+        self._cells = cell_measures(Q)[: Q.dofmap.index_map.size_local]
+        self._load = self._right_side()
+        self.before = fem.Function(Q)
+        self._b, self._x, self._residual = (create_vector([V, Q]) for _ in range(3))
+        self._solver = direct_solver(self._system.matrix, "lu", "mixed_")
+        self._imposed: SiteConditions | None = None
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        return solver_name(self._ksp)
+        return self._solver.name()
 
-    def solve(self, conditions: FacetConditions) -> Iterate:
+    def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
+        nothing = np.zeros(self.sites)
+        return self.respond(conditions, flux=nothing, trace=nothing)
+
+    def respond(self, conditions: SiteConditions, *, flux: Array, trace: Array, loaded: bool = True) -> Iterate:
+        """Solve with these values of σ·n on NO_FLUX and of p on ZERO_TRACE facets, instead of 0 (collective).
+
+        Args:
+            conditions: Facet conditions.
+            flux: σ·n − q_S per facet.
+            trace: p − ψ per facet.
+            loaded: Whether with the data and u_before, or with 0 instead of all of them.
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        spaces, b, x, residual = self.spaces, self._b, self._x, self._residual
+        self._impose(conditions)
+        given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
+        essential = spaces.flux_dofs[given_flux]
+        values = (flux * spaces.facet_measure / spaces.basis_flux)[given_flux]
+        x.set(0.0)
+        x.array_w[essential] = values
+        self._system.natural.mult(x, b)
+        b.scale(-1.0)
+        b.array_w[spaces.flux_dofs] += np.where(given_trace, trace * spaces.basis_flux, 0.0)
+        if loaded:
+            b.array_w[:] += self._load
+            b.array_w[self._flux_size :] -= self._stabilisation * self._cells * self.before.x.array[: len(self._cells)]
+        b.array_w[spaces.neumann_dofs] = 0.0
+        b.array_w[essential] = values
+        self._solver.solve(b, x)
+
+        self._system.natural.mult(x, residual)
+        if loaded:
+            residual.array_w[:] -= self._load
+        p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
+        sigma, u = self._fields(x)
+        p, normal_flux = conditions.clean(p, spaces.normal_flux(sigma), self.data.stiffness)
+        if loaded:
+            sigma.x.array[:] += self.data.sigma_lift.x.array
+        return Iterate(
+            p=np.where(given_trace, trace, p),
+            flux=np.where(given_flux, flux, normal_flux),
+            linear_iterations=self._solver.ksp.getIterationNumber(),
+            sigma=sigma,
+            u=u,
+        )
+
+    def _impose(self, conditions: SiteConditions) -> None:
+        """Change the matrix, unless it is that of these conditions (collective)."""
+        if conditions.same(self._imposed, self.comm):
+            return
         spaces = self.spaces
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta
         essential = np.concatenate([spaces.neumann_dofs, spaces.flux_dofs[no_flux]])
         self._system.impose(essential, spaces.flux_dofs[robin], added)
-        self._b.array_w[:] = self._load
-        self._b.array_w[essential] = 0.0
+        self._imposed = conditions
 
-        # Not duplicates of the load: PETSc never frees a duplicate of a vector with ghosts.
-        x, residual = self._system.matrix.createVecs()
-        solve_linear(self._ksp, self._b, x)
+    def _right_side(self) -> Array:
+        """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""
+        spaces, data, size = self.spaces, self.data, self._flux_size
+        tau, v = ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
+        lift, right = (create_vector([spaces.V, spaces.Q]) for _ in range(2))
+        lift.set(0.0)
+        lift.array_w[:size] = data.sigma_lift.x.array[:size]
+        self._system.natural.mult(lift, right)
+        right.scale(-1.0)
+        traces = trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
+        right.array_w[:size] += assembled(traces)[:size]
+        right.array_w[size:] -= assembled(load(data.f_h, v))  # no ghost cells
+        return right.array_r.copy()
 
-        self._system.natural.mult(x, residual)
-        residual.array_w[:] -= self._load
-        p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
-        sigma, u = flux_and_scalar(spaces, x)
-        p, flux = conditions.clean(p, spaces.normal_flux(sigma), self.data.stiffness)
-        sigma.x.array[:] += self.data.sigma_lift.x.array
-        return Iterate(sigma, u, p, flux, self._ksp.getIterationNumber())
+    def _fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
+        """σ_h − σ_lift and u_h (collective)."""
+        sigma, u = fem.Function(self.spaces.V, name="sigma"), fem.Function(self.spaces.Q, name="u")
+        for function, values in zip((sigma, u), np.split(x.array_r, [self._flux_size]), strict=True):
+            function.x.array[: len(values)] = values
+            function.x.scatter_forward()
+        return sigma, u
 
 
-def saddle_point_matrix(spaces: Spaces, data: Data, *, stabilisation: float = 0.0) -> ConditionedMatrix:
-    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −ε(u, v)] (collective).
-
-    Args:
-        spaces: The discrete spaces.
-        data: For κ_h.
-        stabilisation: ε ≥ 0; 0 is the mixed method.
-    """
+def _matrix(spaces: Spaces, data: Data, stabilisation: float) -> ConstrainedMatrix:
+    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −ε(u, v)] (collective)."""
     W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
     (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
     block = fem.Constant(spaces.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
     blocks = ufl.extract_blocks(flux_equation(sigma, u, tau, data.kappa_h) + mass_balance(sigma, v) + block)
-    return ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
+    return ConstrainedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
 
 
-def saddle_point_load(spaces: Spaces, data: Data, system: ConditionedMatrix) -> Array:
-    """Right side of the saddle point for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""
-    tau, v = ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
-    lift, right = create_vector([spaces.V, spaces.Q]), create_vector([spaces.V, spaces.Q])
-    size = spaces.V.dofmap.index_map.size_local
-    lift.set(0.0)
-    lift.array_w[:size] = data.sigma_lift.x.array[:size]
-    system.natural.mult(lift, right)
-    right.scale(-1.0)
-    right.array_w[:size] += assembled(trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds))[:size]
-    right.array_w[size:] -= assembled(load(data.f_h, v))  # no ghost cells
-    return right.array_r.copy()
-
-
-def flux_and_scalar(spaces: Spaces, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
-    """σ_h and u_h from a vector of the saddle point (collective)."""
-    sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
-    for function, values in zip((sigma, u), np.split(x.array_r, [spaces.V.dofmap.index_map.size_local]), strict=True):
-        function.x.array[: len(values)] = values
-        function.x.scatter_forward()
-    return sigma, u

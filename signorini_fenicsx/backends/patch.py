@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import set_direct, solve_linear
+from signorini_fenicsx.backends.petsc import LinearSolver, set_direct
 
 
 class Patch:
@@ -36,8 +36,8 @@ class Patch:
         self._local = PETSc.Vec().createSeq(len(indices))
         self._correction = self._local.duplicate()
         self._scatter = PETSc.Scatter().create(self._residual, self._unknowns, self._local, None)
-        self._ksp = PETSc.KSP().create(PETSc.COMM_SELF)
-        set_direct(self._ksp, "cholesky")
+        self._solver = LinearSolver(None, "facet_", PETSc.COMM_SELF)
+        set_direct(self._solver.ksp, "cholesky")
 
     def solve(self, matrix: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Change x on the patch so that the equations there hold (collective).
@@ -50,6 +50,6 @@ class Patch:
         self._scatter.scatter(self._residual, self._local)
         (block,) = matrix.createSubMatrices([self._unknowns], [self._unknowns])
         if len(self._own) > 0:
-            self._ksp.setOperators(block)
-            solve_linear(self._ksp, self._local, self._correction)
+            self._solver.ksp.setOperators(block)
+            self._solver.solve(self._local, self._correction)
             x.array_w[self._rows] += self._correction.array_r[self._own]

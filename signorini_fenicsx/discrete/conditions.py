@@ -1,48 +1,78 @@
-"""The one condition per facet of Γ_S that makes each step of every algorithm a linear problem."""
+"""The one condition per site that makes each step of every algorithm a linear problem.
+
+A site is where a pair (p, σ·n) lives: a facet of Γ_S or, for conforming P1, a vertex.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
 type Array = npt.NDArray[np.float64]
+type Kinds = npt.NDArray[np.int8]
+"""A `Condition` per site of this rank."""
 
 
 class Condition(IntEnum):
-    """What holds on a facet: σ·n = 0, p = 0, or σ·n + βp = 0."""
+    """What holds on a site: σ·n = 0, p = 0, or σ·n + βp = 0."""
 
     NO_FLUX = 0
     ZERO_TRACE = 1
     ROBIN = 2
 
 
-@dataclass(frozen=True)
-class FacetConditions:
-    """Conditions on the Γ_S facets of this rank.
+class Penalty(Enum):
+    """The two penalty laws on Γ_S.
 
-    Attributes:
-        kind: A Condition per owned facet, in the order of `Spaces.facets`.
-        beta: β > 0 of all ROBIN facets.
+    Either is the Signorini condition itself with a shifted quantity, which `shift` adds:
+    TRACE, σ·n = [p]_-/ε, says p + εσ·n ≥ 0, σ·n ≥ 0, one of them 0;
+    FLUX, p = [σ·n]_-/ε, says p ≥ 0, σ·n + εp ≥ 0, one of them 0.
     """
 
-    kind: npt.NDArray[np.int8]
+    TRACE = "I"
+    FLUX = "II"
+
+    def beta(self, eps: float) -> float:
+        """β of σ·n + βp = 0 where the penalty acts."""
+        return 1 / eps if self is Penalty.TRACE else eps
+
+    def shift(self, p: Array, flux: Array, eps: float) -> tuple[Array, Array]:
+        """The pair (p, σ·n), shifted so that a penalty solution satisfies the Signorini condition."""
+        return (p + eps * flux, flux) if self is Penalty.TRACE else (p, flux + eps * p)
+
+
+@dataclass(frozen=True)
+class SiteConditions:
+    """Conditions on the sites of this rank.
+
+    Attributes:
+        kind: A Condition per owned site, in the order of the backend's sites: facets in that of `Spaces.facets`.
+        beta: β > 0 of all ROBIN sites.
+    """
+
+    kind: Kinds
     beta: float = 1.0
+
+    @classmethod
+    def everywhere(cls, kind: Condition, sites: int, beta: float = 1.0) -> SiteConditions:
+        """The same condition on all sites of this rank."""
+        return cls(np.full(sites, kind, dtype=np.int8), beta)
 
     def clean(self, p: Array, flux: Array, stiffness: float) -> tuple[Array, Array]:
         """Replace what the conditions prescribe by its exact value, so that no rule decides on the solver's error.
 
         Args:
-            p: Trace per facet.
-            flux: σ·n per facet.
+            p: Trace per site.
+            flux: σ·n per site.
             stiffness: `Data.stiffness`, what β is large or small beside.
 
         Returns:
-            Trace and flux; one of them is exactly 0 on each NO_FLUX or ZERO_TRACE facet, and on ROBIN facets the
-            smaller one, which carries the larger relative error, is computed from the other.
+            Trace and flux; one of them is exactly 0 on each NO_FLUX or ZERO_TRACE site, and on ROBIN sites the smaller
+            one, which carries the larger relative error, is computed from the other.
         """
         robin = self.kind == Condition.ROBIN
         p = np.where(self.kind == Condition.ZERO_TRACE, 0.0, p)
@@ -52,11 +82,19 @@ class FacetConditions:
         return p, np.where(robin, -self.beta * p, flux)
 
     def counts(self, comm: MPI.Comm) -> dict[Condition, int]:
-        """Number of facets under each condition over all ranks (collective)."""
+        """Number of sites under each condition over all ranks (collective)."""
         local = np.bincount(self.kind, minlength=len(Condition)).astype(np.int64)
         return dict(zip(Condition, comm.allreduce(local).tolist(), strict=True))
 
-    def changes(self, earlier: list[FacetConditions], comm: MPI.Comm) -> npt.NDArray[np.int64]:
-        """Number of facets, over all ranks, that differ from each of the earlier conditions (collective)."""
+    def changes(self, earlier: list[SiteConditions], comm: MPI.Comm) -> npt.NDArray[np.int64]:
+        """Number of sites, over all ranks, that differ from each of the earlier conditions (collective)."""
         local = [np.count_nonzero(self.kind != other.kind) for other in earlier]
         return comm.allreduce(np.array(local, dtype=np.int64))
+
+    def same(self, other: SiteConditions | None, comm: MPI.Comm) -> bool:
+        """Whether these are the other conditions, β included; no conditions are no other ones (collective)."""
+        return other is not None and self.beta == other.beta and int(self.changes([other], comm)[0]) == 0
+
+    def with_kind(self, where: npt.NDArray[np.bool_], kind: Kinds) -> SiteConditions:
+        """These conditions, but for some sites."""
+        return replace(self, kind=np.where(where, kind, self.kind).astype(np.int8))

@@ -1,4 +1,4 @@
-"""An assembled matrix under changing facet conditions: only values change, the sparsity pattern stays."""
+"""An assembled matrix some of whose unknowns are fixed, others another time: the sparsity pattern stays."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,8 +7,8 @@ from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
 
-class ConditionedMatrix:
-    """A matrix, assembled once, and the copy of it that the facet conditions change.
+class ConstrainedMatrix:
+    """A matrix, assembled once, and the copy of it that the conditions of a step change.
 
     Attributes:
         natural: The matrix as it was assembled.

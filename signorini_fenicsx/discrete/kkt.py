@@ -13,14 +13,11 @@ from forms.mixed import flux_product, multiplier_residual, trace_term
 from forms.norms import l2
 from signorini_fenicsx.discrete.data import Data, scalar_conductivity
 from signorini_fenicsx.discrete.spaces import Array, Spaces
-from signorini_fenicsx.methods.registry import Penalty
+from signorini_fenicsx.base.tolerances import KKT, ROUNDING
+from signorini_fenicsx.discrete.conditions import Penalty
 
-TOLERANCE = 1e-8
-"""A solution with a larger residual is not one."""
 CONSTANT = 1e-10
 """u whose energy is below this share of ‖√k u‖/L is a constant, and its σ what linear solvers leave."""
-ROUNDING = 1e-14
-"""Likewise beside the largest of u_D and ψ: less than that is what they leave."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +56,17 @@ class KKTResiduals:
         bad = [
             f"{field.name} {value:.1e}"
             for field in fields(self)
-            if not (value := getattr(self, field.name)) <= TOLERANCE
+            if not (value := getattr(self, field.name)) <= KKT
         ]
-        return f"KKT residuals above {TOLERANCE:g}: {', '.join(bad)}" if bad else None
+        return f"KKT residuals above {KKT:g}: {', '.join(bad)}" if bad else None
 
 
 def kkt_residuals(
     spaces: Spaces,
+    data: Data,
     sigma: fem.Function,
     u: fem.Function,
     p: fem.Function,
-    data: Data,
     penalty: Penalty | None = None,
     eps: float = 0.0,
 ) -> KKTResiduals:

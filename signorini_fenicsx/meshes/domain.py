@@ -1,6 +1,6 @@
 """Distributed meshes with named boundary parts and regions, which refinement and files hand on by their vertices."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import basix.ufl
@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import scatter_rows
 
 type Array = npt.NDArray[np.float64]
@@ -43,6 +44,8 @@ class Domain:
         facets: For each part its facets of this rank, ascending. Parts from a file may overlap or leave facets.
         regions: For each region of a file its cells of this rank, ascending; none for named shapes.
         bend: Two meshes of the domain with edges ≤ h are nowhere further apart than bend·h².
+        name: Of the shape or the file.
+        is_shape: Whether it is one of the named shapes.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -51,10 +54,31 @@ class Domain:
     facets: Mapping[str, npt.NDArray[np.int32]]
     regions: Mapping[str, npt.NDArray[np.int32]]
     bend: float
+    name: str = "mesh"
+    is_shape: bool = False
 
     def box(self) -> Array:
         """Smallest and largest coordinates, shape (2, 3) (collective)."""
         return bounding_box(self.mesh.geometry.x, self.mesh.comm)
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Which parts of the boundary are Γ_S and Γ_N; the rest is Γ_D.
+
+    Attributes:
+        signorini: Names of the parts of Γ_S, at least one.
+        neumann: Names of the parts of Γ_N.
+    """
+
+    signorini: Sequence[str]
+    neumann: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a string in the place of a list."""
+        for key in ("signorini", "neumann"):
+            if isinstance(getattr(self, key), str):
+                raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
 
 
 @dataclass(frozen=True)

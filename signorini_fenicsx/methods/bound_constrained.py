@@ -4,51 +4,50 @@
 Its solution is that of (MLM-I)_h, found without the set rules or the active-set loop: an independent nonlinear solver.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import (
-    Iterate,
+from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.facet_system import FacetSystem
+from signorini_fenicsx.backends.petsc import (
+    MUMPS_WORKSPACE,
+    options_of,
     petsc_reason,
     refuse_options,
     set_direct,
     solver_name,
     take_options,
 )
-from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.base.signals import pass_on
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.methods.loop import Outcome, Recorder, Step
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.task import Task
 
-ZERO_TOLERANCE = "snes_vi_zero_tolerance"
-"""How near its bound p counts as on it: absolutely, 1e-8 by default, which is much for small data."""
+PREFIX = "vi_"
+"""Of its PETSc options."""
+DEFAULTS = MUMPS_WORKSPACE | {"snes_vi_zero_tolerance": "0.0"}
+"""How near its bound p counts as on it, absolutely, is 1e-8 in PETSc, which is much for small data."""
 
 
-def solve_bound_constrained(
-    system: FacetSystem, *, max_iterations: int, on_step: Callable[[Step], None] = lambda step: None
-) -> Outcome:
+def solve_bound_constrained(task: Task) -> Outcome:
     """Solve by the reduced-space active-set method of SNESVI, vinewtonrsls (collective).
 
-    All SNES, KSP and PC options are the user's, without a prefix. If its line search gives up, as it may where the
+    All SNES, KSP and PC options are the user's. If its line search gives up, as it may where the
     sets cycle, it goes on from there with full steps, which is told in the reason.
-
-    Args:
-        system: The facet system; its vectors are destroyed.
-        max_iterations: Iterations of SNES.
-        on_step: Called on all ranks after each iteration.
 
     Raises:
         InputError: If PETSc refuses an option.
     """
-    everywhere_free = FacetConditions(np.full(len(system.spaces.facets), Condition.NO_FLUX, dtype=np.int8))
+    system = FacetSystem(task.spaces, task.data, task.tuning)
+    task.watch.lap("assembly")
+    everywhere_free = SiteConditions.everywhere(Condition.NO_FLUX, len(system.spaces.facets))
     system.apply(everywhere_free)
     system.x.set(0.0)
     x = system.matrix.createVecRight()  # without ghosts: PETSc never frees a duplicate of a vector with ghosts
     x.set(0.0)
-    snes = _snes(system, max_iterations)
-    recorder = Recorder(system.spaces, *_recovered(system, 0), on_step)
+    snes = _snes(system, task.max_iterations)
+    recorder = Recorder(system.spaces, *_recovered(system, 0), task.on_step)
 
     def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
         if iteration > 0:
@@ -69,13 +68,23 @@ def solve_bound_constrained(
     snes.destroy()
     for vector in (system.x, system.b):
         vector.destroy()  # SNESVI makes PETSc's queue of what Python lets go lose them on several ranks
-    return Outcome(iterate, conditions, recorder.steps, ending, failure is None, "hybrid", system.dofs, name)
+    return Outcome(
+        iterate=iterate,
+        conditions=conditions,
+        history=recorder.steps,
+        reason=ending,
+        converged=failure is None,
+        backend="hybrid",
+        dofs=system.dofs,
+        linear_solver=name,
+    )
 
 
 def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
     """Solve from x; why that failed, or None (collective)."""
     try:
-        snes.solve(None, x)
+        with options_of(PREFIX, DEFAULTS):
+            snes.solve(None, x)
     except PETSc.Error as error:
         pass_on(error)
         refuse_options(error)
@@ -105,20 +114,17 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
     ksp, pc = snes.getKSP(), snes.getKSP().getPC()
     if system.large:
         ksp.setType("cg")
-        ksp.setTolerances(rtol=1e-12)
+        ksp.setTolerances(rtol=LINEAR)
         pc.setType("gamg")
     else:
         set_direct(ksp, "cholesky")
-    options = PETSc.Options()
-    if not options.hasName(ZERO_TOLERANCE):
-        options[ZERO_TOLERANCE] = 0.0
-    take_options(snes)
+    take_options(snes, PREFIX, DEFAULTS)
     return snes
 
 
-def _recovered(system: FacetSystem, linear_iterations: int) -> tuple[Iterate, FacetConditions]:
+def _recovered(system: FacetSystem, linear_iterations: int) -> tuple[Iterate, SiteConditions]:
     """The present solution; a facet is in contact where p is at its bound."""
     p = system.x.array_r[system.trace_dofs]
     kind = np.where(p <= 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
-    conditions = FacetConditions(kind)
+    conditions = SiteConditions(kind)
     return system.recover(conditions, linear_iterations), conditions

@@ -1,6 +1,5 @@
 """The penalty formulations (25) and (26) handed to PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +10,9 @@ from petsc4py import PETSc
 
 from forms.mixed import multiplier_residual, trace_term
 from forms.penalty import flux_penalty_law, trace_penalty_law
-from signorini_fenicsx.backends.contract import (
-    Iterate,
+from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.petsc import (
+    options_of,
     petsc_reason,
     refuse_options,
     set_direct,
@@ -20,22 +20,35 @@ from signorini_fenicsx.backends.contract import (
     take_options,
 )
 from signorini_fenicsx.base.signals import pass_on
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.loop import Outcome, Recorder, Step
-from signorini_fenicsx.methods.registry import Penalty
+from signorini_fenicsx.methods.history import OnStep, Outcome, Recorder
+from signorini_fenicsx.methods.task import Task
 
+PREFIX = "newton_"
+"""Of its PETSc options."""
 CONTINUATION = 10.0
 """Factor between successive ε when the direct start fails."""
+
+
+def solve_by_newton(penalty: Penalty, task: Task) -> Outcome:
+    """(25) or (26) by SNES (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    newton = PenaltyNewton(task.spaces, task.data, penalty, eps=task.eps, max_iterations=task.max_iterations)
+    task.watch.lap("assembly")
+    return newton.solve(task.on_step)
 
 
 class PenaltyNewton:
     """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
 
     SNES gets the laws free of 1/ε (see `forms.penalty`) with the derivative that UFL makes of them, for σ − σ_lift, u
-    and p − ψ. All its options are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type
-    newtontr, …
+    and p − ψ. All its options are the user's: -snes_monitor, -snes_linesearch_type bt, -newton_snes_type newtontr, …
     """
 
     def __init__(self, spaces: Spaces, data: Data, penalty: Penalty, *, eps: float, max_iterations: int):
@@ -71,18 +84,18 @@ class PenaltyNewton:
         self._snes = self._problem.solver
         self._set_defaults(max_iterations)
         self._snes.setOptionsPrefix("")
-        take_options(self._snes)
+        take_options(self._snes, PREFIX)
 
     def _set_defaults(self, max_iterations: int) -> None:
         """Full Newton steps with MUMPS until a step changes nothing: a small residual may belong to a wrong set."""
         snes = self._snes
         snes.setType("newtonls")
         snes.getLineSearch().setType("basic")
-        snes.setTolerances(rtol=0.0, atol=0.0, stol=1e-12, max_it=max_iterations)
+        snes.setTolerances(rtol=0.0, atol=0.0, stol=LINEAR, max_it=max_iterations)
         snes.setDivergenceTolerance(PETSc.UNLIMITED)
         set_direct(snes.getKSP(), "lu")
 
-    def solve(self, on_step: Callable[[Step], None] = lambda step: None) -> Outcome:
+    def solve(self, on_step: OnStep = lambda step: None) -> Outcome:
         """Solve, directly or, if that fails, by continuation in ε from 1 down (collective)."""
         start = self._iterate()
         recorder = Recorder(self._spaces, start, self._conditions(start), on_step)
@@ -107,7 +120,14 @@ class PenaltyNewton:
         solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
         dofs = self._problem.x.getSize()
         return Outcome(
-            iterate, self._conditions(iterate), recorder.steps, reason, failure is None, "mixed", dofs, solver
+            iterate=iterate,
+            conditions=self._conditions(iterate),
+            history=recorder.steps,
+            reason=reason,
+            converged=failure is None,
+            backend="mixed",
+            dofs=dofs,
+            linear_solver=solver,
         )
 
     def _reset(self) -> None:
@@ -121,10 +141,11 @@ class PenaltyNewton:
         """One run of SNES from the present fields; the reason of its failure, or None."""
         self._eps_now.value[...] = eps
         self._snes.cancelMonitor()
-        take_options(self._snes)  # cancelling removed the user's monitors as well
+        take_options(self._snes, PREFIX)  # cancelling removed the user's monitors as well
         self._snes.setMonitor(record)
         try:
-            self._problem.solve()
+            with options_of(PREFIX):
+                self._problem.solve()
         except PETSc.Error as error:
             pass_on(error)
             refuse_options(error)
@@ -141,15 +162,16 @@ class PenaltyNewton:
         trace = p.x.array[:size].astype(np.float64)
         flux = self._spaces.normal_flux(sigma)
         sigma.x.array[:] += self._data.sigma_lift.x.array
-        raw = Iterate(sigma, u, trace, flux, self._snes.getKSP().getIterationNumber())
+        linear_iterations = self._snes.getKSP().getIterationNumber()
+        raw = Iterate(p=trace, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
         p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux, self._data.stiffness)
         return replace(raw, p=p_clean, flux=flux_clean)
 
-    def _conditions(self, iterate: Iterate) -> FacetConditions:
+    def _conditions(self, iterate: Iterate) -> SiteConditions:
         """The branch of min that each facet is on, as facet conditions."""
         p, flux = self._penalty.shift(iterate.p, iterate.flux, self._eps)
         if self._penalty is Penalty.TRACE:
             kind = np.where(flux < p, Condition.NO_FLUX, Condition.ROBIN)
         else:
             kind = np.where(p < flux, Condition.ZERO_TRACE, Condition.ROBIN)
-        return FacetConditions(kind.astype(np.int8), self._penalty.beta(self._eps))
+        return SiteConditions(kind.astype(np.int8), self._penalty.beta(self._eps))

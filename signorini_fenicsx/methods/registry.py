@@ -1,204 +1,162 @@
-"""The active/inactive-set algorithms: each is a start and a rule, a pure function of the facet values p and σ·n.
+"""The methods by name: what each solves, where it comes from, how it runs. A new one needs an entry here, or none:
+`solve` takes a `Method` as well as a name.
 
-| algorithm | formulation | rule, per facet of Γ_S                                    | start          |
-|-----------|-------------|-----------------------------------------------------------|----------------|
-| alg1      | (MLM-I)_h   | σ·n = 0 where σ·n − ρp < 0, else p = 0                    | σ·n = 0, p := 0|
-| alg2      | (MLM-II)_h  | p = 0 where p − ρσ·n < 0, else σ·n = 0                    | as alg1        |
-| alg3      | (MPε-I)_h   | σ·n = 0 where p > 0, else p = −εσ·n; then σ·n clipped ≥ 0 | σ·n = 0        |
-| alg4      | (MPε-II)_h  | p = 0 where σ·n > 0, else σ·n = −εp                       | p = 0          |
-| snes1     | (MPε-I)_h   | none: PETSc SNES solves (25)                              | 0              |
-| snes2     | (MPε-II)_h  | none: PETSc SNES solves (26)                              | 0              |
-| vi        | (MLM-I)_h   | none: PETSc SNESVI minimises over p ≥ 0                   | 0              |
-
-The classical methods have no rule either, see `signorini_fenicsx.methods.classical`; slimane has that of alg1.
-
-After one step of alg1 and alg2 one of p and σ·n is 0 on each facet, so only signs matter and ρ changes no iterate.
+| method                    | in                            | formulation                              |
+|---------------------------|-------------------------------|------------------------------------------|
+| alg1 … alg4               | `set_rules`, run by `by_sets` | (MLM-I)_h, (MLM-II)_h, (MPε-I)_h, (MPε-II)_h |
+| snes1, snes2              | `newton`                      | (MPε-I)_h, (MPε-II)_h                    |
+| vi                        | `bound_constrained`           | (MLM-I)_h, p ≥ 0 as a bound              |
+| the ten classical methods | `classical`                   | see there                                |
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any
+from functools import partial
+from importlib import import_module
+from typing import Any, Self
 
-import numpy as np
-import numpy.typing as npt
+from signorini_fenicsx.discrete.conditions import Condition, Penalty
+from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
+from signorini_fenicsx.methods.by_sets import solve_by_sets
+from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.newton import solve_by_newton
+from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
+from signorini_fenicsx.methods.task import Task
 
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-
-type Array = npt.NDArray[np.float64]
-type Rule = Callable[[Array, Array, float], npt.NDArray[np.int8]]
-
-
-class By(Enum):
-    """What runs an algorithm: the active-set loop, SNES on the block system, SNESVI on the facet system, or its own."""
-
-    SETS = "sets"
-    SNES = "snes"
-    SNESVI = "snesvi"
-    CLASSICAL = "classical"
-
-
-class Penalty(Enum):
-    """The two penalty laws on Γ_S.
-
-    Either is the Signorini condition itself with a shifted quantity, which `shift` adds:
-    TRACE, σ·n = [p]_-/ε, says p + εσ·n ≥ 0, σ·n ≥ 0, one of them 0;
-    FLUX, p = [σ·n]_-/ε, says p ≥ 0, σ·n + εp ≥ 0, one of them 0.
-    """
-
-    TRACE = "I"
-    FLUX = "II"
-
-    def beta(self, eps: float) -> float:
-        """β of σ·n + βp = 0 where the penalty acts."""
-        return 1 / eps if self is Penalty.TRACE else eps
-
-    def shift(self, p: Array, flux: Array, eps: float) -> tuple[Array, Array]:
-        """The pair (p, σ·n), shifted so that a penalty solution satisfies the Signorini condition."""
-        return (p + eps * flux, flux) if self is Penalty.TRACE else (p, flux + eps * p)
+MANY = 100_000
+"""Iterations allowed to methods whose iterations are cheap."""
 
 
 @dataclass(frozen=True)
-class Algorithm:
-    """An active/inactive-set algorithm, or a formulation that PETSc's nonlinear solvers take.
+class Method:
+    """A way to solve a discrete Signorini problem.
 
     Attributes:
         title: What it solves and where it is defined.
         reference: Where it comes from.
-        start: Condition of all Γ_S facets in the start solve (Step 1).
-        rule: From p, σ·n and ρ per facet to the next conditions (Step 2).
+        run: Solves (collective).
         contact: Condition of the facets in contact.
-        forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
-        penalty: Its penalty law, if it has one.
-        clips: Whether Step 3 clips σ·n to ≥ 0 (36).
-        by: What solves it; without the loop the rule is not used.
+        penalty: Its penalty law, if it has one: then its KKT residuals are those of the penalty formulation.
         stabilised: Whether ε adds −ε(u, v) to the mass balance.
-        max_iterations: Iterations allowed unless the case says else.
+        starts_from_sets: Whether it can start from a contact set.
+        needs_dirichlet: Whether there must be a part of the boundary where u = u_D.
+        single_call: Whether it is one call of a solver: then the iterations are that solver's.
+        max_iterations: Iterations allowed unless the options say otherwise.
     """
 
     title: str
     reference: str
-    start: Condition
-    rule: Rule
+    run: Callable[[Task], Outcome]
     contact: Condition = Condition.ZERO_TRACE
-    forgets_start: bool = False
     penalty: Penalty | None = None
-    clips: bool = False
-    by: By = By.SETS
     stabilised: bool = False
+    starts_from_sets: bool = False
+    needs_dirichlet: bool = False
+    single_call: bool = False
     max_iterations: int = 50
+
+    @classmethod
+    def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
+        """The method that runs a set rule."""
+        run = partial(solve_by_sets, rule)
+        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True)
 
     @property
     def has_eps(self) -> bool:
         """Whether its solution depends on ε."""
         return self.penalty is not None or self.stabilised
 
-    def cold_start(self, facets: int, eps: float) -> FacetConditions:
-        """Conditions of the start solve on this rank's Γ_S facets (Step 1)."""
-        return FacetConditions(np.full(facets, self.start, dtype=np.int8), self._beta(eps))
-
-    def next_conditions(self, p: Array, flux: Array, rho: float, eps: float) -> FacetConditions:
-        """What the rule makes of p and σ·n on this rank's Γ_S facets (Step 2)."""
-        return FacetConditions(self.rule(p, flux, rho), self._beta(eps))
-
-    def _beta(self, eps: float) -> float:
-        return 1.0 if self.penalty is None else self.penalty.beta(eps)
-
-
-def mlm1_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
-    """Algorithm 1, Step 2: the active set, where σ·n − ρp < 0, gets σ·n = 0 (11a)."""
-    return np.where(flux - rho * p < 0, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
-
-
-def mlm2_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
-    """Algorithm 2, Step 2: the active set, where p − ρσ·n < 0, gets p = 0; the rest gets σ·n = 0 (13a)."""
-    return np.where(p - rho * flux < 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
-
-
-def trace_penalty_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
-    """Algorithm 3, Step 2: the active set, where p > 0, gets σ·n = 0 (35a); the rest σ·n + p/ε = 0 (35b)."""
-    return np.where(p > 0, Condition.NO_FLUX, Condition.ROBIN).astype(np.int8)
-
-
-def flux_penalty_rule(p: Array, flux: Array, rho: float) -> npt.NDArray[np.int8]:
-    """Algorithm 4, Step 2: the active set, where σ·n > 0, gets p = 0; the rest σ·n + εp = 0."""
-    return np.where(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN).astype(np.int8)
+    def iterations(self, outcome: Outcome) -> int:
+        """The number of its iterations."""
+        return outcome.history[-1].linear_iterations if self.single_call else len(outcome.history)
 
 
 LAGRANGE = "Wang, Hu, Zhou: J. Comput. Appl. Math. (2024)"
 PENALTY = "Hu, Wang, Zhou: The mixed penalty method for the Signorini problem (2024)"
 GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (1984)"
-MANY = 100_000
-"""Iterations allowed to methods whose iterations are cheap."""
 
 
-def _classical(title: str, reference: str, **options: Any) -> Algorithm:
-    return Algorithm(title, reference, Condition.NO_FLUX, mlm1_rule, by=By.CLASSICAL, **options)
+def _classical(title: str, reference: str, where: str, **options: Any) -> Method:
+    """A classical method, imported when it runs: SciPy and PIQP are slow to import."""
+    module, _, name = where.partition(".")
+
+    def run(task: Task) -> Outcome:
+        outcome: Outcome = getattr(import_module(f"signorini_fenicsx.methods.classical.{module}"), name)(task)
+        return outcome
+
+    return Method(title, reference, run, needs_dirichlet=True, **options)
 
 
-ALGORITHMS: Mapping[str, Algorithm] = {
-    "alg1": Algorithm("Algorithm 1 for (MLM-I)_h", LAGRANGE, Condition.NO_FLUX, mlm1_rule, forgets_start=True),
-    "alg2": Algorithm("Algorithm 2 for (MLM-II)_h", LAGRANGE, Condition.NO_FLUX, mlm2_rule, forgets_start=True),
-    "alg3": Algorithm(
-        "Algorithm 3 for (MPε-I)_h",
-        PENALTY,
-        Condition.NO_FLUX,
-        trace_penalty_rule,
-        Condition.ROBIN,
-        penalty=Penalty.TRACE,
-        clips=True,
+METHODS: Mapping[str, Method] = {
+    "alg1": Method.of_rule("Algorithm 1 for (MLM-I)_h", LAGRANGE, ALGORITHM_1),
+    "alg2": Method.of_rule("Algorithm 2 for (MLM-II)_h", LAGRANGE, ALGORITHM_2),
+    "alg3": Method.of_rule("Algorithm 3 for (MPε-I)_h", PENALTY, ALGORITHM_3),
+    "alg4": Method.of_rule("Algorithm 4 for (MPε-II)_h", PENALTY, ALGORITHM_4),
+    "snes1": Method(
+        "PETSc SNES for (MPε-I)_h", PENALTY, partial(solve_by_newton, Penalty.TRACE), Condition.ROBIN, Penalty.TRACE
     ),
-    "alg4": Algorithm(
-        "Algorithm 4 for (MPε-II)_h", PENALTY, Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX
+    "snes2": Method(
+        "PETSc SNES for (MPε-II)_h", PENALTY, partial(solve_by_newton, Penalty.FLUX), penalty=Penalty.FLUX
     ),
-    "snes1": Algorithm(
-        "PETSc SNES for (MPε-I)_h",
-        PENALTY,
-        Condition.NO_FLUX,
-        trace_penalty_rule,
-        Condition.ROBIN,
-        penalty=Penalty.TRACE,
-        by=By.SNES,
+    "vi": Method(
+        "PETSc SNESVI for (MLM-I)_h", "Benson, Munson: Optim. Methods Softw. (2006)", solve_bound_constrained
     ),
-    "snes2": Algorithm(
-        "PETSc SNES for (MPε-II)_h", PENALTY, Condition.ZERO_TRACE, flux_penalty_rule, penalty=Penalty.FLUX, by=By.SNES
+    "uzawa": _classical(
+        "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", max_iterations=MANY
     ),
-    "vi": Algorithm(
-        "PETSc SNESVI for (MLM-I)_h",
-        "Benson, Munson: Optim. Methods Softw. (2006)",
-        Condition.NO_FLUX,
-        mlm1_rule,
-        by=By.SNESVI,
+    "psor": _classical(
+        "projected over-relaxation for (VI), conforming P1",
+        GLOWINSKI,
+        "over_relaxation.over_relaxation",
+        max_iterations=MANY,
     ),
-    "uzawa": _classical("Uzawa iteration for (VL), conforming P1", GLOWINSKI, max_iterations=MANY),
-    "psor": _classical("projected over-relaxation for (VI), conforming P1", GLOWINSKI, max_iterations=MANY),
     "primal-pdas": _classical(
-        "primal-dual active set for (VI), conforming P1", "Ito, Kunisch: Lagrange Multiplier Approach (2008)"
+        "primal-dual active set for (VI), conforming P1",
+        "Ito, Kunisch: Lagrange Multiplier Approach (2008)",
+        "primal_sets.primal_dual_active_set",
     ),
     "primal-penalty": _classical(
         "penalty (P_ε) by semismooth Newton, conforming P1",
         "[Haslinger 04] of the slides",
+        "primal_sets.primal_penalty",
         contact=Condition.ROBIN,
         penalty=Penalty.TRACE,
     ),
-    "mixed-uzawa1": _classical("Uzawa iteration in σ·n, L² projection, for (MLM-I)_h", LAGRANGE, max_iterations=MANY),
-    "mixed-uzawa2": _classical("Uzawa iteration in p, L² projection, for (MLM-II)_h", LAGRANGE, max_iterations=MANY),
+    "mixed-uzawa1": _classical(
+        "Uzawa iteration in σ·n, L² projection, for (MLM-I)_h",
+        LAGRANGE,
+        "mixed_uzawa.flux_uzawa",
+        max_iterations=MANY,
+    ),
+    "mixed-uzawa2": _classical(
+        "Uzawa iteration in p, L² projection, for (MLM-II)_h",
+        LAGRANGE,
+        "mixed_uzawa.trace_uzawa",
+        max_iterations=MANY,
+    ),
     "mixed-uzawa-h12": _classical(
         "Uzawa iteration in p, H^{1/2} projection, for (MLM-II)_h",
         "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
+        "mixed_uzawa.half_uzawa",
         max_iterations=MANY,
     ),
     "mixed-uzawa-wang": _classical(
         "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
         "[Wang 09] of the slides",
+        "stabilised.minimisation_uzawa",
         max_iterations=MANY,
     ),
     "slimane": _classical(
         "stabilised unilateral mixed form, ∇·σ + f = εu",
         "Slimane, Bendali, Laborde: ESAIM M2AN (2004)",
+        "stabilised.stabilised_form",
         stabilised=True,
     ),
     "qp": _classical(
-        "(MVI)_h as a quadratic programme, interior point (PIQP)", "Theorem 2 of the slides", max_iterations=250
+        "(MVI)_h as a quadratic programme, interior point (PIQP)",
+        "Theorem 2 of the slides",
+        "quadratic.quadratic_programme",
+        single_call=True,
+        max_iterations=250,
     ),
 }

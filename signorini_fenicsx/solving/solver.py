@@ -1,128 +1,106 @@
-"""From a case to its solution: mesh, spaces, backend, active-set loop, KKT check."""
+"""From a domain, a boundary and a problem to the solution: spaces, data, method, KKT check."""
 
-import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
-from mpi4py import MPI
+import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Backend, LinearSolveFailure
-from signorini_fenicsx.backends.facet_system import FacetSystem
-from signorini_fenicsx.backends.hybrid import HybridBackend
-from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import check_solvability, discrete_data, mesh_case, same_domain
-from signorini_fenicsx.discrete.conditions import FacetConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.discrete.data import Data, Problem, project_data
-from signorini_fenicsx.discrete.kkt import TOLERANCE, KKTResiduals, kkt_residuals
+from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
-from signorini_fenicsx.meshes.shapes import Domain
-from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
-from signorini_fenicsx.methods.loop import Outcome, Step, iterate_sets
-from signorini_fenicsx.methods.newton import PenaltyNewton
-from signorini_fenicsx.methods.registry import ALGORITHMS, Algorithm, By
-from signorini_fenicsx.solving.prediction import (
-    contact_without_dirichlet,
-    predicted_sets,
-    rule_of,
-    settle_sets,
-    transferred,
-    worth_predicting,
-)
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.sampling import curve_gap
+from signorini_fenicsx.methods.history import OnStep, Outcome
+from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.methods.task import Coarser, Task
+from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 
-BACKENDS: dict[str, Callable[[Spaces, Data], Backend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
+type Remesh = Callable[[float], Domain]
+"""From a factor > 1 to a mesh of the domain that is coarser by it (collective). Raises InputError if there is none."""
 
 
 def solve(
-    case: Case,
-    comm: MPI.Comm = MPI.COMM_WORLD,
+    domain: Domain,
+    boundary: Boundary,
+    problem: Problem,
+    options: Options | None = None,
     *,
-    domain: Domain | None = None,
-    problem: Problem | None = None,
-    algorithm: Algorithm | None = None,
-    backend: Callable[[Spaces, Data], Backend] | None = None,
     start: Solution | None = None,
-    on_step: Callable[[Step], None] = lambda step: None,
+    remesh: Remesh | None = None,
+    name: str = "problem",
+    title: str = "",
+    source: object = None,
+    watch: Stopwatch | None = None,
+    on_step: OnStep = lambda step: None,
 ) -> Solution:
-    """Solve a case (collective).
+    """Solve a Signorini problem (collective).
 
     Args:
-        case: The problem, its discretisation and algorithm.
-        comm: Communicator to run on, if there is no mesh yet.
-        domain: Mesh to solve on, instead of the case's own.
-        problem: Data on that mesh, instead of the case's.
-        algorithm: Instead of the case's.
-        backend: Instead of the case's.
-        start: Solution whose contact set is taken for the first one.
+        domain: The mesh with its parts.
+        boundary: Which parts are Γ_S and Γ_N; the rest is Γ_D.
+        problem: The data.
+        options: Algorithm, backend and their parameters.
+        start: Solution whose contact set is taken for the first one, on any mesh of the domain.
+        remesh: Makes coarser meshes, from which the sets of a large problem are predicted.
+        name: What results are called.
+        title: The same in more words.
+        source: What the problem was read from, see `Solution`.
+        watch: Has measured what went before.
         on_step: Called on all ranks after each iteration.
 
     Raises:
-        InputError: If the case cannot be discretised as asked.
+        InputError: If the problem cannot be discretised as asked.
         NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
             last state.
     """
-    watch = Stopwatch()
-    own_mesh = domain is None
-    domain = domain or mesh_case(case, comm)
-    comm = domain.mesh.comm
-    watch.lap("mesh")
-    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    data = discrete_data(case, spaces) if problem is None else project_data(spaces, problem)
+    options, watch = options or Options(), watch or Stopwatch()
+    method, comm = options.method, domain.mesh.comm
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    data = project_data(spaces, problem)
     check_solvability(spaces, data)
-    algorithm = algorithm or ALGORITHMS[case.solve.algorithm]
+    _check_method(options, spaces, start)
     # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
-    constant = 0.0 if algorithm.stabilised else data.common_constant(spaces)
-    run = _Run(case, algorithm, backend or BACKENDS[case.solve.backend], spaces, data.less(spaces, constant))
+    constant = 0.0 if method.stabilised else data.common_constant(spaces)
+    task = Task(
+        spaces=spaces,
+        data=data.less(spaces, constant),
+        rho=options.rho,
+        eps=options.eps,
+        max_iterations=options.max_iterations or method.max_iterations,
+        on_step=on_step,
+        backend=options.make_backend,
+        start=None if start is None else start.contact_set(),
+        predict=options.predict,
+        coarser=None if remesh is None else _coarser(remesh, boundary, problem),
+        tuning=options.tuning,
+        watch=watch,
+    )
     watch.lap("assembly")
-    contact = None
-    if start is not None:
-        run.check_start(start)
-        contact = start.contact_set()
-    elif own_mesh and domain.mesh.topology.dim == 2 and worth_predicting(case, run.algorithm, spaces):
-        contact = predicted_sets(case, run.algorithm, comm)  # in 3D so coarse a mesh sees too little for what it costs
-    watch.lap("prediction")
-    try:
-        outcome = run.outcome(contact, watch, on_step)
-    except LoopInterruption as interruption:
-        outcome = Outcome(*interruption.state, str(interruption), False, case.solve.backend, 0, "interrupted")
+    outcome = _run(task, options)
     watch.lap("solve")
 
-    kkt = run.residuals(outcome)
-    if run.is_imprecise(outcome, kkt):
-        watch.lap("kkt")
-        outcome = run.by_saddle_point(outcome, kkt, on_step)
-        watch.lap("solve")
-        kkt = run.residuals(outcome)
-    iterate = outcome.iterate
-    iterate.u.x.array[:] += constant
+    kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
+    outcome.iterate.u.x.array[:] += constant
     PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     watch.lap("kkt")
     failure = _failure(outcome, kkt)
     solution = Solution(
-        case=case,
-        algorithm=run.algorithm,
+        name=name,
+        title=title,
+        source=source,
+        boundary=boundary,
+        problem=problem,
+        options=options,
         spaces=spaces,
         data=data,
-        sigma=iterate.sigma,
-        u=iterate.u,
-        p=spaces.multiplier(iterate.p + data.psi_h),
-        conditions=outcome.conditions,
-        history=outcome.history,
+        p=spaces.multiplier(outcome.iterate.p + data.psi_h),
+        outcome=outcome.ended(failure),
         kkt=kkt,
-        reason=failure or outcome.reason,
-        converged=failure is None,
-        backend=outcome.backend,
-        dofs=outcome.dofs,
-        linear_solver=outcome.linear_solver,
-        own_residual=outcome.own_residual,
-        details=outcome.details,
-        rough_steps=outcome.rough_steps,
         timings=watch.longest(comm),
         peak_memory=peak_memory(comm),
     )
@@ -131,114 +109,83 @@ def solve(
     return solution
 
 
+def _run(task: Task, options: Options) -> Outcome:
+    """Run the method; if it is told to end, its last state (collective)."""
+    try:
+        return options.method.run(task)
+    except LoopInterruption as interruption:
+        iterate, conditions, history = interruption.state
+        return Outcome(
+            iterate=iterate,
+            conditions=conditions,
+            history=history,
+            reason=str(interruption),
+            converged=False,
+            backend=options.backend_name,
+            dofs=0,
+            linear_solver="interrupted",
+        )
+
+
 def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
     """Why an outcome is not a solution: by the residual of its own problem, if it has one, else by those of (9)."""
     if not outcome.converged:
         return outcome.reason
     if outcome.own_residual is None:
         return kkt.violation()
-    within = outcome.own_residual <= TOLERANCE
-    return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {TOLERANCE:g}"
+    within = outcome.own_residual <= KKT
+    return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {KKT:g}"
 
 
-@dataclass(frozen=True)
-class _Run:
-    """A discrete problem and what solves it."""
+def _coarser(remesh: Remesh, boundary: Boundary, problem: Problem) -> Coarser:
+    def coarser(factor: float) -> tuple[Spaces, Data]:
+        spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann)
+        return spaces, project_data(spaces, problem)
 
-    case: Case
-    algorithm: Algorithm
-    backend: Callable[[Spaces, Data], Backend]
-    spaces: Spaces
-    data: Data
+    return coarser
 
-    def check_start(self, start: Solution) -> None:
-        """Make sure that a solution can be started from (collective).
 
-        Raises:
-            InputError: If the domains differ, or the algorithm has no sets to start from.
-        """
-        if not same_domain(self.case, self.spaces.domain, start.case, start.spaces.domain):
-            other, own = start.case.geometry, self.case.geometry
-            raise InputError(f"the start was solved on '{other.name}', not on '{own.name}'")
-        if self.algorithm.by is not By.SETS:
-            raise InputError(
-                f"{self.case.solve.algorithm} has no facet sets to start from; use alg1, alg2, alg3 or alg4"
-            )
+def check_solvability(spaces: Spaces, data: Data) -> None:
+    """Without Γ_D the total load decides (collective).
 
-    def outcome(self, contact: FacetSet | None, watch: Stopwatch, on_step: Callable[[Step], None]) -> Outcome:
-        """Set up the solver, run it and let it go (collective)."""
-        options, algorithm, spaces, data = self.case.solve, self.algorithm, self.spaces, self.data
-        max_iterations = self._max_iterations()
-        if algorithm.by is By.CLASSICAL:
-            if not spaces.has_dirichlet:
-                raise InputError(f"{options.algorithm} needs a part of the boundary where u = u_D")
-            from signorini_fenicsx.methods.classical import CLASSICAL, Task  # SciPy is slow to import
+    The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
+    it is 0, u is a solution of the Neumann problem that any large constant may be added to.
 
-            task = Task(spaces, data, options.rho, options.eps, max_iterations, on_step)
-            return CLASSICAL[options.algorithm](task)
-        if algorithm.by is By.SNES and algorithm.penalty is not None:
-            newton = PenaltyNewton(spaces, data, algorithm.penalty, eps=options.eps, max_iterations=max_iterations)
-            watch.lap("assembly")
-            return newton.solve(on_step)
-        if algorithm.by is By.SNESVI:
-            system = FacetSystem(spaces, data)
-            watch.lap("assembly")
-            return solve_bound_constrained(system, max_iterations=max_iterations, on_step=on_step)
-        backend = self.backend(spaces, data)
-        watch.lap("assembly")
-        return self._by_sets(backend, contact, watch, on_step)
-
-    def residuals(self, outcome: Outcome) -> KKTResiduals:
-        """KKT residuals of an outcome (collective)."""
-        found, spaces, data = outcome.iterate, self.spaces, self.data
-        p = spaces.multiplier(found.p + data.psi_h)
-        return kkt_residuals(spaces, found.sigma, found.u, p, data, self.algorithm.penalty, self.case.solve.eps)
-
-    def is_imprecise(self, outcome: Outcome, kkt: KKTResiduals) -> bool:
-        """Whether rounding spoils a result of the facet system, as it does in κ∇u for large κ and bad cells."""
-        direct = outcome.backend == HybridBackend.name and outcome.linear_solver.startswith("preonly+cholesky")
-        by_sets = self.algorithm.by is By.SETS and outcome.converged
-        return direct and by_sets and not kkt.stationarity <= TOLERANCE
-
-    def by_saddle_point(self, outcome: Outcome, kkt: KKTResiduals, on_step: Callable[[Step], None]) -> Outcome:
-        """Go on from an outcome's sets with the mixed backend, whose unknown is the flux itself (collective)."""
-        again = self._iterate(MixedBackend(self.spaces, self.data), outcome.conditions, on_step)
-        steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
-        remark = f"by the saddle point, because the facet system left stationarity {kkt.stationarity:.1e}"
-        return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
-
-    def _max_iterations(self) -> int:
-        return self.case.solve.max_iterations or self.algorithm.max_iterations
-
-    def _iterate(self, backend: Backend, start: FacetConditions | None, on_step: Callable[[Step], None]) -> Outcome:
-        """The active-set loop from these conditions, or from the algorithm's own start (collective)."""
-        return iterate_sets(
-            backend,
-            self.algorithm,
-            rho=self.case.solve.rho or 1.0,
-            eps=self.case.solve.eps,
-            max_iterations=self._max_iterations(),
-            predicted=start,
-            on_step=on_step,
+    Raises:
+        InputError: If there is no solution, or more than one.
+    """
+    if not spaces.has_dirichlet and data.total_load >= 0:
+        verdict = "there is no solution" if data.total_load > 0 else "u is not unique"
+        raise InputError(
+            "no part of the boundary is left to u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+            f"{data.total_load:.3g}: {verdict}; it must be negative, or part of the boundary in Γ_D"
         )
 
-    def _by_sets(
-        self, backend: Backend, contact: FacetSet | None, watch: Stopwatch, on_step: Callable[[Step], None]
-    ) -> Outcome:
-        """The active-set loop from a prediction, or from a cold start where there is none or it fails (collective)."""
-        case, algorithm, spaces = self.case, self.algorithm, self.spaces
-        predicted, steps = None, 0
-        with contextlib.suppress(LinearSolveFailure):
-            if isinstance(backend, HybridBackend) and backend.iterative and worth_predicting(case, algorithm, spaces):
-                predicted, steps = settle_sets(backend, algorithm, case, contact)
-            elif contact is not None:
-                predicted = transferred(contact, spaces, rule_of(case, algorithm))
-            watch.lap("prediction")
-            if predicted is not None:
-                outcome = replace(self._iterate(backend, predicted, on_step), rough_steps=steps)
-                if outcome.converged:
-                    return outcome
-        cold = self._iterate(backend, contact_without_dirichlet(spaces), on_step)
-        if predicted is None:
-            return cold
-        return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+
+def _check_method(options: Options, spaces: Spaces, start: Solution | None) -> None:
+    """Make sure that the method can solve this problem and go on from this start (collective).
+
+    Raises:
+        InputError: If it cannot.
+    """
+    method = options.method
+    if method.needs_dirichlet and not spaces.has_dirichlet:
+        raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    if start is None:
+        return
+    if not same_domain(spaces.domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
+    if not method.starts_from_sets:
+        *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
+        usable = f"{', '.join(others)} or {last}"
+        raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+
+
+def same_domain(domain: Domain, other: Domain) -> bool:
+    """Whether two meshes are of one domain: by the name of the shape; with files, by bounding boxes (collective)."""
+    if domain.is_shape and other.is_shape:
+        return domain.name == other.name
+    if domain.mesh.topology.dim != other.mesh.topology.dim:
+        return False
+    distance = np.abs(domain.box() - other.box()).max()
+    return bool(distance <= curve_gap(domain) + curve_gap(other))

@@ -18,29 +18,3 @@ P1, penalty and Slimane's solutions are solutions of other discrete problems: wh
 complementarity and mass balance are of the order of the discretisation error, of Slimane's the mass balance is of order
 ε.
 """
-
-from collections.abc import Callable, Mapping
-
-from signorini_fenicsx.methods.classical.mixed_uzawa import flux_uzawa, half_uzawa, trace_uzawa
-from signorini_fenicsx.methods.classical.over_relaxation import over_relaxation
-from signorini_fenicsx.methods.classical.primal_sets import primal_dual_active_set, primal_penalty
-from signorini_fenicsx.methods.classical.primal_uzawa import primal_uzawa
-from signorini_fenicsx.methods.classical.quadratic import quadratic_programme
-from signorini_fenicsx.methods.classical.stabilised import minimisation_uzawa, stabilised_form
-from signorini_fenicsx.methods.classical.task import Task
-from signorini_fenicsx.methods.loop import Outcome
-
-CLASSICAL: Mapping[str, Callable[[Task], Outcome]] = {
-    "uzawa": primal_uzawa,
-    "psor": over_relaxation,
-    "primal-pdas": primal_dual_active_set,
-    "primal-penalty": primal_penalty,
-    "mixed-uzawa1": flux_uzawa,
-    "mixed-uzawa2": trace_uzawa,
-    "mixed-uzawa-h12": half_uzawa,
-    "mixed-uzawa-wang": minimisation_uzawa,
-    "slimane": stabilised_form,
-    "qp": quadratic_programme,
-}
-
-__all__ = ["CLASSICAL", "Task"]

@@ -18,7 +18,7 @@ import ufl
 
 from forms.norms import l2
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm
 from signorini_fenicsx.methods.classical.projection import (
@@ -27,9 +27,9 @@ from signorini_fenicsx.methods.classical.projection import (
     scattered_values,
     step_length,
 )
-from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
-from signorini_fenicsx.methods.classical.task import Task
-from signorini_fenicsx.methods.loop import Outcome, Recorder
+from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.methods.history import Outcome, Recorder
 
 type Array = npt.NDArray[np.float64]
 
@@ -38,9 +38,10 @@ class _Response:
     """The iterate that belongs to facet values x: σ·n = x or p = x on Γ_S."""
 
     def __init__(self, task: Task, *, by_flux: bool):
-        self._system = SaddlePoint(task.spaces, task.data)
+        self._system = MixedBackend(task.spaces, task.data)
         self._by_flux = by_flux
-        self._system.give_flux(np.full(len(task.spaces.facets), by_flux))
+        given = Condition.NO_FLUX if by_flux else Condition.ZERO_TRACE
+        self._given = SiteConditions.everywhere(given, len(task.spaces.facets))
         self.start = np.zeros(len(task.spaces.facets))
         self.gradient(self.start)
         self.scale = _scale(task.spaces, self.iterate)
@@ -48,12 +49,12 @@ class _Response:
 
     def gradient(self, x: Array) -> Array:
         """The trace p for given σ·n, σ·n for given p; keeps the iterate."""
-        self.iterate: Iterate = self._system.respond(flux=x, trace=x)
+        self.iterate: Iterate = self._system.respond(self._given, flux=x, trace=x)
         return self.iterate.p if self._by_flux else self.iterate.flux
 
     def slope(self, x: Array) -> Array:
         """Its linear part, S⁻¹ or S."""
-        response = self._system.respond(flux=x, trace=x, loaded=False)
+        response = self._system.respond(self._given, flux=x, trace=x, loaded=False)
         return response.p if self._by_flux else response.flux
 
     def record(self, x: Array) -> None:
@@ -63,22 +64,22 @@ class _Response:
     def outcome(self, x: Array, step: StepLength, failure: str | None) -> Outcome:
         """How it ended."""
         return Outcome(
-            self.iterate,
-            self._conditions(x),
-            self._recorder.steps,
-            failure or "the projection changes nothing any more",
-            failure is None,
-            self._system.name,
-            self._system.dofs,
-            self._system.solver(),
+            iterate=self.iterate,
+            conditions=self._conditions(x),
+            history=self._recorder.steps,
+            reason=failure or "the projection changes nothing any more",
+            converged=failure is None,
+            backend=self._system.name,
+            dofs=self._system.dofs,
+            linear_solver=self._system.solver(),
             details=step.details(),
         )
 
-    def _conditions(self, x: Array) -> FacetConditions:
+    def _conditions(self, x: Array) -> SiteConditions:
         at_bound, free = (
             (Condition.NO_FLUX, Condition.ZERO_TRACE) if self._by_flux else (Condition.ZERO_TRACE, Condition.NO_FLUX)
         )
-        return FacetConditions(np.where(x > 0, free, at_bound).astype(np.int8))
+        return SiteConditions(np.where(x > 0, free, at_bound).astype(np.int8))
 
 
 def flux_uzawa(task: Task) -> Outcome:

@@ -14,11 +14,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.linalg import eigsh
 
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.methods.classical.on_root import RootRows, matrix_on_root
 from signorini_fenicsx.methods.classical.primal import Array, P1History, P1System, primal_outcome
-from signorini_fenicsx.methods.classical.task import TOLERANCE, Task
-from signorini_fenicsx.methods.loop import Outcome
+from signorini_fenicsx.base.tolerances import STEP
+from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.methods.history import Outcome
 
 
 def over_relaxation(task: Task) -> Outcome:
@@ -33,12 +34,12 @@ def over_relaxation(task: Task) -> Outcome:
     u = np.zeros_like(system.load)
     u[system.dirichlet] = system.load[system.dirichlet]
 
-    def conditions(u: Array) -> FacetConditions:
+    def conditions(u: Array) -> SiteConditions:
         return system.conditions(u[system.signorini] == 0, Condition.ZERO_TRACE)
 
     history = P1History(task, system, u, conditions(u))
     failure = None
-    while (residual := system.residual(u)) > TOLERANCE:
+    while (residual := system.residual(u)) > STEP:
         if len(history.steps) == task.max_iterations:
             failure = f"the natural residual is {residual:.1e} after {task.max_iterations} sweeps"
             break

@@ -14,14 +14,15 @@ from ufl.core.expr import Expr
 from forms.crouzeix_raviart import stiffness
 from forms.mixed import flux_product, load, trace_term
 from forms.primal import gradient, mass, vertex_weight
-from signorini_fenicsx.backends.contract import Iterate, direct_solver, solve_linear, solver_name
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
+from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.petsc import LinearSolver, direct_solver
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.kkt import TOLERANCE
+from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, owned_on_facets
-from signorini_fenicsx.methods.classical.task import Task
-from signorini_fenicsx.methods.loop import History, Outcome, reached
+from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.methods.history import History, Outcome, reached
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
@@ -41,7 +42,10 @@ class P1System:
         weights: w_i = ∫_ΓS φ_i of the vertices `signorini`.
         matrix: Stiffness matrix with the rows and columns of Γ_D those of the identity.
         diagonal: Its diagonal.
+        dofs: Vertices over all ranks.
     """
+
+    name = "P1"
 
     def __init__(self, spaces: Spaces, data: Data):
         """Assemble (collective).
@@ -57,7 +61,7 @@ class P1System:
         self.dirichlet = owned_on_facets(self.space, spaces.dirichlet_facets)
         self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
-        self._system = ConditionedMatrix(
+        self._system = ConstrainedMatrix(
             fem.form(stiffness(ufl.TrialFunction(self.space), v, data.kappa_h)), PETSc.Mat.Option.SPD
         )
         self._stiffness = self._system.natural
@@ -74,11 +78,11 @@ class P1System:
         self.load = self._owned(load(data.f_h, v) + given_flux) - self._product(self._stiffness, known)
         self.load[self.dirichlet] = u_D[self.dirichlet]
         self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
-        self._ksp = direct_solver(self._system.matrix, "cholesky")
+        self._solver = direct_solver(self._system.matrix, "cholesky", "primal_")
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        return solver_name(self._ksp)
+        return self._solver.name()
 
     def change_matrix(self, *, fixed: Indices | None = None, added: Array | None = None) -> None:
         """Make the next solves those with u = 0 at the vertices `fixed` and `added` to the diagonal (collective).
@@ -97,7 +101,7 @@ class P1System:
             LinearSolveFailure: If the linear solver does not converge.
         """
         self._b.array_w[:] = b
-        solve_linear(self._ksp, self._b, self._x)
+        self._solver.solve(self._b, self._x)
         return self._x.array_r.copy()
 
     def at_signorini(self, values: Array) -> Array:
@@ -134,7 +138,7 @@ class P1System:
             return math.inf if norm > 0 else 0.0
         return norm / size
 
-    def conditions(self, zero: npt.NDArray[np.bool_], kind: Condition, beta: float = 1.0) -> FacetConditions:
+    def conditions(self, zero: npt.NDArray[np.bool_], kind: Condition, beta: float = 1.0) -> SiteConditions:
         """Facet conditions (collective): `kind` where u = 0 on Γ_D or in `zero` at all vertices.
 
         Args:
@@ -147,7 +151,7 @@ class P1System:
         marked.x.array[self.signorini] = zero
         marked.x.scatter_forward()
         touching = marked.x.array[self._facet_vertices].min(axis=1, initial=1.0) > 0
-        return FacetConditions(np.where(touching, kind, Condition.NO_FLUX).astype(np.int8), beta)
+        return SiteConditions(np.where(touching, kind, Condition.NO_FLUX).astype(np.int8), beta)
 
     def recover(self, u: Array) -> Iterate:
         """σ, the L² projection of ∇u to RT0, u by its cell means and p by the facet means of its trace (collective).
@@ -163,7 +167,8 @@ class P1System:
         means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q))) / cell_measures(spaces.Q)
         sigma = _projected_flux(u_h, self._data, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
-        return Iterate(sigma, means, p, spaces.normal_flux(sigma) - self._data.q_Sh, 1)
+        flux = spaces.normal_flux(sigma) - self._data.q_Sh
+        return Iterate(p=p, flux=flux, linear_iterations=1, sigma=sigma, u=means)
 
     def _product(self, matrix: PETSc.Mat, u: Array) -> Array:
         self._x.array_w[:] = u
@@ -190,55 +195,68 @@ class P1System:
         return assembled(form)[: self._size].copy()
 
 
-class P1History:
-    """The history of a P1 method: the change of σ is ‖∇(u^(n) − u^(n−1))‖, as ∇u_h has no divergence."""
+class P1Change:
+    """‖κ^½∇(u − u')‖, which is the change of σ since ∇u_h has no divergence, and ‖u − u'‖."""
 
-    def __init__(self, task: Task, system: P1System, u: Array, conditions: FacetConditions):
-        """Begin with the start, which is not a step itself (collective)."""
-        self._system, self._last = system, u
+    def __init__(self, system: P1System):
+        """Assemble the mass matrix (collective)."""
+        self._system = system
         trial, test = ufl.TrialFunction(system.space), ufl.TestFunction(system.space)
         self._mass = assemble_matrix(fem.form(mass(trial, test)))
         self._mass.assemble()
         self._change, self._image = self._mass.createVecs()
-        self._history = History(task.spaces, conditions, task.on_step)
-        self.steps = self._history.steps
 
-    def add(self, u: Array, conditions: FacetConditions) -> None:
-        """Record an iteration (collective)."""
-        change = u - self._last
+    def __call__(self, change: Array) -> tuple[float, float]:
+        """The norms of a change (collective)."""
         self._change.array_w[:] = change
         self._mass.mult(self._change, self._image)
-        u_change = math.sqrt(max(self._change.dot(self._image), 0.0))
-        with reached(lambda: self._system.recover(u), conditions, self.steps):
-            self._history.append(conditions, self._system.energy_norm(change), u_change)
+        return self._system.energy_norm(change), math.sqrt(max(self._change.dot(self._image), 0.0))
+
+
+class P1History:
+    """The history of a P1 method, in terms of the Γ_S facets in contact."""
+
+    def __init__(self, task: Task, system: P1System, u: Array, conditions: SiteConditions):
+        """Begin with the start, which is not a step itself (collective)."""
+        self._system, self._last, self._norms = system, u, P1Change(system)
+        self._history = History(task.spaces.mesh.comm, conditions, task.on_step)
+        self.steps = self._history.steps
+
+    def add(self, u: Array, conditions: SiteConditions) -> None:
+        """Record an iteration (collective)."""
+        with reached(lambda: (self._system.recover(u), conditions), self.steps):
+            self._history.append(conditions, self._norms(u - self._last))
         self._last = u
+
+
+def not_solved(residual: float) -> str | None:
+    """Why a natural residual is that of no solution, None if it is of one."""
+    return None if residual <= KKT else f"the natural residual of the P1 problem is {residual:.1e}, above {KKT:g}"
 
 
 def primal_outcome(
     system: P1System,
     history: P1History,
     u: Array,
-    conditions: FacetConditions,
+    conditions: SiteConditions,
     failure: str | None,
     *,
     reason: str,
     solver: str,
-    eps: float = 0.0,
     details: dict[str, float] | None = None,
 ) -> Outcome:
     """How a P1 method ended, judged by its natural residual (collective)."""
-    residual = system.residual(u, eps)
-    if failure is None and not residual <= TOLERANCE:
-        failure = f"the natural residual of the P1 problem is {residual:.1e}, above {TOLERANCE:g}"
+    residual = system.residual(u)
+    failure = failure or not_solved(residual)
     return Outcome(
-        system.recover(u),
-        conditions,
-        history.steps,
-        failure or reason,
-        failure is None,
-        "P1",
-        system.dofs,
-        solver,
+        iterate=system.recover(u),
+        conditions=conditions,
+        history=history.steps,
+        reason=failure or reason,
+        converged=failure is None,
+        backend=P1System.name,
+        dofs=system.dofs,
+        linear_solver=solver,
         own_residual=residual,
         details=details or {},
     )
@@ -251,15 +269,14 @@ def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function
     matrix.assemble()
     x, b = matrix.createVecs()
     b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]
-    ksp = PETSc.KSP().create(spaces.mesh.comm)  # not the solver of the method: it takes no options
-    ksp.setOperators(matrix)
-    ksp.setType("cg")
-    ksp.getPC().setType("jacobi")
-    ksp.setTolerances(rtol=1e-14, max_it=1000)
-    solve_linear(ksp, b, x)
+    solver = LinearSolver(matrix, "")  # not the solver of the method: it takes no options
+    solver.ksp.setType("cg")
+    solver.ksp.getPC().setType("jacobi")
+    solver.ksp.setTolerances(rtol=ROUNDING, max_it=1000)
+    solver.solve(b, x)
     sigma = fem.Function(spaces.V, name="sigma")
     sigma.x.array[: x.getLocalSize()] = x.array_r
     sigma.x.scatter_forward()
-    for thing in (ksp, matrix, x, b):
+    for thing in (solver.ksp, matrix, x, b):
         thing.destroy()
     return sigma

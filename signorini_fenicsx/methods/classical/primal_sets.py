@@ -1,92 +1,145 @@
-"""Primal-dual active set for (VI) and semismooth Newton for (P_ε), in P1: until the vertices in contact repeat."""
+"""Primal-dual active set for (VI) and semismooth Newton for (P_ε), in P1: the loop of the set rules on vertices."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.methods.classical.primal import P1History, P1System, primal_outcome
-from signorini_fenicsx.methods.classical.task import Task
-from signorini_fenicsx.methods.loop import Outcome
+from signorini_fenicsx.backends.contract import Inexact, Iterate, Mask, Pairs
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.methods.classical.primal import Array, P1Change, P1System, not_solved
+from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.methods.set_rules import ALGORITHM_2, ALGORITHM_3, SetRule
+from signorini_fenicsx.methods.task import Task
 
-type Array = npt.NDArray[np.float64]
-type Set = npt.NDArray[np.bool_]
+PRIMAL_DUAL = replace(ALGORITHM_2, forgets_start=False)
+"""u = 0 where λ − u > 0, else λ = 0, from the solution with λ = 0."""
+PENALTY = replace(ALGORITHM_3, clip=None)
+"""λ = −u/ε where u ≤ 0, else λ = 0, from the solution with λ = 0: Newton's method for a piecewise linear problem."""
+
+
+@dataclass(frozen=True)
+class VertexPairs(Pairs):
+    """u_i − ψ and λ_i − q_S at the vertices of Γ_S.
+
+    Attributes:
+        u: Values at all owned vertices, on Γ_S those of u − ψ.
+    """
+
+    u: Array
+
+
+class VertexBackend:
+    """A `Backend` for conforming P1, whose sites are the vertices of Γ_S that are not on Γ_D.
+
+    Attributes:
+        system: The P1 system.
+        u: Its last solution, see `VertexPairs.u`.
+    """
+
+    name = P1System.name
+    noun = ("vertex", "vertices")
+    inexact: Inexact | None = None
+    precise: Callable[[], "VertexBackend"] | None = None
+
+    def __init__(self, task: Task, contact: Condition):
+        """Assemble (collective).
+
+        Args:
+            task: The problem.
+            contact: Condition of the facets in contact.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self.system = P1System(task.spaces, task.data)
+        self.comm, self.sites, self.dofs = task.spaces.mesh.comm, len(self.system.signorini), self.system.dofs
+        self._contact, self._stiffness = contact, task.data.stiffness
+        self.u: Array = np.zeros_like(self.system.load)
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return self.system.solver()
+
+    def solve(self, conditions: SiteConditions) -> VertexPairs:
+        """Solve as `Backend.solve` says (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        system = self.system
+        fixed = system.signorini[conditions.kind == Condition.ZERO_TRACE]
+        robin = conditions.kind == Condition.ROBIN
+        system.change_matrix(fixed=fixed, added=np.where(robin, conditions.beta * system.weights, 0.0))
+        b = system.load.copy()
+        b[fixed] = 0.0
+        self.u = system.solve(b)
+        self.u[fixed] = 0.0
+        reaction = (system.times(self.u) - system.load)[system.signorini] / system.weights
+        p, flux = conditions.clean(self.u[system.signorini], reaction, self._stiffness)
+        return VertexPairs(p=p, flux=flux, linear_iterations=1, u=self.u)
+
+    def without_flux(self, iterate: VertexPairs, where: Mask) -> VertexPairs:
+        """Not for P1.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("a rule that clips fluxes needs a backend whose unknown is the flux")
+
+    def scales(self, iterate: VertexPairs) -> tuple[Array, Array]:
+        """The largest |u|, and what it would make of λ at each vertex alone (collective)."""
+        largest = max(self.comm.allgather(float(np.abs(iterate.u).max(initial=0.0))))
+        diagonal = self.system.diagonal[self.system.signorini]
+        return np.full(self.sites, largest), largest * diagonal / self.system.weights
+
+    def change(self, iterate: VertexPairs, before: VertexPairs) -> tuple[float, float]:
+        """Norms of what changed (collective)."""
+        return self._norms(iterate.u - before.u)
+
+    @cached_property
+    def _norms(self) -> P1Change:
+        return P1Change(self.system)
+
+    def places(self) -> Array:
+        """The vertices."""
+        return self.system.space.tabulate_dof_coordinates()[self.system.signorini]
+
+    def in_mixed_spaces(self, iterate: VertexPairs, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
+        """The projection of the flux, means, and the facets all of whose vertices are in contact (collective)."""
+        touching = conditions.kind == self._contact
+        return self.system.recover(iterate.u), self.system.conditions(touching, self._contact, conditions.beta)
 
 
 def primal_dual_active_set(task: Task) -> Outcome:
-    """Solve with u = 0 where λ − u > 0, λ = 0 elsewhere on Γ_S, from the solution with λ = 0 (collective).
-
-    After one step one of u and λ is 0 at each vertex, so a factor in front of u would change no iterate.
+    """(VI) by the primal-dual active set method (collective).
 
     Raises:
-        LinearSolveFailure: If a linear system cannot be solved.
+        LinearSolveFailure: If the start cannot be solved.
     """
-    system = P1System(task.spaces, task.data)
-
-    def solve(contact: Set) -> tuple[Array, Set]:
-        fixed = system.signorini[contact]
-        system.change_matrix(fixed=fixed)
-        b = system.load.copy()
-        b[fixed] = 0.0
-        u = system.solve(b)
-        u[fixed] = 0.0
-        reaction = np.where(contact, (system.times(u) - system.load)[system.signorini], 0.0)
-        return u, reaction - u[system.signorini] > 0
-
-    return _until_repeated(task, system, solve, Condition.ZERO_TRACE)
+    return _on_vertices(task, PRIMAL_DUAL)
 
 
 def primal_penalty(task: Task) -> Outcome:
-    """Solve with λ = −u/ε where u < 0, λ = 0 elsewhere on Γ_S, from the solution with λ = 0 (collective).
-
-    Newton's method for a piecewise linear problem: the same set has the same solution.
+    """(P_ε) by Newton's method (collective).
 
     Raises:
-        LinearSolveFailure: If a linear system cannot be solved.
+        LinearSolveFailure: If the start cannot be solved.
     """
-    system = P1System(task.spaces, task.data)
-
-    def solve(contact: Set) -> tuple[Array, Set]:
-        system.change_matrix(added=np.where(contact, system.weights / task.eps, 0.0))
-        u = system.solve(system.load)
-        return u, u[system.signorini] < 0
-
-    return _until_repeated(task, system, solve, Condition.ROBIN, task.eps)
+    return _on_vertices(task, PENALTY)
 
 
-def _until_repeated(
-    task: Task,
-    system: P1System,
-    solve: Callable[[Set], tuple[Array, Set]],
-    kind: Condition,
-    eps: float = 0.0,
-) -> Outcome:
-    """Solve with a set and take the set that the solution asks for, until nothing changes."""
-    comm = task.spaces.mesh.comm
-    beta = 1 / eps if eps else 1.0
-
-    def facets(contact: Set) -> FacetConditions:
-        return system.conditions(contact, kind, beta)
-
-    contact = np.zeros(len(system.signorini), dtype=bool)
-    u, wanted = solve(contact)
-    history = P1History(task, system, u, facets(contact))
-    failure = None
-    while changed := comm.allreduce(int(np.count_nonzero(wanted != contact))):
-        if len(history.steps) == task.max_iterations:
-            failure = f"{changed} vertices still change after {task.max_iterations} iterations"
-            break
-        contact = wanted
-        u, wanted = solve(contact)
-        history.add(u, facets(contact))
-    return primal_outcome(
-        system,
-        history,
-        u,
-        facets(contact),
-        failure,
-        reason="the vertex sets repeat",
-        solver=system.solver(),
-        eps=eps,
+def _on_vertices(task: Task, rule: SetRule) -> Outcome:
+    """The loop, judged by the natural residual of (VI) or, with a penalty, of (P_ε) (collective)."""
+    backend = VertexBackend(task, rule.contact)
+    parameters = Parameters(eps=task.eps, max_iterations=task.max_iterations)
+    outcome = iterate_sets(backend, rule, parameters, on_step=task.on_step)
+    residual = backend.system.residual(backend.u, 0.0 if rule.penalty is None else task.eps)
+    failure = None if outcome.converged else outcome.reason
+    failure = failure or not_solved(residual)
+    return replace(
+        outcome, converged=failure is None, reason=failure or outcome.reason, own_residual=residual
     )

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.methods.classical.primal import Array, P1History, P1System, primal_outcome
 from signorini_fenicsx.methods.classical.projection import iterate_projection, scattered, step_length
-from signorini_fenicsx.methods.classical.task import Task
-from signorini_fenicsx.methods.loop import Outcome
+from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.methods.history import Outcome
 
 
 def primal_uzawa(task: Task) -> Outcome:
@@ -34,7 +34,7 @@ def primal_uzawa(task: Task) -> Outcome:
     def inner(x: Array, y: Array) -> float:
         return system.dot(weights, x * y)
 
-    def conditions(multiplier: Array) -> FacetConditions:
+    def conditions(multiplier: Array) -> SiteConditions:
         return system.conditions(multiplier > 0, Condition.ZERO_TRACE)
 
     start = np.zeros(len(on))

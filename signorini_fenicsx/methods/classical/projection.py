@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.classical.task import TOLERANCE
+from signorini_fenicsx.base.tolerances import STEP
 
 type Array = npt.NDArray[np.float64]
 
 POWER_STEPS = 30
-"""Power iterations for λ_max; what it is underestimated by then is far below what STEP leaves."""
-STEP = 1.5
+"""Power iterations for λ_max. Their error is small beside the distance of RELAXATION from 2."""
+RELAXATION = 1.5
 """ρ λ_max(T) if ρ is automatic."""
 DIVERGED = 1e8
 """Scale-free size of a step that no convergent iteration makes."""
@@ -29,7 +29,7 @@ DIVERGED = 1e8
 class StepLength:
     """ρ, and the end of the range in which the iteration is sure to converge.
 
-    Contact takes unknowns out of the iteration, so that it may bear more.
+    Contact takes unknowns out of the iteration, so that a larger ρ may still converge.
 
     Attributes:
         rho: ρ > 0.
@@ -72,7 +72,7 @@ def step_length(
         eigenvalue = inner(x, image)
         x = image
     limit = 2 / eigenvalue if eigenvalue > 0 else math.inf
-    automatic = STEP * limit / 2 if math.isfinite(limit) else 1.0
+    automatic = RELAXATION * limit / 2 if math.isfinite(limit) else 1.0
     return StepLength(rho or automatic, limit)
 
 
@@ -117,7 +117,7 @@ def iterate_projection(
     for _ in range(max_iterations):
         new = project(x, step.rho * gradient)
         change = size((new - x) / step.rho)
-        if change <= TOLERANCE:
+        if change <= STEP:
             return x, None
         if not change <= DIVERGED:
             return x, "the iteration diverges" + step.warning()

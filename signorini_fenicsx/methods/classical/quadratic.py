@@ -18,18 +18,17 @@ from dolfinx.fem.petsc import assemble_matrix
 
 from forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
 from signorini_fenicsx.methods.classical.on_root import RootRows, matrix_on_root
-from signorini_fenicsx.methods.classical.task import Task, nothing_yet
-from signorini_fenicsx.methods.loop import Outcome, Recorder
+from signorini_fenicsx.methods.task import Task, nothing_yet
+from signorini_fenicsx.methods.history import Outcome, Recorder
 
 type Array = npt.NDArray[np.float64]
 
 FIXED = 2.0
 """Instead of a sign: the unknown is 0."""
-ACCURACY = 1e-12
-"""Residuals and duality gap at which the interior-point method stops, for data of size 1."""
 
 
 def quadratic_programme(task: Task) -> Outcome:
@@ -76,21 +75,22 @@ def quadratic_programme(task: Task) -> Outcome:
     for function in (sigma_h, u_h):
         function.x.scatter_forward()
     p = flux_rows.scatter(pressure)[spaces.flux_dofs] / np.abs(spaces.basis_flux)
-    iterate = Iterate(sigma_h, u_h, p, spaces.normal_flux(sigma_h), iterations)
+    flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
-    kind = np.where(iterate.flux > p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
+    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h)
+    conditions = SiteConditions(np.where(flux > p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8))
 
     recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
-    recorder.add(iterate, FacetConditions(kind))
+    recorder.add(iterate, conditions)
     return Outcome(
-        iterate,
-        FacetConditions(kind),
-        recorder.steps,
-        f"PIQP: {status} in {iterations} iterations",
-        status == piqp.PIQP_SOLVED.name,
-        "mixed",
-        V.dofmap.index_map.size_global + Q.dofmap.index_map.size_global,
-        "PIQP",
+        iterate=iterate,
+        conditions=conditions,
+        history=recorder.steps,
+        reason=f"PIQP: {status} in {iterations} iterations",
+        converged=status == piqp.PIQP_SOLVED.name,
+        backend="mixed",
+        dofs=V.dofmap.index_map.size_global + Q.dofmap.index_map.size_global,
+        linear_solver="PIQP",
     )
 
 
@@ -115,8 +115,8 @@ def _minimise(
     if scale == 0:
         return np.zeros(len(sign)), np.zeros(len(right)), np.zeros(len(sign)), piqp.PIQP_SOLVED.name, 0
     solver = piqp.SparseSolver()
-    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = ACCURACY
-    solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = ACCURACY
+    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = LINEAR  # for data of size 1
+    solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = LINEAR  # for data of size 1
     solver.settings.max_iter = max_iterations
     solver.setup(
         scipy.sparse.csc_matrix(scipy.sparse.diags_array(of_flux) @ hessian @ scipy.sparse.diags_array(of_flux)),

@@ -19,11 +19,12 @@ import ufl
 from dolfinx import fem
 
 from forms.norms import l2
-from signorini_fenicsx.discrete.kkt import kkt_residuals
-from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
-from signorini_fenicsx.methods.classical.task import TOLERANCE, Task, nothing_yet
-from signorini_fenicsx.methods.loop import Outcome, Recorder, iterate_sets
-from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.base.tolerances import STEP
+from signorini_fenicsx.methods.task import Task, nothing_yet
+from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.methods.set_rules import ALGORITHM_1
 
 
 def stabilised_form(task: Task) -> Outcome:
@@ -33,20 +34,14 @@ def stabilised_form(task: Task) -> Outcome:
         LinearSolveFailure: If the start cannot be solved.
     """
     spaces = task.spaces
-    system = SaddlePoint(spaces, task.data, stabilisation=task.eps)
-    outcome = iterate_sets(
-        system,
-        ALGORITHMS["slimane"],
-        rho=task.rho or 1.0,
-        eps=task.eps,
-        max_iterations=task.max_iterations,
-        on_step=task.on_step,
-    )
+    system = MixedBackend(spaces, task.data, stabilisation=task.eps)
+    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations)
+    outcome = iterate_sets(system, replace(ALGORITHM_1, forgets_start=False), parameters, on_step=task.on_step)
     iterate = outcome.iterate
-    p, load = spaces.multiplier(iterate.p + task.data.psi_h), fem.Function(spaces.Q)
+    load = fem.Function(spaces.Q)
     load.x.array[:] = task.data.f_h.x.array - task.eps * iterate.u.x.array
-    residual = max(vars(kkt_residuals(spaces, iterate.sigma, iterate.u, p, replace(task.data, f_h=load))).values())
-    return replace(outcome, own_residual=residual)
+    kkt = replace(task, data=replace(task.data, f_h=load)).kkt(iterate, None)
+    return replace(outcome, own_residual=max(vars(kkt).values()))
 
 
 def minimisation_uzawa(task: Task) -> Outcome:
@@ -61,14 +56,13 @@ def minimisation_uzawa(task: Task) -> Outcome:
     spaces = task.spaces
     length = spaces.length()
     rho = task.rho or length**2
-    system = SaddlePoint(spaces, task.data, stabilisation=1 / rho)
+    system = MixedBackend(spaces, task.data, stabilisation=1 / rho)
+    parameters = Parameters(max_iterations=task.max_iterations)
     iterate, conditions = nothing_yet(spaces)
     recorder = Recorder(spaces, iterate, conditions, task.on_step)
     failure: str | None = f"the mass balance does not hold after {task.max_iterations} iterations"
     for _ in range(task.max_iterations):
-        inner = iterate_sets(
-            system, ALGORITHMS["alg1"], rho=1.0, eps=1.0, max_iterations=task.max_iterations, predicted=conditions
-        )
+        inner = iterate_sets(system, ALGORITHM_1, parameters, start=conditions)
         iterate, conditions = inner.iterate, inner.conditions
         system.before.x.array[:] = iterate.u.x.array
         recorder.add(iterate, conditions)
@@ -76,17 +70,17 @@ def minimisation_uzawa(task: Task) -> Outcome:
             failure = f"a minimisation did not end: {inner.reason}"
             break
         sigma_norm = math.sqrt(spaces.integrate(l2(iterate.sigma, ufl.dx)))
-        if recorder.steps[-1].u_change * length <= TOLERANCE * rho * sigma_norm:
+        if recorder.steps[-1].u_change * length <= STEP * rho * sigma_norm:
             failure = None
             break
     return Outcome(
-        iterate,
-        conditions,
-        recorder.steps,
-        failure or "the mass balance holds",
-        failure is None,
-        system.name,
-        system.dofs,
-        system.solver(),
+        iterate=iterate,
+        conditions=conditions,
+        history=recorder.steps,
+        reason=failure or "the mass balance holds",
+        converged=failure is None,
+        backend=system.name,
+        dofs=system.dofs,
+        linear_solver=system.solver(),
         details={"rho": rho, "rho_limit": math.inf},
     )

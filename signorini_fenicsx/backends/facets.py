@@ -1,0 +1,127 @@
+"""What the backends share whose sites are the facets of Γ_S."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from forms.mixed import flux_product
+from forms.norms import l2, v_norm
+from signorini_fenicsx.backends.contract import Array, Backend, Inexact, Iterate, Mask
+from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.spaces import Spaces
+
+
+class FieldChange:
+    """‖σ − σ'‖_V and ‖u − u'‖_Q, with the forms compiled once."""
+
+    def __init__(self, spaces: Spaces):
+        """Compile (collective)."""
+        self._comm = spaces.mesh.comm
+        self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
+        self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
+
+    def __call__(self, iterate: Iterate, before: Iterate) -> tuple[float, float]:
+        """The norms (collective)."""
+        self._sigma.x.array[:] = iterate.sigma.x.array - before.sigma.x.array
+        self._u.x.array[:] = iterate.u.x.array - before.u.x.array
+        local = np.array([fem.assemble_scalar(form) for form in self._norms])
+        sigma, u = np.sqrt(self._comm.allreduce(local)).tolist()
+        return sigma, u
+
+
+class FacetBackend(ABC):
+    """A `Backend` for RT0/P0 with a condition per facet of Γ_S. What is left is its `solve`, its name and its size."""
+
+    name: str
+    noun = ("facet", "facets")
+    dofs: int
+    precise: Callable[[], Backend[Iterate]] | None = None
+
+    def __init__(self, spaces: Spaces, data: Data):
+        """Take note of the problem.
+
+        Args:
+            spaces: The discrete spaces.
+            data: The data and their means over cells and facets.
+        """
+        self.spaces, self.data = spaces, data
+        self.comm: MPI.Comm = spaces.mesh.comm
+        self.sites = len(spaces.facets)
+
+    @property
+    def inexact(self) -> Inexact | None:
+        """Its early stops, if it has some."""
+        return None
+
+    @abstractmethod
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+
+    @abstractmethod
+    def solve(self, conditions: SiteConditions) -> Iterate:
+        """Solve as `Backend.solve` says (collective)."""
+
+    @cached_property
+    def change(self) -> FieldChange:
+        """Norms of what changed, see `Backend.change`."""
+        return FieldChange(self.spaces)
+
+    def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
+        """σ·n := q_S on some facets, and the trace that belongs to it (37) (collective).
+
+        A flux that changes by δσ moves p on every Γ_S facet of its cell, by (κ_h⁻¹δσ, τ_h) of that facet's basis
+        function τ_h.
+        """
+        spaces = self.spaces
+        change, moved_by = self._trace_of_flux
+        change.x.array[:] = 0.0
+        added = -iterate.flux * spaces.facet_measure / spaces.basis_flux
+        change.x.array[spaces.flux_dofs[where]] = added[where]
+        sigma = iterate.sigma.copy()
+        sigma.x.array[:] += change.x.array
+        moved = fem.assemble_vector(moved_by)
+        moved.scatter_reverse(la.InsertMode.add)
+        p = iterate.p + moved.array[spaces.flux_dofs] / spaces.basis_flux
+        return replace(iterate, sigma=sigma, p=p, flux=np.where(where, 0.0, iterate.flux))
+
+    @cached_property
+    def _trace_of_flux(self) -> tuple[fem.Function, fem.Form]:
+        change = fem.Function(self.spaces.V)
+        return change, fem.form(flux_product(change, ufl.TestFunction(self.spaces.V), self.data.kappa_h))
+
+    def scales(self, iterate: Iterate) -> tuple[Array, Array]:
+        """Sizes of p and σ·n per facet (collective).
+
+        The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux, per |e|, through any facet
+        of a cell behind Γ_S: the terms whose sums p and σ·n are. Where κ jumps, rounding is the same in the energy, so
+        that the scale of p is also at most the largest √κ|u| or √κ|p| over √κ of the facet's cell, that of σ·n the
+        largest flux/√κ times that.
+        """
+        spaces = self.spaces
+        roots = np.sqrt(self.data.conductivities(spaces))
+        root = roots[spaces.cells]
+        through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
+        flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
+        u, p = np.abs(iterate.u.x.array), np.abs(iterate.p)
+        terms = (np.append(u, p), np.append(roots * u, root * p), flux, flux / root)
+        largest = np.array([values.max(initial=0.0) for values in terms])
+        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        return np.minimum(largest[0], largest[1] / root), np.minimum(largest[2], largest[3] * root)
+
+    def places(self) -> Array:
+        """The sum of each facet's vertices."""
+        gamma, dofmap = self.spaces.Lambda.mesh, self.spaces.Lambda.dofmap.list[:, 0]
+        corners = np.empty((len(dofmap), gamma.geometry.dofmaps[0].shape[1], 3))
+        corners[dofmap] = gamma.geometry.x[gamma.geometry.dofmaps[0]]
+        return np.sort(corners, axis=1).sum(axis=1)[: self.sites]  # sorted: the same bits on any rank
+
+    def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
+        """Both are there."""
+        return iterate, conditions

@@ -1,0 +1,174 @@
+"""PETSc's solvers with the program's defaults, the user's options, and failures that are told.
+
+An option is taken by every solver of the program; one with a prefix by some, and there it wins: `facet_` by the facet
+system, `mixed_` by the saddle point, `coarse_` by the facet systems of coarser meshes, `primal_` by conforming P1, `vi_`
+by SNESVI, `newton_` by SNES. The global database is the user's: what is put there for a solver is taken out again.
+"""
+
+import contextlib
+import re
+from collections.abc import Iterator, Mapping
+
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+
+MUMPS_WORKSPACE = {"mat_mumps_icntl_14": "100"}
+"""MUMPS gets twice the workspace that it estimates, which on several ranks and small meshes is sometimes too little."""
+OPTION_ERRORS = (56, 62, 63, 83, 86, 92)
+"""PETSc's codes for: not supported, wrong value, out of range, unusable, unknown type, no such factorisation."""
+
+
+class LinearSolveFailure(NumericalFailure):
+    """A Krylov or direct solver of PETSc gave up."""
+
+
+@contextlib.contextmanager
+def options_of(prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> Iterator[None]:
+    """While a solver is set up or runs: the user's options with this prefix as if they had none.
+
+    PETSc reads some options only when it factors or builds a hierarchy, so that a solver's own prefix would hide
+    options without one from it.
+
+    Args:
+        prefix: Such as "facet_"; empty for none.
+        defaults: Options that there is no call for, taken where the user has none.
+    """
+    options = PETSc.Options()
+    given = options.getAll()
+    put = {name: value for name, value in defaults.items() if name not in given}
+    put |= {name.removeprefix(prefix): value for name, value in given.items() if prefix and name.startswith(prefix)}
+    for name, value in put.items():
+        options.setValue(name, value or None)
+        for used in (name, prefix + name):
+            options.hasName(used)  # or PETSc complains at its end where nobody has asked for it
+    try:
+        yield
+    finally:
+        for name in put:
+            if name in given:
+                options.setValue(name, given[name] or None)
+            else:
+                options.delValue(name)
+
+
+class LinearSolver:
+    """A KSP that takes the options of its prefix.
+
+    Attributes:
+        ksp: The solver.
+    """
+
+    def __init__(self, matrix: PETSc.Mat | None, prefix: str, comm: PETSc.Comm | None = None):
+        """Create it, without a type (collective).
+
+        Args:
+            matrix: Its operator; None if that comes later.
+            prefix: Of its options.
+            comm: Communicator, if there is no matrix.
+        """
+        self.prefix = prefix
+        self.ksp = PETSc.KSP().create(comm if matrix is None else matrix.getComm())
+        if matrix is not None:
+            self.ksp.setOperators(matrix)
+
+    def take_options(self) -> None:
+        """Let the user's options change the defaults (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        take_options(self.ksp, self.prefix)
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve and make sure of it (collective).
+
+        Args:
+            b: Right side.
+            x: Solution, and the start if the solver takes one.
+
+        Raises:
+            InputError: If PETSc does not know what its options ask for.
+            LinearSolveFailure: If the solver does not converge or PETSc gives up.
+        """
+        try:
+            with options_of(self.prefix):
+                self.ksp.solve(b, x)
+        except PETSc.Error as error:
+            refuse_options(error)
+            raise LinearSolveFailure(f"the linear solver {self.name()} failed: {petsc_reason(error)}") from None
+        reason = self.ksp.getConvergedReason()
+        if reason < 0:
+            raise LinearSolveFailure(
+                f"the linear solver {self.name()} stopped with PETSc's reason {reason} "
+                f"after {self.ksp.getIterationNumber()} iterations"
+            )
+
+    def name(self) -> str:
+        """Krylov method, preconditioner and, if it factors, the package that does."""
+        return solver_name(self.ksp)
+
+
+def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:
+    """Factor with MUMPS, "lu" or "cholesky", unless the user's options say otherwise."""
+    ksp.setType("preonly")
+    ksp.getPC().setType(factorisation)
+    ksp.getPC().setFactorSolverType("mumps")
+
+
+def direct_solver(matrix: PETSc.Mat, factorisation: str, prefix: str) -> LinearSolver:
+    """A solver that factors with MUMPS, "lu" or "cholesky", unless the user's options say otherwise (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    solver = LinearSolver(matrix, prefix)
+    set_direct(solver.ksp, factorisation)
+    solver.take_options()
+    return solver
+
+
+def take_options(
+    solver: PETSc.KSP | PETSc.SNES, prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE
+) -> None:
+    """Let the user's PETSc options change a solver that has its defaults (collective).
+
+    Args:
+        solver: The solver.
+        prefix: Of its options.
+        defaults: See `options_of`.
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    try:
+        with options_of(prefix, defaults):
+            solver.setFromOptions()
+    except PETSc.Error as error:
+        raise InputError(f"PETSc options: {petsc_reason(error)}") from None
+
+
+def solver_name(ksp: PETSc.KSP) -> str:
+    """Krylov method, preconditioner and, if it factors, the package that does."""
+    pc = ksp.getPC()
+    package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky") else None
+    return "+".join(part for part in (ksp.getType(), pc.getType(), package) if part)
+
+
+def petsc_reason(error: PETSc.Error) -> str:
+    """The sentence at the end of PETSc's stack of calls."""
+    *_, last = str(error).splitlines()
+    return last.partition("] ")[2] or last
+
+
+def refuse_options(error: RuntimeError) -> None:
+    """Say that an error, raised by PETSc or by DOLFINx for it, is one of the user's options, if it is one.
+
+    Raises:
+        InputError: If PETSc does not know what its options ask for.
+    """
+    told = re.search(r"PETSc error code is: (\d+), *(.*?)(\. |$)", str(error))
+    code = int(told[1]) if told else getattr(error, "ierr", 0)
+    if code in OPTION_ERRORS and PETSc.Options().getAll():
+        reason = told[2] if told else petsc_reason(error)
+        raise InputError(f"PETSc options: {reason} (PETSc's error {code})") from None

@@ -1,0 +1,71 @@
+"""A set rule as a method: a predicted start where that is worth it, the loop, and a precise flux in the end."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+
+from signorini_fenicsx.backends.contract import Backend, Iterate
+from signorini_fenicsx.backends.petsc import LinearSolveFailure
+from signorini_fenicsx.base.tolerances import KKT
+from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
+from signorini_fenicsx.methods.set_rules import SetRule
+from signorini_fenicsx.methods.task import Task
+
+
+def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
+    """Run a set rule with the task's backend (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+        LinearSolveFailure: If the start cannot be solved.
+    """
+    backend = task.backend(task.spaces, task.data)
+    task.watch.lap("assembly")
+    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations)
+    outcome = _from_best_start(backend, rule, parameters, task)
+    task.watch.lap("solve")
+    if backend.precise is None or not outcome.converged:
+        return outcome
+    return _made_precise(outcome, backend.precise, rule, parameters, task)
+
+
+def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Parameters, task: Task) -> Outcome:
+    """The loop from a prediction, or from a cold start where there is none or it fails (collective)."""
+    prediction = Prediction(rule, parameters.rho, parameters.eps, task.coarser, task.tuning)
+    spaces = task.spaces
+    predicted, steps = None, 0
+    with contextlib.suppress(LinearSolveFailure):
+        contact, worth_it = task.start, task.predict and prediction.is_worth_it(spaces)
+        if contact is None and worth_it:
+            contact = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
+        if worth_it and backend.inexact is not None:
+            predicted, steps = prediction.settle(backend.inexact, spaces, contact)
+        elif contact is not None:
+            predicted = prediction.transferred(contact, spaces)
+        task.watch.lap("prediction")
+        if predicted is not None:
+            outcome = iterate_sets(backend, rule, parameters, start=predicted, on_step=task.on_step)
+            if outcome.converged:
+                return replace(outcome, rough_steps=steps)
+    start = contact_without_dirichlet(spaces)
+    cold = iterate_sets(backend, rule, parameters, start=start, on_step=task.on_step)
+    if predicted is None:
+        return cold
+    return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+
+
+def _made_precise(
+    outcome: Outcome, precise: Callable[[], Backend[Iterate]], rule: SetRule, parameters: Parameters, task: Task
+) -> Outcome:
+    """The outcome with its KKT residuals; if they say so, that of a precise backend from its sets (collective)."""
+    kkt = task.kkt(outcome.iterate, rule.penalty)
+    task.watch.lap("kkt")
+    if kkt.stationarity <= KKT:
+        return replace(outcome, kkt=kkt)
+    again = iterate_sets(precise(), rule, parameters, start=outcome.conditions, on_step=task.on_step)
+    task.watch.lap("solve")
+    steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
+    remark = f"by the saddle point, because the facet system left stationarity {kkt.stationarity:.1e}"
+    return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")

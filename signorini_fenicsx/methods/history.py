@@ -1,0 +1,165 @@
+"""What a method reports: a step per iteration, and how it ended."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from mpi4py import MPI
+
+from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.facets import FieldChange
+from signorini_fenicsx.base.signals import LoopInterruption
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.spaces import Spaces
+
+type OnStep = Callable[["Step"], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of the history: iteration n of the algorithm, the start solve being n = 0 and not listed.
+
+    Sites are the facets of Γ_S; those of conforming P1 are its vertices on Γ_S.
+
+    Attributes:
+        iteration: n, from 1.
+        no_flux: Sites with σ·n = 0.
+        zero_trace: Sites with p = 0.
+        robin: Sites with σ·n + βp = 0.
+        changed: Sites whose condition differs from iteration n − 1.
+        clipped: Sites whose negative σ·n Algorithm 3 set to 0 (36).
+        sigma_change: ‖σ^(n) − σ^(n−1)‖_V.
+        u_change: ‖u^(n) − u^(n−1)‖_Q.
+        linear_iterations: Iterations of the linear solver under these conditions; a set that repeats shows those of
+            its only solve.
+        seconds: Wall time of the iteration.
+    """
+
+    iteration: int
+    no_flux: int
+    zero_trace: int
+    robin: int
+    changed: int
+    clipped: int
+    sigma_change: float
+    u_change: float
+    linear_iterations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a solve ended.
+
+    Attributes:
+        iterate: Last solution.
+        conditions: Conditions of the Γ_S facets of this rank that it was solved with.
+        history: One step per iteration.
+        reason: Why it ended, in words.
+        converged: Whether the sets settled; of a `Solution`, whether its residuals are small as well.
+        backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
+        dofs: Unknowns of the linear systems.
+        linear_solver: Name of their solver.
+        own_residual: Largest residual of the discrete problem that the method solves, scale-free, where that is neither
+            (9) nor a penalty of it: what is judged then instead of the KKT residuals.
+        details: Numbers of its own that the method chose or found, such as ρ.
+        rough_steps: Solves that went before to predict the sets and were stopped early.
+        kkt: Its KKT residuals, if the method has looked at them.
+    """
+
+    iterate: Iterate
+    conditions: SiteConditions
+    history: list[Step]
+    reason: str
+    converged: bool
+    backend: str
+    dofs: int
+    linear_solver: str
+    own_residual: float | None = None
+    details: dict[str, float] = field(default_factory=dict)
+    rough_steps: int = 0
+    kkt: KKTResiduals | None = None
+
+    def ended(self, failure: str | None) -> Self:
+        """The outcome after its residuals have been judged."""
+        return replace(self, converged=failure is None, reason=failure or self.reason)
+
+
+class History:
+    """Builds the history: one step per iteration, its conditions compared with those before."""
+
+    def __init__(self, comm: MPI.Comm, conditions: SiteConditions, on_step: OnStep):
+        """Begin with the start, which is not a step itself.
+
+        Args:
+            comm: Communicator.
+            conditions: Conditions of the start.
+            on_step: Called on all ranks with each step.
+        """
+        self.steps: list[Step] = []
+        self._comm = comm
+        self._last_conditions, self._on_step = conditions, on_step
+        self._began = time.perf_counter()
+
+    def append(
+        self,
+        conditions: SiteConditions,
+        change: tuple[float, float],
+        *,
+        linear_iterations: int = 1,
+        clipped: int = 0,
+    ) -> None:
+        """Record an iteration by its conditions and the norms of what it changed in σ and u (collective)."""
+        counts = conditions.counts(self._comm)
+        now = time.perf_counter()
+        step = Step(
+            iteration=len(self.steps) + 1,
+            no_flux=counts[Condition.NO_FLUX],
+            zero_trace=counts[Condition.ZERO_TRACE],
+            robin=counts[Condition.ROBIN],
+            changed=int(conditions.changes([self._last_conditions], self._comm)[0]),
+            clipped=clipped,
+            sigma_change=change[0],
+            u_change=change[1],
+            linear_iterations=linear_iterations,
+            seconds=now - self._began,
+        )
+        self.steps.append(step)
+        self._last_conditions, self._began = conditions, now
+        self._on_step(step)
+
+
+class Recorder(History):
+    """A history of iterates in V_h × Q_h, each compared with the one before; for methods without a backend."""
+
+    def __init__(self, spaces: Spaces, iterate: Iterate, conditions: SiteConditions, on_step: OnStep):
+        """Begin with the start, which is not a step itself (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            iterate: The start.
+            conditions: Its facet conditions.
+            on_step: Called on all ranks with each step.
+        """
+        self._last, self._change = iterate, FieldChange(spaces)
+        super().__init__(spaces.mesh.comm, conditions, on_step)
+
+    def add(self, iterate: Iterate, conditions: SiteConditions) -> None:
+        """Record an iteration (collective)."""
+        change = self._change(iterate, self._last)
+        self._last = iterate
+        with reached(lambda: (iterate, conditions), self.steps):
+            self.append(conditions, change, linear_iterations=iterate.linear_iterations)
+
+
+@contextlib.contextmanager
+def reached(state: Callable[[], tuple[Iterate, SiteConditions]], history: list[Step]) -> Iterator[None]:
+    """Tell an interruption that comes with a step what the method has reached (collective)."""
+    try:
+        yield
+    except LoopInterruption as interruption:
+        interruption.state = (*state(), history)
+        raise

@@ -1,0 +1,118 @@
+"""The four algorithms of the slides, each whole: a start, a rule from (p, σ·n) to the next conditions, perhaps a clip.
+
+What they share are the linear problems, which a backend solves for any conditions (NO_FLUX: σ·n = 0, ZERO_TRACE: p = 0,
+ROBIN: σ·n + βp = 0), and the repetition, which is `loop.iterate_sets`. p and σ·n stand for p − ψ and σ·n − q_S, on each
+site of Γ_S. Step numbers are those of the slides.
+
+After one step of Algorithms 1 and 2 one of p and σ·n is 0 on each site, so only signs matter and ρ changes no iterate.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from signorini_fenicsx.backends.contract import Array, Mask
+from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
+
+
+@dataclass(frozen=True)
+class SetRule:
+    """An active/inactive-set algorithm.
+
+    Attributes:
+        start: Condition of all sites in the start solve (Step 1).
+        rule: From p, σ·n and ρ to a `Condition` per site (Step 2).
+        contact: Condition of the sites in contact.
+        forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
+        penalty: Its penalty law, which says what β is on ROBIN sites.
+        clip: From conditions and σ·n to the sites whose σ·n becomes 0 after the solve (Step 3).
+    """
+
+    start: Condition
+    rule: Callable[[Array, Array, float], Kinds]
+    contact: Condition = Condition.ZERO_TRACE
+    forgets_start: bool = False
+    penalty: Penalty | None = None
+    clip: Callable[[Kinds, Array], Mask] | None = None
+
+    def first(self, sites: int, eps: float) -> SiteConditions:
+        """Conditions of the start solve on this rank's sites (Step 1)."""
+        return SiteConditions.everywhere(self.start, sites, self._beta(eps))
+
+    def following(self, p: Array, flux: Array, rho: float, eps: float) -> SiteConditions:
+        """What the rule makes of p and σ·n on this rank's sites (Step 2)."""
+        return SiteConditions(self.rule(p, flux, rho), self._beta(eps))
+
+    def _beta(self, eps: float) -> float:
+        return 1.0 if self.penalty is None else self.penalty.beta(eps)
+
+
+def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:
+    return np.where(where, kind, other).astype(np.int8)
+
+
+# Algorithm 1, for the multiplier formulation (MLM-I)_h, (9).
+#   Step 1     Solve with σ·n = 0 on Γ_S, then set p = 0.
+#   Step 2     Γ¹: the sites with σ·n − ρp < 0.
+#   Step 3, 4  Solve with σ·n = 0 on Γ¹ and p = 0 elsewhere (11); p on Γ¹ by (12).
+#   Step 5     Repeat from Step 2 until the sets do.
+
+
+def rule_1(p: Array, flux: Array, rho: float) -> Kinds:
+    """Step 2: active, and so NO_FLUX, is where σ·n − ρp < 0; ties are in contact."""
+    return _either(flux - rho * p < 0, Condition.NO_FLUX, Condition.ZERO_TRACE)
+
+
+ALGORITHM_1 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_1)
+
+
+# Algorithm 2, for the multiplier formulation (MLM-II)_h, (10).
+#   Step 1     As in Algorithm 1.
+#   Step 2     Γ¹: the sites with p − ρσ·n < 0.
+#   Step 3, 4  Solve with p = 0 on Γ¹ and σ·n = 0 elsewhere (13); p there by (14).
+#   Step 5     Repeat from Step 2 until the sets do.
+
+
+def rule_2(p: Array, flux: Array, rho: float) -> Kinds:
+    """Step 2: active, and so ZERO_TRACE, is where p − ρσ·n < 0; ties are open."""
+    return _either(p - rho * flux < 0, Condition.ZERO_TRACE, Condition.NO_FLUX)
+
+
+ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2)
+
+
+# Algorithm 3, for the penalty formulation (MPε-I)_h, (25): σ·n = [p]_-/ε.
+#   Step 1  Solve with σ·n = 0 on Γ_S (33), with its p (34).
+#   Step 2  Γ¹: the sites with p > 0. Solve with σ·n = 0 on Γ¹ (35a) and p = −εσ·n elsewhere (35b).
+#   Step 3  Set σ·n to 0 where it is negative outside of Γ¹ (36); p moves with it (37).
+#   Step 4  Repeat from Step 2 until the sets do.
+
+
+def rule_3(p: Array, flux: Array, rho: float) -> Kinds:
+    """Step 2: active, and so NO_FLUX, is where p > 0; ties are penalised."""
+    return _either(p > 0, Condition.NO_FLUX, Condition.ROBIN)
+
+
+def clip_3(kind: Kinds, flux: Array) -> Mask:
+    """Step 3: where σ·n is negative outside of the active set (36)."""
+    return (kind == Condition.ROBIN) & (flux < 0)
+
+
+ALGORITHM_3 = SetRule(
+    start=Condition.NO_FLUX, rule=rule_3, contact=Condition.ROBIN, penalty=Penalty.TRACE, clip=clip_3
+)
+
+
+# Algorithm 4, for the penalty formulation (MPε-II)_h, (26): p = [σ·n]_-/ε.
+#   Step 1  Solve with p = 0 on Γ_S (38).
+#   Step 2  Γ¹: the sites with σ·n > 0. Solve with p = 0 on Γ¹ and σ·n = −εp elsewhere.
+#   Step 3  Repeat from Step 2 until the sets do.
+
+
+def rule_4(p: Array, flux: Array, rho: float) -> Kinds:
+    """Step 2: active, and so ZERO_TRACE, is where σ·n > 0; ties are penalised."""
+    return _either(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN)
+
+
+ALGORITHM_4 = SetRule(start=Condition.ZERO_TRACE, rule=rule_4, penalty=Penalty.FLUX)

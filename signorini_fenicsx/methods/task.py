@@ -1,0 +1,68 @@
+"""What every method is given."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.backends.contract import BackendFactory, Iterate
+from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.methods.history import OnStep
+
+type Coarser = Callable[[float], tuple[Spaces, Data]]
+"""From a factor > 1 to the same problem on a mesh that is coarser by it (collective). Raises InputError if there is
+none."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A discrete problem and the parameters of its method.
+
+    Attributes:
+        spaces: The discrete spaces.
+        data: The data and their means over cells and facets.
+        rho: ρ or step length, None for the method's own.
+        eps: ε of the penalty and of the stabilisation.
+        max_iterations: Iterations allowed.
+        on_step: Called on all ranks after each iteration.
+        backend: Makes the backend of the set rules.
+        start: Contact set to start from, on any mesh of the domain.
+        predict: Whether the sets of large problems are predicted.
+        coarser: Makes coarser meshes for that, if there are some.
+        tuning: From which size on, and more of that kind.
+        watch: Its laps end the phases of the method.
+    """
+
+    spaces: Spaces
+    data: Data
+    rho: float | None
+    eps: float
+    max_iterations: int
+    on_step: OnStep
+    backend: BackendFactory
+    start: FacetSet | None = None
+    predict: bool = True
+    coarser: Coarser | None = None
+    tuning: Tuning = field(default_factory=Tuning)
+    watch: Stopwatch = field(default_factory=Stopwatch)
+
+    def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
+        """KKT residuals of an iterate (collective)."""
+        p = self.spaces.multiplier(iterate.p + self.data.psi_h)
+        return kkt_residuals(self.spaces, self.data, iterate.sigma, iterate.u, p, penalty, self.eps)
+
+
+def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:
+    """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of a history whose method has no start of its own."""
+    zero = np.zeros(len(spaces.facets))
+    iterate = Iterate(
+        p=zero, flux=zero, linear_iterations=0, sigma=fem.Function(spaces.V), u=fem.Function(spaces.Q)
+    )
+    return iterate, SiteConditions.everywhere(Condition.NO_FLUX, len(zero))

@@ -1,0 +1,76 @@
+"""How a problem is solved: algorithm, backend and their parameters."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+from signorini_fenicsx.backends.contract import BackendFactory
+from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.methods.registry import METHODS, Method
+from signorini_fenicsx.methods.set_rules import SetRule
+
+BACKENDS: Mapping[str, type[HybridBackend | MixedBackend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
+OWN = "own"
+"""What results call a method that is not in the registry."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Like the section `[solve]` of a case file, but for h.
+
+    Attributes:
+        algorithm: A name that `signorini methods` lists, or a rule or method of one's own.
+        backend: What solves under the sets: "hybrid", "mixed", or a backend of one's own.
+        rho: ρ > 0 of the set rule or the projection iteration; None for the method's own.
+        eps: ε > 0 of the penalty and stabilised methods.
+        max_iterations: Iterations allowed; None for the method's own number.
+        predict: Whether large problems start from predicted sets.
+        tuning: From which size on, and more of that kind.
+
+    Raises:
+        InputError: If a name is unknown, or a number not positive.
+    """
+
+    algorithm: str | Method | SetRule = "alg1"
+    backend: str | BackendFactory = "hybrid"
+    rho: float | None = None
+    eps: float = 1e-8
+    max_iterations: int | None = None
+    predict: bool = True
+    tuning: Tuning = field(default_factory=Tuning)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for key, known in (("algorithm", METHODS), ("backend", BACKENDS)):
+            value = getattr(self, key)
+            if isinstance(value, str) and value not in known:
+                raise InputError(f"{key}: unknown name '{value}'; use one of {', '.join(known)}")
+        for key in ("rho", "eps", "max_iterations"):
+            value = getattr(self, key)
+            if value is not None and not value > 0:
+                raise InputError(f"{key}: must be greater than 0, not {value}")
+
+    @property
+    def method(self) -> Method:
+        """The method that these options choose."""
+        if isinstance(self.algorithm, SetRule):
+            return Method.of_rule("a rule of one's own", "", self.algorithm)
+        return METHODS[self.algorithm] if isinstance(self.algorithm, str) else self.algorithm
+
+    @property
+    def algorithm_name(self) -> str:
+        """What results call the method."""
+        return self.algorithm if isinstance(self.algorithm, str) else OWN
+
+    @property
+    def backend_name(self) -> str:
+        """What was asked for; the backend in use has a name of its own."""
+        return self.backend if isinstance(self.backend, str) else OWN
+
+    @property
+    def make_backend(self) -> BackendFactory:
+        """Makes the backend that these options choose."""
+        return partial(BACKENDS[self.backend], tuning=self.tuning) if isinstance(self.backend, str) else self.backend
