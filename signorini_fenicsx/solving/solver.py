@@ -21,7 +21,7 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.data import Data, Problem, project_data
 from signorini_fenicsx.discrete.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
-from signorini_fenicsx.meshes.shapes import Domain
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.methods.loop import Outcome, Step, iterate_sets
 from signorini_fenicsx.methods.newton import PenaltyNewton
