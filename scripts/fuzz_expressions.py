@@ -30,7 +30,7 @@ from signorini_fenicsx.expressions import (
     values_and_gradient,
 )
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.meshes.shapes import build_domain
+from signorini_fenicsx.meshes.meshing import build_domain
 
 SECONDS = 2.0
 """CPU time that a text may take."""

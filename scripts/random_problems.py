@@ -25,7 +25,8 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.discrete.data import Problem
 from signorini_fenicsx.discrete.kkt import TOLERANCE
-from signorini_fenicsx.meshes.shapes import SHAPES, Domain
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving.solver import solve
 
 type Array = npt.NDArray[np.float64]

@@ -42,7 +42,7 @@ from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data, Problem
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, bounding_box, largest_diameter
-from signorini_fenicsx.meshes.shapes import OWN_BEND
+from signorini_fenicsx.meshes.meshing import OWN_BEND
 from signorini_fenicsx.methods.loop import Step
 from signorini_fenicsx.methods.registry import Algorithm
 from signorini_fenicsx.solving.solution import Solution

@@ -16,8 +16,10 @@ from test_cli import signorini
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt, rate
+from signorini_fenicsx.meshes.domain import Domain, distribute
+from signorini_fenicsx.meshes.meshing import build_domain, label_parts
 from signorini_fenicsx.meshes.refinement import dorfler, refine
-from signorini_fenicsx.meshes.shapes import SHAPES, Domain, build_domain, distribute, label_parts
+from signorini_fenicsx.meshes.shapes import SHAPES
 
 COMM = MPI.COMM_WORLD
 

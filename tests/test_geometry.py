@@ -8,7 +8,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.shapes import SHAPES, build_domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.shapes import SHAPES
 
 MESHES = [(name, "unstructured", None) for name in SHAPES] + [
     (name, "structured", diagonal) for name in ("square", "lshape") for diagonal in ("left", "right", "crossed")

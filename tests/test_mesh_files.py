@@ -18,7 +18,8 @@ from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.files import read_mesh_file
-from signorini_fenicsx.meshes.shapes import SHAPES, build_domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.solution import Solution

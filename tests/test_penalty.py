@@ -14,7 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, half_norm
-from signorini_fenicsx.meshes.shapes import Domain
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

@@ -11,7 +11,8 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.data import Problem
-from signorini_fenicsx.meshes.shapes import SHAPES, Domain
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods import loop as active_set
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -24,7 +24,9 @@ from signorini_fenicsx.cases.discretisation import discrete_data
 from signorini_fenicsx.discrete.conditions import FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
-from signorini_fenicsx.meshes.shapes import SHAPES, Domain, distribute, label_parts
+from signorini_fenicsx.meshes.domain import Domain, distribute
+from signorini_fenicsx.meshes.meshing import label_parts
+from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving import prediction, solver
 from signorini_fenicsx.solving.solution import Solution
 

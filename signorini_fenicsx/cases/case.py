@@ -1,109 +1,25 @@
 """Cases: what to solve, on which domain, with which algorithm; read from TOML and validated before anything runs."""
 
-import difflib
 import os
-import re
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self, get_args
+from typing import Annotated, Any, Self
 
 import basix.ufl
 import ufl
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names, data_folder
+from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.toml_files import read_toml
+from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
 from signorini_fenicsx.discrete.data import Given, Problem
-from signorini_fenicsx.expressions import Tree, parse_expression, parse_number, read
+from signorini_fenicsx.expressions import Tree, parse_expression, read
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
 from signorini_fenicsx.methods.registry import ALGORITHMS
-
-MAX_BYTES = 2**23
-"""Of a TOML file; Python reads about a million a second."""
-MAX_BITS = 1000
-"""Of an integer."""
-MAX_DOTS = 500
-"""Of a dotted key, which takes Python a time that grows with the square of them."""
-
-
-def _number(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("must be a number, not true or false")
-    if isinstance(value, str):
-        try:
-            value = parse_number(value)
-        except InputError as error:
-            raise ValueError(str(error)) from None
-    return _not_huge(value)
-
-
-def _text(value: object) -> object:
-    return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
-def _not_huge(value: object) -> object:
-    """Refuse integers of TOML that are no floating point numbers; Python cannot even print some of them."""
-    if isinstance(value, int) and value.bit_length() > MAX_BITS:
-        raise ValueError(f"must be a number of at most {MAX_BITS} bits")
-    return value
-
-
-def _choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
-    """Accept one of the known names; otherwise a sentence that lists them."""
-
-    def check(value: object) -> object:
-        if value not in known:
-            raise ValueError(f"unknown {kind} {_shown(value)}; use one of {', '.join(known)}")
-        return value
-
-    return BeforeValidator(check)
-
-
-def _within(low: float, high: float) -> AfterValidator:
-    def check(value: float) -> float:
-        if not low <= value <= high:
-            raise ValueError(f"must be between {low:g} and {high:g}, not {value:g}")
-        return value
-
-    return AfterValidator(check)
-
-
-Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
-Expression = Annotated[str, BeforeValidator(_text)]
-type Conductivity = str | list[list[str]] | dict[str, str | list[list[str]]]
-
-
-def _conductivity(value: object) -> object:
-    """A number or text, a square matrix of them, or a table with one of them per region."""
-    if isinstance(value, dict):
-        if not value:
-            raise ValueError("the table of regions is empty")
-        return {region: _matrix_or_text(entry) for region, entry in value.items()}
-    return _matrix_or_text(value)
-
-
-def _matrix_or_text(value: object) -> object:
-    value = _text(value)
-    if isinstance(value, list):
-        rows = [[_text(entry) for entry in row] if isinstance(row, list) else [] for row in value]
-        if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
-            raise ValueError("a matrix must have 2 rows of 2 expressions, in 3D 3 of 3")
-        if all(isinstance(entry, str) for row in rows for entry in row):
-            return rows
-    elif isinstance(value, str):
-        return value
-    raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
 
 
 class _Section(BaseModel):
@@ -113,10 +29,10 @@ class _Section(BaseModel):
 class Geometry(_Section):
     """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or that Gmsh makes one of."""
 
-    shape: Annotated[str, _choice("shape", tuple(SHAPES))] | None = None
+    shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
-    mesh: Annotated[str, _choice("mesh", ("unstructured", "structured"))] = "unstructured"
-    diagonal: Annotated[str, _choice("diagonal", ("left", "right", "crossed"))] | None = None
+    mesh: Annotated[str, choice("mesh", ("unstructured", "structured"))] = "unstructured"
+    diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
 
     @model_validator(mode="after")
     def _mesh_exists(self) -> Self:
@@ -183,7 +99,7 @@ class ProblemTexts(_Section):
     """`[problem]`: the data of a `data.Problem`, as text in x, y, z; κ as text, a matrix or one of them per region."""
 
     f: Expression
-    kappa: Annotated[Conductivity, BeforeValidator(_conductivity)] = "1"
+    kappa: Conductivity = "1"
     u_D: Expression = "0"
     g_N: Expression = "0"
     psi: Expression = "0"
@@ -233,12 +149,12 @@ class Solve(_Section):
     Without ρ or a number of iterations the algorithm takes its own.
     """
 
-    algorithm: Annotated[str, _choice("algorithm", tuple(ALGORITHMS))] = "alg1"
-    backend: Annotated[str, _choice("backend", ("hybrid", "mixed"))] = "hybrid"
-    h: Annotated[Positive, _within(1e-90, 1e90)] = 2**-5  # its powers are numbers
-    rho: Annotated[Positive, _within(1e-100, 1e100)] | None = None
-    eps: Annotated[Positive, _within(1e-14, 1e6)] = 1e-8
-    max_iterations: Annotated[int, BeforeValidator(_number), _within(1, 10**6)] | None = None
+    algorithm: Annotated[str, choice("algorithm", tuple(ALGORITHMS))] = "alg1"
+    backend: Annotated[str, choice("backend", ("hybrid", "mixed"))] = "hybrid"
+    h: Annotated[Positive, within(1e-90, 1e90)] = 2**-5  # its powers are numbers
+    rho: Annotated[Positive, within(1e-100, 1e100)] | None = None
+    eps: Annotated[Positive, within(1e-14, 1e6)] = 1e-8
+    max_iterations: Annotated[Whole, within(1, 10**6)] | None = None
     predict: bool = True
 
 
@@ -330,29 +246,6 @@ def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
     return ufl.SpatialCoordinate(ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(dim,))))
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
-    try:
-        if not path.is_file():
-            raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, as no case or study has")
-        text = path.read_text(encoding="utf-8")
-        if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
-            raise InputError(f"{path}: a key is nested too deeply")
-        return tomllib.loads(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
-    except ValueError:  # Python reads no more than 4300 digits
-        raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None
-
-
 def load_case(name_or_path: str | Path) -> Case:
     """Read a case by name (`example1`) or path (`my/case.toml`).
 
@@ -375,53 +268,8 @@ def load_case(name_or_path: str | Path) -> Case:
 
 def _validated[C: Case](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
     if "name" in tree:
-        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(_keys(Case))}")
+        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(keys_of(Case))}")
     try:
         return model.model_validate(tree | {"name": name})
     except ValidationError as error:
         raise InputError(f"{source}: {complaint(error, Case)}") from None
-
-
-def complaint(error: ValidationError, root: type[BaseModel]) -> str:
-    """The first complaint of pydantic about a file, as one sentence with the place in TOML's notation."""
-    first = error.errors(include_url=False)[0]
-    *sections, last = [str(step) for step in first["loc"]] or [""]
-    place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
-    match first["type"]:
-        case "extra_forbidden":
-            return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(root, sections, last)}"
-        case "missing":
-            return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
-        case "model_type" | "model_attributes_type":
-            return f"'{last}' must be a section, [{last}], not {_shown(first['input'])}"
-        case "value_error":
-            message = str(first["ctx"]["error"])
-            return f"{place}: {message}" if last else message
-    message = first["msg"][0].lower() + first["msg"][1:]
-    return f"{place}: {message}, not {_shown(first['input'])}"
-
-
-def _shown(value: object) -> str:
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # integers of many digits, deep lists
-        text = f"this {type(value).__name__}"
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _place_of_key(sections: list[str]) -> str:
-    return f" in [{sections[0]}]" if sections else ""
-
-
-def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
-    for section in sections:
-        annotation = model.model_fields[section].annotation
-        kinds = (annotation, *get_args(annotation))  # of a section that may be left out: a union with None
-        model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
-    known = _keys(model)
-    close = difflib.get_close_matches(wrong, known, 1)
-    return ", ".join(known) + (f" (did you mean '{close[0]}'?)" if close else "")
-
-
-def _keys(model: type[BaseModel]) -> list[str]:
-    return [key for key, field in model.model_fields.items() if not field.exclude]

@@ -10,8 +10,8 @@ from signorini_fenicsx.discrete.data import Data, check_finite, project_data
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, expected_cells, own_domain
 from signorini_fenicsx.meshes.sampling import curve_gap
-from signorini_fenicsx.meshes.shapes import build_domain, estimated_cells, expected_cells, own_domain
 
 
 def discrete_data(case: Case, spaces: Spaces) -> Data:

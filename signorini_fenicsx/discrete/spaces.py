@@ -13,7 +13,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.compiling import guard_compiler
-from signorini_fenicsx.meshes.shapes import Domain
+from signorini_fenicsx.meshes.domain import Domain
 
 type Array = npt.NDArray[np.float64]
 

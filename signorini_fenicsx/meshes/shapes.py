@@ -1,43 +1,19 @@
-"""Domains: named shapes with meshes of a given fineness, and meshes of one's own from files."""
+"""The named shapes: their boundary parts, their outlines for Gmsh and their structured meshes."""
 
-import functools
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-import dolfinx.mesh
 import gmsh
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import on_root
-from signorini_fenicsx.base.signals import listen_again
-from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters
-from signorini_fenicsx.meshes.domain import (
-    AXES,
-    Domain,
-    Marks,
-    Part,
-    axis_part,
-    distribute,
-    largest_diameter,
-    marked_domain,
-)
-from signorini_fenicsx.meshes.files import MAX_CELLS, read_mesh_file
+from signorini_fenicsx.meshes.domain import Part
+from signorini_fenicsx.meshes.grids import Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
 
-BEND = 1.0
-"""No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
-OWN_BEND = 8.0
-"""The same for a domain from a file of size 1, taken to have no radius below 1/64."""
 TINY = np.finfo(np.float64).tiny
 
 type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
-type Simplices = tuple[Array, Indices]
-"""Points of shape (points, dim) and cells of shape (cells, dim + 1)."""
 
 
 @dataclass(frozen=True)
@@ -157,69 +133,6 @@ def _cube() -> None:
     gmsh.model.occ.synchronize()
 
 
-def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
-    """Squares of a grid on (0, side)², each cut into two triangles (left, right) or four (crossed)."""
-    per_unit = math.ceil((1.0 if diagonal == "crossed" else math.sqrt(2)) / h * (1 - 1e-12))
-    n = side * per_unit
-    j, i = (index.ravel() for index in np.indices((n, n)))
-    inside = keep((np.stack([i, j]) + 0.5) / per_unit)
-    i, j = i[inside], j[inside]
-    y, x = (index.ravel() / per_unit for index in np.indices((n + 1, n + 1)))
-    points = np.stack([x, y], axis=1)
-    a = i + (n + 1) * j
-    b, c, d = a + 1, a + n + 2, a + n + 1  # a b c d run around the square
-    if diagonal == "crossed":
-        m = len(points) + np.arange(len(a))
-        points = np.concatenate([points, (np.stack([i, j], axis=1) + 0.5) / per_unit])
-        triangles = [(a, b, m), (b, c, m), (c, d, m), (d, a, m)]
-    elif diagonal == "right":
-        triangles = [(a, b, c), (a, c, d)]
-    else:
-        triangles = [(a, b, d), (b, c, d)]
-    used, cells = np.unique(np.concatenate([np.stack(t, axis=1) for t in triangles]), return_inverse=True)
-    return points[used], cells
-
-
-def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
-    """Cubes of a grid on (0, side)² × (0, 1), each cut into six tetrahedra along the same space diagonal (Kuhn)."""
-    per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
-    n = side * per_unit
-    points = np.stack([index.ravel() / per_unit for index in np.indices((n + 1, n + 1, per_unit + 1))], axis=1)
-    cubes = np.indices((n, n, per_unit)).reshape(3, -1)
-    strides = ((n + 1) * (per_unit + 1), per_unit + 1, 1)
-    corner = cubes[:, keep((cubes + 0.5) / per_unit)].T @ strides
-    paths = [
-        np.stack([corner + offset for offset in itertools.accumulate((0, *steps))], axis=1)
-        for steps in itertools.permutations(strides)
-    ]
-    used, cells = np.unique(np.concatenate(paths), return_inverse=True)
-    return points[used], cells
-
-
-def _everywhere(x: Array) -> npt.NDArray[np.bool_]:
-    return np.full(x.shape[1], True)
-
-
-def _outside_notch(x: Array) -> npt.NDArray[np.bool_]:
-    return (x[0] < 1) | (x[1] < 1)
-
-
-def _square_grid(h: float, diagonal: str) -> Simplices:
-    return _triangle_grid(h, diagonal, side=1, keep=_everywhere)
-
-
-def _lshape_grid(h: float, diagonal: str) -> Simplices:
-    return _triangle_grid(h, diagonal, side=2, keep=_outside_notch)
-
-
-def _cube_grid(h: float, _diagonal: str) -> Simplices:
-    return _tetrahedron_grid(h, side=1, keep=_everywhere)
-
-
-def _lprism_grid(h: float, _diagonal: str) -> Simplices:
-    return _tetrahedron_grid(h, side=2, keep=_outside_notch)
-
-
 L_CORNERS = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 NOTCH = {
     "notch_x": NamedPart(lambda x: x[1], "y", contains=lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9)),
@@ -233,7 +146,7 @@ SHAPES: Mapping[str, Shape] = {
         math.sqrt(2),
         {"left": _plane(0, 0), "right": _plane(0, 1), "bottom": _plane(1, 0), "top": _plane(1, 1)},
         _polygon((0, 0), (1, 0), (1, 1), (0, 1)),
-        _square_grid,
+        square_grid,
     ),
     "lshape": Shape(
         2,
@@ -247,7 +160,7 @@ SHAPES: Mapping[str, Shape] = {
             **NOTCH,
         },
         _polygon(*L_CORNERS),
-        _lshape_grid,
+        lshape_grid,
     ),
     "half_disk": Shape(
         2, math.pi / 2, 2.0, {"arc": _circle(1.0, lower_half=True), "diameter": _plane(1, 0)}, _half_disk
@@ -266,7 +179,7 @@ SHAPES: Mapping[str, Shape] = {
             "top": _plane(2, 1),
         },
         _cube,
-        _cube_grid,
+        cube_grid,
     ),
     "lprism": Shape(
         3,
@@ -282,165 +195,7 @@ SHAPES: Mapping[str, Shape] = {
             "top": _plane(2, 1),
         },
         _polygon(*L_CORNERS, height=1.0),
-        _lprism_grid,
+        lprism_grid,
     ),
     "ball": Shape(3, 4 / 3 * math.pi, 2.0, {"lower": _hemisphere(-1), "upper": _hemisphere(1)}, _ball),
 }
-
-
-def estimated_cells(shape_name: str, h: float) -> float:
-    """Rough number of cells of an unstructured mesh of a named shape with largest cell diameter h.
-
-    Raises:
-        InputError: If there are more than MAX_CELLS.
-    """
-    shape, edge = SHAPES[shape_name], 0.65 * h
-    cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
-    return _allowed(cells, h, shape_name)
-
-
-def _allowed(cells: float, h: float, name: str) -> float:
-    if cells > MAX_CELLS:
-        raise InputError(f"h = {h:g} asks for about {cells:.1e} cells of {name}; at most {MAX_CELLS:.0e} are made")
-    return cells
-
-
-def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagonal: str | None = None) -> Domain:
-    """Mesh a named shape so that its largest cell diameter is at most h and more than h/2 (collective).
-
-    Args:
-        comm: Communicator of the mesh; rank 0 generates it.
-        shape_name: Key of SHAPES.
-        h: Wanted largest cell diameter.
-        mesh: "unstructured" (Gmsh) or "structured".
-        diagonal: How structured squares are cut: left, right (the default) or crossed.
-
-    Raises:
-        InputError: If h asks for more than MAX_CELLS cells or no mesh with this h exists.
-    """
-    shape = SHAPES[shape_name]
-    estimated_cells(shape_name, h)  # refuses too many
-
-    def generate() -> Simplices:
-        if mesh == "structured" and shape.grid is not None:
-            points, cells = shape.grid(h, diagonal or "right")
-        else:
-            points, cells = _gmsh_mesh(shape, h)
-        achieved = float(diameters(points, cells).max())
-        if not h / 2 < achieved <= h * (1 + 1e-12):
-            raise InputError(
-                f"h = {h:g}: {mesh} meshes of {shape_name} near this size have largest diameter {achieved:.4g}, "
-                "not in (h/2, h]; choose a smaller h"
-            )
-        return points, cells
-
-    simplices = on_root_only(comm, generate, shape.dim)
-    return label_parts(distribute(comm, *simplices, shape.dim), shape)
-
-
-def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
-    """Generate a mesh on rank 0; the others get empty arrays, as `create_mesh` wants them (collective)."""
-    made: list[Simplices] = []
-    on_root(comm, lambda: made.append(generate()))
-    return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
-
-
-def label_parts(mesh: dolfinx.mesh.Mesh, shape: Shape) -> Domain:
-    """Find the facets of each boundary part of a named shape (collective)."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim - 1, dim)
-    facets = {
-        name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
-    }
-    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, BEND)
-
-
-def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
-    """Read a mesh, or make that of a `.geo` file, and check it (collective).
-
-    Args:
-        comm: Communicator of the mesh; rank 0 reads it.
-        path: Of the file.
-        h: Wanted largest cell diameter of the mesh of a `.geo` file, which has sizes of its own.
-        conditions: The parts with each kind of condition, see `check_boundary`.
-
-    Raises:
-        InputError: If the file, its mesh or its parts cannot be used.
-    """
-    read: list[FileMesh] = []
-
-    def about() -> tuple[int, dict[str, str], tuple[str, ...], float]:
-        mesh = read_mesh_file(path, h)
-        try:
-            check_boundary(mesh, conditions)
-        except InputError as error:
-            raise InputError(f"mesh {path}: {error}") from None
-        read.append(mesh)
-        labels = {name: AXES[_longest_axis(mesh.points[facets])] for name, facets in mesh.parts.items()}
-        return mesh.dim, labels, tuple(mesh.regions), OWN_BEND / float(np.ptp(mesh.points, axis=0).max())
-
-    dim, labels, regions, bend = on_root(comm, about)
-    points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
-    facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
-    inside = None
-    if read:
-        points, cells, facets = read[0].points, read[0].cells, read[0].parts
-        inside = np.zeros((len(cells), len(regions)), dtype=bool)
-        for column, chosen in enumerate(read[0].regions.values()):
-            inside[chosen, column] = True
-    parts = {name: axis_part(label) for name, label in labels.items()}
-    return marked_domain(distribute(comm, points, cells, dim), parts, Marks(facets, inside, regions), bend)
-
-
-@functools.cache
-def _own_size(path: str) -> tuple[int, int, float]:
-    mesh = read_mesh_file(path)
-    return mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max())
-
-
-def expected_cells(path: str, h: float | None) -> float:
-    """Cells of the mesh of a file; for an h asked of a `.geo` file, extrapolated from its own sizes (rank 0).
-
-    Raises:
-        InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
-    """
-    dim, cells, own_h = _own_size(path)
-    return cells if h is None else _allowed(cells * (own_h / h) ** dim, h, path)
-
-
-def _longest_axis(points: Array) -> int:
-    return int(np.argmax(np.ptp(points.reshape(-1, points.shape[-1]), axis=0))) if points.size else 0
-
-
-def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
-    """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only)."""
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    listen_again()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("General.NumThreads", 1)
-        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
-        gmsh.option.setNumber("Mesh.MeshSizeFromPoints", 0)
-        shape.outline()
-        gmsh.model.geo.synchronize()
-        size, achieved = {2: 0.72, 3: 0.47}[shape.dim] * h, math.inf
-        while achieved > h:
-            gmsh.option.setNumber("Mesh.MeshSizeMin", size)
-            gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-            gmsh.model.mesh.clear()
-            gmsh.model.mesh.generate(shape.dim)
-            points, cells = _gmsh_simplices(shape.dim)
-            achieved = float(diameters(points, cells).max())
-            size *= 0.94 * h / achieved
-        return points, cells
-    finally:
-        gmsh.finalize()
-
-
-def _gmsh_simplices(dim: int) -> Simplices:
-    tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    _, nodes = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])  # Gmsh's numbers of triangle and tetrahedron
-    row = np.empty(int(tags.max()) + 1, dtype=np.int64)
-    row[tags.astype(np.int64)] = np.arange(len(tags))
-    used, cells = np.unique(row[nodes.astype(np.int64)], return_inverse=True)  # drops centres of circles
-    return coordinates.reshape(-1, 3)[used, :dim], cells.reshape(-1, dim + 1).astype(np.int64)

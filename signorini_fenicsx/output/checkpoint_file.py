@@ -15,7 +15,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, complaint
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.meshes.checks import Contents, check_boundary, checked
 from signorini_fenicsx.meshes.domain import AXES

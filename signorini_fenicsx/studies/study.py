@@ -13,8 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import data_folder, study_names
-from signorini_fenicsx.cases.case import Case, Solve, complaint, load_case, read_toml
+from signorini_fenicsx.cases.case import Case, Solve, load_case
+from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.discretisation import rough_cells
+from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
 from signorini_fenicsx.methods.registry import ALGORITHMS
 

@@ -1,0 +1,53 @@
+"""What pydantic finds wrong with a file, in one sentence that names key and reason."""
+
+import difflib
+from typing import get_args
+
+from pydantic import BaseModel, ValidationError
+
+
+def complaint(error: ValidationError, root: type[BaseModel]) -> str:
+    """The first complaint of pydantic about a file, as one sentence with the place in TOML's notation."""
+    first = error.errors(include_url=False)[0]
+    *sections, last = [str(step) for step in first["loc"]] or [""]
+    place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
+    match first["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(root, sections, last)}"
+        case "missing":
+            return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
+        case "model_type" | "model_attributes_type":
+            return f"'{last}' must be a section, [{last}], not {shown(first['input'])}"
+        case "value_error":
+            message = str(first["ctx"]["error"])
+            return f"{place}: {message}" if last else message
+    message = first["msg"][0].lower() + first["msg"][1:]
+    return f"{place}: {message}, not {shown(first['input'])}"
+
+
+def shown(value: object) -> str:
+    """A value as Python writes it, in at most 60 characters."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # integers of many digits, deep lists
+        text = f"this {type(value).__name__}"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _place_of_key(sections: list[str]) -> str:
+    return f" in [{sections[0]}]" if sections else ""
+
+
+def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
+    for section in sections:
+        annotation = model.model_fields[section].annotation
+        kinds = (annotation, *get_args(annotation))  # of a section that may be left out: a union with None
+        model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
+    known = keys_of(model)
+    close = difflib.get_close_matches(wrong, known, 1)
+    return ", ".join(known) + (f" (did you mean '{close[0]}'?)" if close else "")
+
+
+def keys_of(model: type[BaseModel]) -> list[str]:
+    """The keys of a section as a file may name them."""
+    return [key for key, field in model.model_fields.items() if not field.exclude]

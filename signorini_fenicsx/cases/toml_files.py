@@ -1,0 +1,36 @@
+"""TOML files that may be anything: read within limits, refused in one sentence."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from signorini_fenicsx.base.errors import InputError
+
+MAX_BYTES = 2**23
+"""Of a TOML file; Python reads about a million a second."""
+MAX_DOTS = 500
+"""Of a dotted key, which takes Python a time that grows with the square of them."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, as no case or study has")
+        text = path.read_text(encoding="utf-8")
+        if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
+            raise InputError(f"{path}: a key is nested too deeply")
+        return tomllib.loads(text)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not a TOML file: {error}") from None
+    except ValueError:  # Python reads no more than 4300 digits
+        raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None

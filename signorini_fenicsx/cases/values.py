@@ -1,0 +1,86 @@
+"""Values that keys of a case file take: numbers, names, expressions, matrices of them."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.complaints import shown
+from signorini_fenicsx.expressions import parse_number
+
+MAX_BITS = 1000
+"""Of an integer."""
+
+
+def _number(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("must be a number, not true or false")
+    if isinstance(value, str):
+        try:
+            value = parse_number(value)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+    return _not_huge(value)
+
+
+def _text(value: object) -> object:
+    return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _not_huge(value: object) -> object:
+    """Refuse integers of TOML that are no floating point numbers; Python cannot even print some of them."""
+    if isinstance(value, int) and value.bit_length() > MAX_BITS:
+        raise ValueError(f"must be a number of at most {MAX_BITS} bits")
+    return value
+
+
+def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
+    """Accept one of the known names; otherwise a sentence that lists them."""
+
+    def check(value: object) -> object:
+        if value not in known:
+            raise ValueError(f"unknown {kind} {shown(value)}; use one of {', '.join(known)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """Accept numbers of this closed interval."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"must be between {low:g} and {high:g}, not {value:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _conductivity(value: object) -> object:
+    """A number or text, a square matrix of them, or a table with one of them per region."""
+    if isinstance(value, dict):
+        if not value:
+            raise ValueError("the table of regions is empty")
+        return {region: _matrix_or_text(entry) for region, entry in value.items()}
+    return _matrix_or_text(value)
+
+
+def _matrix_or_text(value: object) -> object:
+    value = _text(value)
+    if isinstance(value, list):
+        rows = [[_text(entry) for entry in row] if isinstance(row, list) else [] for row in value]
+        if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
+            raise ValueError("a matrix must have 2 rows of 2 expressions, in 3D 3 of 3")
+        if all(isinstance(entry, str) for row in rows for entry in row):
+            return rows
+    elif isinstance(value, str):
+        return value
+    raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
+
+
+type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
+
+Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(_number)]
+Expression = Annotated[str, BeforeValidator(_text)]
+Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]
