@@ -26,7 +26,7 @@ and the constant part drops out: it is −(f_h/d²)((x − x_T)·κ_h⁻¹(x −
 from ufl import Form, SpatialCoordinate, dot, dx, grad, inner, inv
 from ufl.core.expr import Expr
 
-from forms.mixed import ONE
+from signorini_fenicsx.forms.mixed import ONE
 
 
 def stiffness(u: Expr, v: Expr, kappa: Expr = ONE) -> Form:

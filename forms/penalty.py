@@ -13,7 +13,7 @@ or converges falsely for small ε, because an error of p appears divided by ε.
 from ufl import Coefficient, Form, Measure, dot, max_value, min_value
 from ufl.core.expr import Expr
 
-from forms.mixed import flux_equation, load, mass_balance, multiplier_residual
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, multiplier_residual
 
 
 def negative_part(s: Expr) -> Expr:

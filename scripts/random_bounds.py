@@ -25,13 +25,13 @@ from mpi4py import MPI
 from random_problems import distort, random_case
 from ufl.core.expr import Expr
 
-from forms.mixed import flux_product
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled

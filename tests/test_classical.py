@@ -12,12 +12,12 @@ from dolfinx import fem
 from exact import F, exact_sigma, exact_u
 from mpi4py import MPI
 
-from forms.norms import l2
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.comparing.method_comparison import compare_methods, distance, mass_imbalance
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.shapes import Domain
 from signorini_fenicsx.methods.classical import CLASSICAL
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm

@@ -9,11 +9,11 @@ from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.penalty import flux_penalty_residual, trace_penalty_residual
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, half_norm
+from signorini_fenicsx.forms.penalty import flux_penalty_residual, trace_penalty_residual
 from signorini_fenicsx.meshes.shapes import Domain
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -11,12 +11,12 @@ from dolfinx import fem, la
 from exact import X0, F, exact_sigma, exact_u
 from mpi4py import MPI
 
-from forms.mixed import flux_projection, multiplier_residual, trace_projection
-from forms.norms import l2
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.forms.mixed import flux_projection, multiplier_residual, trace_projection
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

@@ -6,11 +6,11 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
-from forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
+from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 
 
 class AuxiliarySpace:

@@ -7,13 +7,13 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
-from forms.mixed import load, trace_term
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, cell_measures, cells_and_dofs, centroids
+from signorini_fenicsx.forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
+from signorini_fenicsx.forms.mixed import load, trace_term
 
 type Array = npt.NDArray[np.float64]
 
@@ -22,7 +22,7 @@ DIRECT_UP_TO = 60_000
 
 
 class FacetSystem:
-    """The mixed method by its Crouzeix-Raviart form (see `forms.crouzeix_raviart`).
+    """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`).
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal.

@@ -6,12 +6,12 @@ from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.backends.contract import Iterate, direct_solver, solve_linear, solver_name
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Array, Spaces, assembled
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 
 
 class MixedBackend:

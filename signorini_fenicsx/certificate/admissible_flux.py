@@ -16,7 +16,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.mixed import flux_product
 from signorini_fenicsx.backends.contract import LinearSolveFailure
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.certificate.samples import CellMetric
@@ -24,6 +23,7 @@ from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.methods.registry import Penalty
 from signorini_fenicsx.solving.solution import Solution
 

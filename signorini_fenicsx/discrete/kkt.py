@@ -9,10 +9,10 @@ from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from forms.mixed import flux_product, multiplier_residual, trace_term
-from forms.norms import l2
 from signorini_fenicsx.discrete.data import Data, scalar_conductivity
 from signorini_fenicsx.discrete.spaces import Array, Spaces
+from signorini_fenicsx.forms.mixed import flux_product, multiplier_residual, trace_term
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.registry import Penalty
 
 TOLERANCE = 1e-8

@@ -23,13 +23,13 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
-from forms.mixed import flux_product
-from forms.norms import l2, v_norm
 from signorini_fenicsx.backends.contract import Backend, Iterate, LinearSolveFailure
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.forms.mixed import flux_product
+from signorini_fenicsx.forms.norms import l2, v_norm
 from signorini_fenicsx.methods.registry import Algorithm
 
 TIE = 1e-11

@@ -9,8 +9,6 @@ from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from petsc4py import PETSc
 
-from forms.mixed import multiplier_residual, trace_term
-from forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.backends.contract import (
     Iterate,
     petsc_reason,
@@ -23,6 +21,8 @@ from signorini_fenicsx.base.signals import pass_on
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.forms.mixed import multiplier_residual, trace_term
+from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.methods.loop import Outcome, Recorder, Step
 from signorini_fenicsx.methods.registry import Penalty
 
@@ -33,7 +33,7 @@ CONTINUATION = 10.0
 class PenaltyNewton:
     """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
 
-    SNES gets the laws free of 1/ε (see `forms.penalty`) with the derivative that UFL makes of them, for σ − σ_lift, u
+    SNES gets the laws free of 1/ε (see `forms/penalty.py`) with the derivative that UFL makes of them, for σ − σ_lift, u
     and p − ψ. All its options are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type
     newtontr, …
     """

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.norms import l2
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm
 from signorini_fenicsx.methods.classical.projection import (
     StepLength,

@@ -1,4 +1,4 @@
-"""The conforming P1 system that the primal methods share, and what it says about σ, u and p (see `forms.primal`)."""
+"""The conforming P1 system that the primal methods share, and what it says about σ, u and p (see `forms/primal.py`)."""
 
 import math
 from functools import cached_property
@@ -11,15 +11,15 @@ from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
-from forms.crouzeix_raviart import stiffness
-from forms.mixed import flux_product, load, trace_term
-from forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.backends.contract import Iterate, direct_solver, solve_linear, solver_name
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConditionedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import TOLERANCE
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, owned_on_facets
+from signorini_fenicsx.forms.crouzeix_raviart import stiffness
+from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
+from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.methods.classical.task import Task
 from signorini_fenicsx.methods.loop import History, Outcome, reached
 

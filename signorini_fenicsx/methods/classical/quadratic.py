@@ -16,10 +16,10 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 
-from forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
+from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.on_root import RootRows, matrix_on_root
 from signorini_fenicsx.methods.classical.task import Task, nothing_yet
 from signorini_fenicsx.methods.loop import Outcome, Recorder

@@ -18,8 +18,8 @@ from dataclasses import replace
 import ufl
 from dolfinx import fem
 
-from forms.norms import l2
 from signorini_fenicsx.discrete.kkt import kkt_residuals
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
 from signorini_fenicsx.methods.classical.task import TOLERANCE, Task, nothing_yet
 from signorini_fenicsx.methods.loop import Outcome, Recorder, iterate_sets
