@@ -160,7 +160,7 @@ def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
 def difference(coarse: Solution, fine: Solution) -> float:
     """‖σ_h − σ_f‖ on the finer mesh, in the energy norm (collective)."""
     (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
-    form = flux_product(fine.sigma - sigma, fine.sigma - sigma, fine.data.kappa_h)
+    form = flux_product(fine.sigma - sigma, fine.sigma - sigma, ufl.dx, fine.data.kappa_h)
     (integral,) = form.integrals()
     metadata = {"quadrature_degree": 2, "quadrature_scheme": "default"}
     return math.sqrt(fine.spaces.integrate(integral.integrand() * ufl.dx(metadata=metadata)))

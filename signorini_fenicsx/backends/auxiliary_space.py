@@ -25,7 +25,7 @@ class AuxiliarySpace:
         self._spaces, self._weak = spaces, data.stiffness
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
         self._full_interpolation = facet_means(self._space, data.u_lift.function_space)
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)

@@ -52,11 +52,11 @@ class FacetSystem:
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > DIRECT_UP_TO
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConditionedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
         self._load = fem.assemble_vector(
-            fem.form(load(data.f_h, v) + given_flux - stiffness(data.u_lift, v, data.kappa_h))
+            fem.form(load(data.f_h, v, ufl.dx) + given_flux - stiffness(data.u_lift, v, ufl.dx, data.kappa_h))
         )
         self._load.scatter_reverse(la.InsertMode.add)
         self.x, self.b = create_vector(self.space), create_vector(self.space)
@@ -103,7 +103,8 @@ class _Recovery:
         centroid = centroids(mesh)
         flux = recovered_flux(self._u_cr, f_h, centroid, x, kappa)
         self._flux = fem.Expression(flux, spaces.V.element.interpolation_points)
-        self._scalar = fem.form(recovered_scalar(self._u_cr, f_h, centroid, x, ufl.TestFunction(spaces.Q), kappa))
+        scalar = recovered_scalar(self._u_cr, f_h, centroid, x, kappa)
+        self._scalar = fem.form(scalar * ufl.TestFunction(spaces.Q) * ufl.dx)
         self._measures = cell_measures(spaces.Q)
 
     def fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:

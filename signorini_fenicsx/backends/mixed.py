@@ -85,7 +85,8 @@ def saddle_point_matrix(spaces: Spaces, data: Data, *, stabilisation: float = 0.
     W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
     (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
     block = fem.Constant(spaces.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
-    blocks = ufl.extract_blocks(flux_equation(sigma, u, tau, data.kappa_h) + mass_balance(sigma, v) + block)
+    saddle_point = flux_equation(sigma, u, tau, ufl.dx, data.kappa_h) + mass_balance(sigma, v, ufl.dx)  # (11b), (11c)
+    blocks = ufl.extract_blocks(saddle_point + block)
     return ConditionedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
 
 
@@ -99,7 +100,7 @@ def saddle_point_load(spaces: Spaces, data: Data, system: ConditionedMatrix) -> 
     system.natural.mult(lift, right)
     right.scale(-1.0)
     right.array_w[:size] += assembled(trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds))[:size]
-    right.array_w[size:] -= assembled(load(data.f_h, v))  # no ghost cells
+    right.array_w[size:] -= assembled(load(data.f_h, v, ufl.dx))  # no ghost cells
     return right.array_r.copy()
 
 

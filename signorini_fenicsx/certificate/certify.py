@@ -116,7 +116,7 @@ def certify(solution: Solution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces.mesh, data)
-    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, data.kappa_h))))
+    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx, data.kappa_h))))
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)

@@ -192,7 +192,7 @@ class FluxClip:
     def __init__(self, spaces: Spaces, data: Data):
         self._spaces = spaces
         self._change = fem.Function(spaces.V)
-        self._form = fem.form(flux_product(self._change, ufl.TestFunction(spaces.V), data.kappa_h))
+        self._form = fem.form(flux_product(self._change, ufl.TestFunction(spaces.V), ufl.dx, data.kappa_h))
 
     def __call__(self, iterate: Iterate, conditions: FacetConditions) -> tuple[Iterate, int]:
         """Clip an iterate (collective).

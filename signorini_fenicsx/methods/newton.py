@@ -21,7 +21,7 @@ from signorini_fenicsx.base.signals import pass_on
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.forms.mixed import multiplier_residual, trace_term
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.methods.loop import Outcome, Recorder, Step
 from signorini_fenicsx.methods.registry import Penalty
@@ -33,7 +33,7 @@ CONTINUATION = 10.0
 class PenaltyNewton:
     """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
 
-    SNES gets the laws free of 1/ε (see `forms/penalty.py`) with the derivative that UFL makes of them, for σ − σ_lift, u
+    SNES gets the laws free of 1/ε of `forms/penalty.py` with the derivative that UFL makes of them, for σ − σ_lift, u
     and p − ψ. All its options are the user's, without a prefix: -snes_monitor, -snes_linesearch_type bt, -snes_type
     newtontr, …
     """
@@ -52,13 +52,12 @@ class PenaltyNewton:
         self._eps_now = fem.Constant(spaces.mesh, eps)
         self._reset()
         law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
-        flux_residual, balance = multiplier_residual(
-            sigma + data.sigma_lift, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h
-        )
+        flux, n, dx, ds = sigma + data.sigma_lift, spaces.n, ufl.dx, spaces.ds
+        given = trace_term(data.u_lift, tau, n, spaces.ds_dirichlet + ds)
         residual = [
-            flux_residual - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds),
-            balance,
-            law(sigma, p, q, self._eps_now, spaces.n, spaces.ds),
+            flux_equation(flux, u, tau, dx, data.kappa_h) - trace_term(p, tau, n, ds) - given,  # (25a)
+            mass_balance(flux, v, dx) + load(data.f_h, v, dx),  # (25b)
+            law(sigma, p, q, self._eps_now, n, ds),
         ]
         self._problem = NonlinearProblem(
             residual,

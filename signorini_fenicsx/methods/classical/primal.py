@@ -58,7 +58,7 @@ class P1System:
         self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
         self._system = ConditionedMatrix(
-            fem.form(stiffness(ufl.TrialFunction(self.space), v, data.kappa_h)), PETSc.Mat.Option.SPD
+            fem.form(stiffness(ufl.TrialFunction(self.space), v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD
         )
         self._stiffness = self._system.natural
         self.change_matrix()
@@ -71,7 +71,7 @@ class P1System:
         known = self._psi.copy()
         known[self.dirichlet] = u_D[self.dirichlet]
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-        self.load = self._owned(load(data.f_h, v) + given_flux) - self._product(self._stiffness, known)
+        self.load = self._owned(load(data.f_h, v, ufl.dx) + given_flux) - self._product(self._stiffness, known)
         self.load[self.dirichlet] = u_D[self.dirichlet]
         self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
         self._ksp = direct_solver(self._system.matrix, "cholesky")
@@ -160,7 +160,7 @@ class P1System:
         u_h.x.array[: self._size] = u + self._psi
         u_h.x.scatter_forward()
         means = fem.Function(spaces.Q, name="u")
-        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q))) / cell_measures(spaces.Q)
+        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / cell_measures(spaces.Q)
         sigma = _projected_flux(u_h, self._data, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
         return Iterate(sigma, means, p, spaces.normal_flux(sigma) - self._data.q_Sh, 1)
@@ -197,7 +197,7 @@ class P1History:
         """Begin with the start, which is not a step itself (collective)."""
         self._system, self._last = system, u
         trial, test = ufl.TrialFunction(system.space), ufl.TestFunction(system.space)
-        self._mass = assemble_matrix(fem.form(mass(trial, test)))
+        self._mass = assemble_matrix(fem.form(mass(trial, test, ufl.dx)))
         self._mass.assemble()
         self._change, self._image = self._mass.createVecs()
         self._history = History(task.spaces, conditions, task.on_step)
@@ -247,10 +247,10 @@ def primal_outcome(
 def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function:
     """The projection of κ_h∇u to RT0 in (κ_h⁻¹·, ·), by CG on its well-conditioned mass matrix (collective)."""
     tau = ufl.TestFunction(spaces.V)
-    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, data.kappa_h)))
+    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, ufl.dx, data.kappa_h)))
     matrix.assemble()
     x, b = matrix.createVecs()
-    b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]
+    b.array_w[:] = assembled(gradient(u, tau, ufl.dx))[: b.getLocalSize()]
     ksp = PETSc.KSP().create(spaces.mesh.comm)  # not the solver of the method: it takes no options
     ksp.setOperators(matrix)
     ksp.setType("cg")

@@ -43,7 +43,7 @@ def quadratic_programme(task: Task) -> Outcome:
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
     data = task.data
     sigma, tau, v = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(Q)
-    blocks = flux_product(sigma, tau, data.kappa_h), mass_balance(sigma, v)
+    blocks = flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx)
     matrices = [assemble_matrix(fem.form(form)) for form in blocks]
     for matrix in matrices:
         matrix.assemble()
@@ -53,10 +53,10 @@ def quadratic_programme(task: Task) -> Outcome:
     sign[spaces.neumann_dofs] = FIXED
     weight = 1 / np.sqrt(cell_measures(Q)[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
-        flux_product(data.sigma_lift, tau, data.kappa_h)
+        flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
     )[:flux_size]
-    right = -assembled(load(data.f_h, v) + mass_balance(data.sigma_lift, v))[:cells]
+    right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
     of_flux = flux_rows.gather(np.column_stack([linear, sign]))
