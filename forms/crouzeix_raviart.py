@@ -23,13 +23,13 @@ and the constant part drops out: it is −(f_h/d²)((x − x_T)·κ_h⁻¹(x −
 ∇·τ_h) = ⟨p_h, τ_h·n⟩ + ⟨u_D, τ_h·n⟩: (9a).
 """
 
-from ufl import Form, SpatialCoordinate, dot, dx, grad, inner, inv
+from ufl import Form, Measure, SpatialCoordinate, dot, grad, inner, inv
 from ufl.core.expr import Expr
 
-from forms.mixed import ONE
+from signorini_fenicsx.forms.mixed import ONE
 
 
-def stiffness(u: Expr, v: Expr, kappa: Expr = ONE) -> Form:
+def stiffness(u: Expr, v: Expr, dx: Measure, kappa: Expr = ONE) -> Form:
     """(κ∇_h u, ∇_h v), cell by cell."""
     return inner(kappa * grad(u), grad(v)) * dx
 
@@ -39,7 +39,7 @@ def recovered_flux(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate, 
     return kappa * grad(u_cr) - f_h / len(x) * (x - centroid)
 
 
-def recovered_scalar(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate, v: Expr, kappa: Expr = ONE) -> Form:
-    """(u_CR + (f_h/d²)(x − x_T)·κ_h⁻¹(x − x_T), v), which divided by |T| is u_h for v the indicator of T."""
+def recovered_scalar(u_cr: Expr, f_h: Expr, centroid: Expr, x: SpatialCoordinate, kappa: Expr = ONE) -> Expr:
+    """u_CR + (f_h/d²)(x − x_T)·κ_h⁻¹(x − x_T), whose mean over T is u_h."""
     r = x - centroid
-    return (u_cr + f_h / len(x) ** 2 * dot(inv(kappa) * r, r)) * v * dx
+    return u_cr + f_h / len(x) ** 2 * dot(inv(kappa) * r, r)

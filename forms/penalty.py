@@ -10,10 +10,32 @@ or converges falsely for small ε, because an error of p appears divided by ε.
     (MPε-I)   min(σ·n, p + εσ·n) = 0,      (MPε-II)   min(p, σ·n + εp) = 0.
 """
 
-from ufl import Coefficient, Form, Measure, dot, max_value, min_value
+from ufl import Form, Measure, dot, max_value, min_value
 from ufl.core.expr import Expr
 
-from forms.mixed import flux_equation, load, mass_balance, multiplier_residual
+from signorini_fenicsx.forms.mixed import Fields, flux_equation, load, mass_balance, trace_term
+
+
+def mp_eps_1(unknowns: Fields, tests: Fields, f: Expr, eps: Expr, n: Expr, dx: Measure, ds: Measure) -> list[Form]:
+    """(MPε-I)_h, the residuals of (25) for all τ, v, q, as it stands; called by tests alone."""
+    (sigma, u, p), (tau, v, q) = unknowns, tests
+    return [
+        flux_equation(sigma, u, tau, dx) - trace_term(p, tau, n, ds),  # (25a)
+        mass_balance(sigma, v, dx) + load(f, v, dx),  # (25b)
+        (dot(sigma, n) - negative_part(p) / eps) * q * ds,  # (25c)
+    ]
+
+
+def mp_eps_2(unknowns: Fields, tests: Fields, f: Expr, eps: Expr, n: Expr, dx: Measure, ds: Measure) -> list[Form]:
+    """(MPε-II)_h, the residuals of (26) for all τ, v, as it stands; called by tests alone.
+
+    The traces are not used: (26) has the unknowns σ and u alone.
+    """
+    (sigma, u, _), (tau, v, _) = unknowns, tests
+    return [
+        flux_equation(sigma, u, tau, dx) - trace_term(negative_part(dot(sigma, n)) / eps, tau, n, ds),  # (26a)
+        mass_balance(sigma, v, dx) + load(f, v, dx),  # (26b)
+    ]
 
 
 def negative_part(s: Expr) -> Expr:
@@ -21,37 +43,12 @@ def negative_part(s: Expr) -> Expr:
     return max_value(0, -s)
 
 
-def trace_penalty_residual(
-    sigma: Coefficient,
-    u: Coefficient,
-    p: Coefficient,
-    f: Expr,
-    tau: Expr,
-    v: Expr,
-    q: Expr,
-    eps: Expr,
-    n: Expr,
-    ds_signorini: Measure,
-) -> list[Form]:
-    """(25a), (25b), (25c) as they stand, as forms in τ, v and q."""
-    law = (dot(sigma, n) - negative_part(p) / eps) * q * ds_signorini
-    return [*multiplier_residual(sigma, u, p, f, tau, v, n, ds_signorini), law]
-
-
-def flux_penalty_residual(
-    sigma: Coefficient, u: Coefficient, f: Expr, tau: Expr, v: Expr, eps: Expr, n: Expr, ds_signorini: Measure
-) -> list[Form]:
-    """(26a), (26b) as they stand, as forms in τ and v."""
-    penalty = negative_part(dot(sigma, n)) / eps * dot(tau, n) * ds_signorini
-    return [flux_equation(sigma, u, tau) - penalty, mass_balance(sigma, v) + load(f, v)]
-
-
-def trace_penalty_law(sigma: Expr, p: Expr, q: Expr, eps: Expr, n: Expr, ds_signorini: Measure) -> Form:
+def trace_penalty_law(sigma: Expr, p: Expr, q: Expr, eps: Expr, n: Expr, ds: Measure) -> Form:
     """(25c) without 1/ε: (min(σ·n, p + εσ·n), q) on Γ_S."""
     flux = dot(sigma, n)
-    return min_value(flux, p + eps * flux) * q * ds_signorini
+    return min_value(flux, p + eps * flux) * q * ds
 
 
-def flux_penalty_law(sigma: Expr, p: Expr, q: Expr, eps: Expr, n: Expr, ds_signorini: Measure) -> Form:
+def flux_penalty_law(sigma: Expr, p: Expr, q: Expr, eps: Expr, n: Expr, ds: Measure) -> Form:
     """The penalty of (26a) without 1/ε, with p as third unknown: (min(p, σ·n + εp), q) on Γ_S."""
-    return min_value(p, dot(sigma, n) + eps * p) * q * ds_signorini
+    return min_value(p, dot(sigma, n) + eps * p) * q * ds

@@ -14,20 +14,20 @@ of u_h and the facet means of its trace satisfies (9a) exactly, since ∇·τ_h 
 General data shift the unknowns: u_i stands for u_i − ψ, λ for κ∇u·n − q_S.
 """
 
-from ufl import Form, Measure, dx, grad, inner
+from ufl import Form, Measure, grad, inner
 from ufl.core.expr import Expr
 
 
-def mass(u: Expr, v: Expr) -> Form:
+def mass(u: Expr, v: Expr, dx: Measure) -> Form:
     """(u, v)."""
     return inner(u, v) * dx
 
 
-def vertex_weight(v: Expr, ds_signorini: Measure) -> Form:
+def vertex_weight(v: Expr, ds: Measure) -> Form:
     """(1, v) on Γ_S, the weight w_i of the trapezoidal rule for v = φ_i."""
-    return v * ds_signorini
+    return v * ds
 
 
-def gradient(u: Expr, tau: Expr) -> Form:
+def gradient(u: Expr, tau: Expr, dx: Measure) -> Form:
     """(∇u, τ): with (κ_h⁻¹σ, τ) on the left its solution is a projection of κ_h∇u."""
     return inner(grad(u), tau) * dx

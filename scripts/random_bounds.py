@@ -25,13 +25,13 @@ from mpi4py import MPI
 from random_problems import distort, random_case
 from ufl.core.expr import Expr
 
-from forms.mixed import flux_product
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
@@ -160,7 +160,7 @@ def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
 def difference(coarse: Solution, fine: Solution) -> float:
     """‖σ_h − σ_f‖ on the finer mesh, in the energy norm (collective)."""
     (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
-    form = flux_product(fine.sigma - sigma, fine.sigma - sigma, fine.data.kappa_h)
+    form = flux_product(fine.sigma - sigma, fine.sigma - sigma, ufl.dx, fine.data.kappa_h)
     (integral,) = form.integrals()
     metadata = {"quadrature_degree": 2, "quadrature_scheme": "default"}
     return math.sqrt(fine.spaces.integrate(integral.integrand() * ufl.dx(metadata=metadata)))

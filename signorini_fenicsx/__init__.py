@@ -1,7 +1,7 @@
 """Fully mixed RT0/P0 methods for the Signorini problem on FEniCSx.
 
 Start reading at :mod:`signorini_fenicsx.methods.registry` (the set rules) and :mod:`signorini_fenicsx.methods.loop`
-(the one loop they share); the variational forms are in the package :mod:`forms`.
+(the one loop they share); the variational forms are in :mod:`signorini_fenicsx.forms`.
 """
 
 import importlib.util

@@ -10,10 +10,10 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.norms import l2
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving.solution import Solution

@@ -10,10 +10,10 @@ from conftest import make_case
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.norms import l2
 from signorini_fenicsx.backends import facet_system
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

@@ -9,11 +9,11 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms.norms import l2
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

@@ -9,11 +9,12 @@ from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.penalty import flux_penalty_residual, trace_penalty_residual
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, half_norm
+from signorini_fenicsx.forms.mixed import Fields
+from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
@@ -68,20 +69,15 @@ def test_small_penalty_equals_no_penalty():
 def test_solutions_satisfy_the_literal_forms():
     """Algorithm 3 solves (25) and Algorithm 4 solves (26) as they stand, with 1/ε."""
     for eps in (1.0, 1e-3):
-        one, two = (solve(penalised("example4", algorithm, eps), COMM) for algorithm in ("alg3", "alg4"))
-        tau, v, q = (ufl.TestFunction(space) for space in (one.spaces.V, one.spaces.Q, one.spaces.Lambda))
-        forms = trace_penalty_residual(
-            one.sigma, one.u, one.p, one.data.f_h, tau, v, q, ufl.as_ufl(eps), one.spaces.n, one.spaces.ds
-        )
-        residuals = [fem.assemble_vector(one.spaces.form(form)) for form in forms]
-        tau, v = ufl.TestFunction(two.spaces.V), ufl.TestFunction(two.spaces.Q)
-        forms = flux_penalty_residual(
-            two.sigma, two.u, two.data.f_h, tau, v, ufl.as_ufl(eps), two.spaces.n, two.spaces.ds
-        )
-        residuals += [fem.assemble_vector(two.spaces.form(form)) for form in forms]
-        for residual in residuals:
-            residual.scatter_reverse(la.InsertMode.add)
-            assert la.norm(residual) < 1e-11
+        for algorithm, problem in (("alg3", mp_eps_1), ("alg4", mp_eps_2)):
+            solution = solve(penalised("example4", algorithm, eps), COMM)
+            spaces = solution.spaces
+            fields = Fields(solution.sigma, solution.u, solution.p)
+            tests = Fields(*(ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda)))
+            for form in problem(fields, tests, solution.data.f_h, ufl.as_ufl(eps), spaces.n, ufl.dx, spaces.ds):
+                residual = fem.assemble_vector(spaces.form(form))
+                residual.scatter_reverse(la.InsertMode.add)
+                assert la.norm(residual) < 1e-11
 
 
 @pytest.mark.parallel([1, 2])

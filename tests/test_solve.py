@@ -11,12 +11,12 @@ from dolfinx import fem, la
 from exact import X0, F, exact_sigma, exact_u
 from mpi4py import MPI
 
-from forms.mixed import flux_projection, multiplier_residual, trace_projection
-from forms.norms import l2
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.forms.mixed import Fields, mlm_1, mlm_2
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
@@ -78,19 +78,16 @@ def test_algorithms_agree():
 
 @pytest.mark.parallel([1, 2])
 def test_solution_satisfies_the_forms():
-    """The residuals of (9a), (9b) and of both projections (9c), (10c) vanish, for any ρ."""
+    """The residuals of (9) and (10), with projections for (9c) and (10c), vanish for any ρ."""
     solution = solve(coarse("example2"), COMM)
     spaces = solution.spaces
-    tau, v, q = (ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda))
-    forms = multiplier_residual(solution.sigma, solution.u, solution.p, solution.data.f_h, tau, v, spaces.n, spaces.ds)
-    forms += [
-        projection(solution.sigma, solution.p, q, rho, spaces.n, spaces.ds)
-        for projection, rho in itertools.product((flux_projection, trace_projection), (0.1, 1.0, 50.0))
-    ]
-    for form in forms:
-        residual = fem.assemble_vector(spaces.form(form))
-        residual.scatter_reverse(la.InsertMode.add)
-        assert la.norm(residual) < 1e-11
+    fields = Fields(solution.sigma, solution.u, solution.p)
+    tests = Fields(*(ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda)))
+    for problem, rho in itertools.product((mlm_1, mlm_2), (0.1, 1.0, 50.0)):
+        for form in problem(fields, tests, solution.data.f_h, rho, spaces.n, ufl.dx, spaces.ds):
+            residual = fem.assemble_vector(spaces.form(form))
+            residual.scatter_reverse(la.InsertMode.add)
+            assert la.norm(residual) < 1e-11
 
 
 # ‖∇u‖, ‖u‖, ‖u‖ and ‖∂_n u‖ on Γ_S, and contact measure from an independent program: conforming P2 elements with a

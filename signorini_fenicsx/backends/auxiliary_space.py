@@ -6,11 +6,11 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
-from forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
+from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 
 
 class AuxiliarySpace:
@@ -25,7 +25,7 @@ class AuxiliarySpace:
         self._spaces, self._weak = spaces, data.stiffness
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
         self._full_interpolation = facet_means(self._space, data.u_lift.function_space)
         self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
@@ -82,9 +82,7 @@ class AuxiliarySpace:
         spaces = self._spaces
         if spaces.has_dirichlet:
             return np.zeros(len(self._all))
-        return self._lumped_robin(
-            SiteConditions.everywhere(Condition.ROBIN, len(spaces.facets), self._weak)
-        )
+        return self._lumped_robin(SiteConditions.everywhere(Condition.ROBIN, len(spaces.facets), self._weak))
 
     def _lumped_robin(self, conditions: SiteConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN

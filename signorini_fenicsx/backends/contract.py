@@ -156,4 +156,3 @@ class BackendFactory(Protocol):
             data: The data and their means over cells and facets.
         """
         ...
-

@@ -7,18 +7,18 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
-from forms.mixed import load, trace_term
 from signorini_fenicsx.backends.contract import Array, Iterate
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, cell_measures, cells_and_dofs, centroids
+from signorini_fenicsx.forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
+from signorini_fenicsx.forms.mixed import load, trace_term
 
 
 class FacetSystem:
-    """The mixed method by its Crouzeix-Raviart form (see `forms.crouzeix_raviart`).
+    """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`).
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal.
@@ -49,11 +49,11 @@ class FacetSystem:
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
         self._load = fem.assemble_vector(
-            fem.form(load(data.f_h, v) + given_flux - stiffness(data.u_lift, v, data.kappa_h))
+            fem.form(load(data.f_h, v, ufl.dx) + given_flux - stiffness(data.u_lift, v, ufl.dx, data.kappa_h))
         )
         self._load.scatter_reverse(la.InsertMode.add)
         self.x, self.b = create_vector(self.space), create_vector(self.space)
@@ -100,7 +100,8 @@ class _Recovery:
         centroid = centroids(mesh)
         flux = recovered_flux(self._u_cr, f_h, centroid, x, kappa)
         self._flux = fem.Expression(flux, spaces.V.element.interpolation_points)
-        self._scalar = fem.form(recovered_scalar(self._u_cr, f_h, centroid, x, ufl.TestFunction(spaces.Q), kappa))
+        scalar = recovered_scalar(self._u_cr, f_h, centroid, x, kappa)
+        self._scalar = fem.form(scalar * ufl.TestFunction(spaces.Q) * ufl.dx)
         self._measures = cell_measures(spaces.Q)
 
     def fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:

@@ -10,12 +10,12 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
-from forms.mixed import flux_product
-from forms.norms import l2, v_norm
 from signorini_fenicsx.backends.contract import Array, Backend, Inexact, Iterate, Mask
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.forms.mixed import flux_product
+from signorini_fenicsx.forms.norms import l2, v_norm
 
 
 class FieldChange:
@@ -94,7 +94,7 @@ class FacetBackend(ABC):
     @cached_property
     def _trace_of_flux(self) -> tuple[fem.Function, fem.Form]:
         change = fem.Function(self.spaces.V)
-        return change, fem.form(flux_product(change, ufl.TestFunction(self.spaces.V), self.data.kappa_h))
+        return change, fem.form(flux_product(change, ufl.TestFunction(self.spaces.V), ufl.dx, self.data.kappa_h))
 
     def scales(self, iterate: Iterate) -> tuple[Array, Array]:
         """Sizes of p and σ·n per facet (collective).

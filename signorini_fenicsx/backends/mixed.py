@@ -6,7 +6,6 @@ from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.backends.contract import Array, Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.petsc import direct_solver
@@ -15,6 +14,7 @@ from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 
 
 class MixedBackend(FacetBackend):
@@ -141,7 +141,7 @@ class MixedBackend(FacetBackend):
         right.scale(-1.0)
         traces = trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
         right.array_w[:size] += assembled(traces)[:size]
-        right.array_w[size:] -= assembled(load(data.f_h, v))  # no ghost cells
+        right.array_w[size:] -= assembled(load(data.f_h, v, ufl.dx))  # no ghost cells
         return right.array_r.copy()
 
     def _fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
@@ -158,7 +158,6 @@ def _matrix(spaces: Spaces, data: Data, stabilisation: float) -> ConstrainedMatr
     W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
     (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
     block = fem.Constant(spaces.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
-    blocks = ufl.extract_blocks(flux_equation(sigma, u, tau, data.kappa_h) + mass_balance(sigma, v) + block)
+    saddle_point = flux_equation(sigma, u, tau, ufl.dx, data.kappa_h) + mass_balance(sigma, v, ufl.dx)  # (11b), (11c)
+    blocks = ufl.extract_blocks(saddle_point + block)
     return ConstrainedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
-
-

@@ -128,9 +128,7 @@ def direct_solver(matrix: PETSc.Mat, factorisation: str, prefix: str) -> LinearS
     return solver
 
 
-def take_options(
-    solver: PETSc.KSP | PETSc.SNES, prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE
-) -> None:
+def take_options(solver: PETSc.KSP | PETSc.SNES, prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> None:
     """Let the user's PETSc options change a solver that has its defaults (collective).
 
     Args:

@@ -1,11 +1,6 @@
 """The two ways a run can end badly, and the exit statuses they map to."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from signorini_fenicsx.solving.solution import Solution
+from typing import Any
 
 
 class InputError(Exception):
@@ -16,10 +11,10 @@ class NumericalFailure(Exception):
     """The computation ended without a solution that satisfies the Signorini conditions: exit status 1.
 
     Attributes:
-        solution: The last state reached, for inspection, or None if there is none.
+        solution: The last state reached, a `solving.solution.Solution` for inspection, or None if there is none.
     """
 
-    def __init__(self, reason: str, solution: Solution | None = None):
+    def __init__(self, reason: str, solution: Any = None):
         super().__init__(reason)
         self.solution = solution
 

@@ -16,7 +16,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.mixed import flux_product
 from signorini_fenicsx.backends.contract import LinearSolveFailure
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.certificate.samples import CellMetric
@@ -24,6 +23,7 @@ from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.methods.registry import Penalty
 from signorini_fenicsx.solving.solution import Solution
 
@@ -48,7 +48,7 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
     y = _with_enough_flux(spaces, data, _without_penalty(solution))
-    rounding = ROUNDING * np.sqrt(spaces.integrate(flux_product(y, y, data.kappa_h)))
+    rounding = ROUNDING * np.sqrt(spaces.integrate(flux_product(y, y, ufl.dx, data.kappa_h)))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
         imbalance.x.array[:] = assembled((ufl.div(y) + data.f_h) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
@@ -70,7 +70,7 @@ def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, s
         return 0.0
     low = fem.Function(spaces.Q)
     low.x.array[:] = metric.low  # no ghost cells
-    return float(np.sqrt(spaces.integrate(flux_product(y - sigma, y - sigma, low * data.kappa_h))))
+    return float(np.sqrt(spaces.integrate(flux_product(y - sigma, y - sigma, ufl.dx, low * data.kappa_h))))
 
 
 def _without_penalty(solution: Solution) -> fem.Function:

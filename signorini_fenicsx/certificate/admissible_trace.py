@@ -24,11 +24,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
-from forms.certificate import cut_off, reconstruction, second_moment
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.certificate.samples import CellMetric, cell_values, facet_lattice, quadratic_nodes
 from signorini_fenicsx.discrete.data import Data, is_constant
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, centroids
+from signorini_fenicsx.forms.certificate import cut_off, reconstruction, second_moment
 from signorini_fenicsx.solving.solution import Solution
 
 type Array = npt.NDArray[np.float64]

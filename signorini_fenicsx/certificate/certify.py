@@ -1,7 +1,7 @@
 """A guaranteed bound of the energy error of a solution, computed from that solution alone.
 
 y ∈ RT0, σ_h or near it, and a continuous v made of u_h and σ_h are admissible in the gap identity of
-`forms.certificate`, but for the load that RT0 does not see. All norms are those of the energy: ‖σ‖² = (κ⁻¹σ, σ),
+`forms/certificate.py`, but for the load that RT0 does not see. All norms are those of the energy: ‖σ‖² = (κ⁻¹σ, σ),
 |∇w|² = (κ∇w, ∇w).
 
 1. `admissible_flux`: ∇·y = −f_h, y·n = g_h on Γ_N, y·n at least the mean of q_S on each facet of Γ_S; remainder ≥
@@ -39,8 +39,6 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.certificate import flux_gap
-from forms.mixed import flux_product
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
@@ -49,6 +47,8 @@ from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.certificate.samples import CellMetric, cell_metric
 from signorini_fenicsx.discrete.data import Data, is_constant, quadrature, scalar_conductivity
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.forms.certificate import flux_gap
+from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.solving.solution import Solution
 
 type Array = npt.NDArray[np.float64]
@@ -116,7 +116,7 @@ def certify(solution: Solution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces.mesh, data)
-    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, data.kappa_h))))
+    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx, data.kappa_h))))
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)

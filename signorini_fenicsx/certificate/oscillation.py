@@ -6,7 +6,7 @@ mean ≤ 0 there, but may be positive in places, where y·n < q_S. *Water-fillin
     r = max(s, −c) with mean 0;   if s ≤ 0 on the facet, that is c = 0 and r = 0.
 
 r ≥ s, so r − s, the contact excess, is ≥ 0: y is admissible for the problem with q_S − r in the place of q_S, and its
-gap has ⟨r − s, v − ψ⟩ in it (see `forms.certificate`). r itself is a load like f − f_h and g_N − g_h: with
+gap has ⟨r − s, v − ψ⟩ in it (see `forms/certificate.py`). r itself is a load like f − f_h and g_N − g_h: with
 
     R(w) = (f − f_h, w) + ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S,   R(w) ≤ osc |w| for w = 0 on Γ_D,
 

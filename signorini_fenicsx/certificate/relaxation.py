@@ -18,9 +18,9 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 from ufl.core.expr import Expr
 
-from forms.crouzeix_raviart import stiffness
-from forms.mixed import flux_product
 from signorini_fenicsx.discrete.spaces import assembled
+from signorini_fenicsx.forms.crouzeix_raviart import stiffness
+from signorini_fenicsx.forms.mixed import flux_product
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
@@ -125,7 +125,7 @@ class _Gap:
 
     def __init__(self, space: fem.FunctionSpace, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-        self._matrix = assemble_matrix(fem.form(stiffness(trial, test, kappa)))
+        self._matrix = assemble_matrix(fem.form(stiffness(trial, test, ufl.dx, kappa)))
         self._matrix.assemble()
         self._in, self._out = self._matrix.createVecs()
         self._diagonal = self._matrix.getDiagonal()
@@ -133,7 +133,7 @@ class _Gap:
         size = self._in.getLocalSize()
         self._psi, self._excess = psi.x.array[:size], excess[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
-        self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, kappa)))) / 2
+        self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, ufl.dx, kappa)))) / 2
 
     def at(self, w: fem.Function) -> tuple[float, Array]:
         """The gap, and how it falls with each node (collective)."""

@@ -129,6 +129,7 @@ def solve(
     from signorini_fenicsx.base.results import ResultsFolder
     from signorini_fenicsx.base.signals import end_if_told
     from signorini_fenicsx.cases.case import load_case
+    from signorini_fenicsx.cases.discretisation import rough_cells
     from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli import report
     from signorini_fenicsx.output.checkpoint import load_solution, shared_domain
@@ -147,7 +148,7 @@ def solve(
 
     problem = on_root(comm, lambda: load_case(case).with_values(values | cold))
     if rigorous:
-        on_root(comm, lambda: check_size(problem))
+        on_root(comm, lambda: check_size(rough_cells(problem)))
     with ResultsFolder(comm, output or Path("results", problem.name)) as folder:
         report.heading(problem, comm)
         report.iteration_heading(problem)

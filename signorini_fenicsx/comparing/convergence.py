@@ -14,12 +14,12 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.norms import l2
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.methods.registry import ALGORITHMS
 from signorini_fenicsx.solving.solution import Solution

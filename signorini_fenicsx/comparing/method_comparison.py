@@ -8,10 +8,10 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.norms import l2
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.methods.registry import ALGORITHMS
 from signorini_fenicsx.solving.solution import Solution

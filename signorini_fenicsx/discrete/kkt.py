@@ -9,12 +9,12 @@ from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from forms.mixed import flux_product, multiplier_residual, trace_term
-from forms.norms import l2
-from signorini_fenicsx.discrete.data import Data, scalar_conductivity
-from signorini_fenicsx.discrete.spaces import Array, Spaces
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
+from signorini_fenicsx.discrete.data import Data, scalar_conductivity
+from signorini_fenicsx.discrete.spaces import Array, Spaces
+from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
+from signorini_fenicsx.forms.norms import l2
 
 CONSTANT = 1e-10
 """u whose energy is below this share of ‖√k u‖/L is a constant, and its σ what linear solvers leave."""
@@ -53,11 +53,7 @@ class KKTResiduals:
 
     def violation(self) -> str | None:
         """The residuals above the tolerance in words, or None."""
-        bad = [
-            f"{field.name} {value:.1e}"
-            for field in fields(self)
-            if not (value := getattr(self, field.name)) <= KKT
-        ]
+        bad = [f"{field.name} {value:.1e}" for field in fields(self) if not (value := getattr(self, field.name)) <= KKT]
         return f"KKT residuals above {KKT:g}: {', '.join(bad)}" if bad else None
 
 
@@ -103,7 +99,7 @@ def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) ->
     kappa, k, length = data.kappa_h, scalar_conductivity(data.kappa_h), spaces.length()
     energy, gradient, flux = (
         np.sqrt(spaces.integrate(form))
-        for form in (flux_product(sigma, sigma, kappa), l2(ufl.inv(kappa) * sigma, ufl.dx), l2(sigma, ufl.dx))
+        for form in (flux_product(sigma, sigma, ufl.dx, kappa), l2(ufl.inv(kappa) * sigma, ufl.dx), l2(sigma, ufl.dx))
     )
     given = fem.Constant(spaces.mesh, float(np.abs(data.extent(spaces)).max()))
     weights = ufl.sqrt(k), ufl.as_ufl(1.0), k
@@ -135,9 +131,9 @@ def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
 def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:
     """What (9a) lacks, as a gradient and as a flux (collective)."""
     V = spaces.V
-    tau, v = ufl.TestFunction(V), ufl.TestFunction(spaces.Q)
-    flux_residual, _ = multiplier_residual(sigma, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h)
-    flux_residual -= trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet)
+    tau, n = ufl.TestFunction(V), spaces.n
+    flux_residual = flux_equation(sigma, u, tau, ufl.dx, data.kappa_h) - trace_term(p, tau, n, spaces.ds)
+    flux_residual -= trace_term(data.u_lift, tau, n, spaces.ds_dirichlet)
     residual = fem.assemble_vector(spaces.form(flux_residual))
     residual.scatter_reverse(la.InsertMode.add)
     residual.array[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
@@ -148,7 +144,8 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
 
 def _mass_diagonal(spaces: Spaces, kappa: Expr) -> Array:
     """The diagonal of (κ⁻¹σ, τ), owned entries (collective)."""
-    mass = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), kappa)))
+    sigma, tau = ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V)
+    mass = assemble_matrix(fem.form(flux_product(sigma, tau, ufl.dx, kappa)))
     mass.assemble()
     diagonal: Array = mass.getDiagonal().array_r.copy()
     mass.destroy()

@@ -8,8 +8,6 @@ from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from petsc4py import PETSc
 
-from forms.mixed import multiplier_residual, trace_term
-from forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.petsc import (
     options_of,
@@ -24,6 +22,8 @@ from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
+from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.methods.history import OnStep, Outcome, Recorder
 from signorini_fenicsx.methods.task import Task
 
@@ -65,13 +65,12 @@ class PenaltyNewton:
         self._eps_now = fem.Constant(spaces.mesh, eps)
         self._reset()
         law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
-        flux_residual, balance = multiplier_residual(
-            sigma + data.sigma_lift, u, p, data.f_h, tau, v, spaces.n, spaces.ds, data.kappa_h
-        )
+        flux, n, dx, ds = sigma + data.sigma_lift, spaces.n, ufl.dx, spaces.ds
+        given = trace_term(data.u_lift, tau, n, spaces.ds_dirichlet + ds)
         residual = [
-            flux_residual - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds),
-            balance,
-            law(sigma, p, q, self._eps_now, spaces.n, spaces.ds),
+            flux_equation(flux, u, tau, dx, data.kappa_h) - trace_term(p, tau, n, ds) - given,  # (25a)
+            mass_balance(flux, v, dx) + load(data.f_h, v, dx),  # (25b)
+            law(sigma, p, q, self._eps_now, n, ds),
         ]
         self._problem = NonlinearProblem(
             residual,

@@ -95,12 +95,8 @@ METHODS: Mapping[str, Method] = {
     "snes1": Method(
         "PETSc SNES for (MPε-I)_h", PENALTY, partial(solve_by_newton, Penalty.TRACE), Condition.ROBIN, Penalty.TRACE
     ),
-    "snes2": Method(
-        "PETSc SNES for (MPε-II)_h", PENALTY, partial(solve_by_newton, Penalty.FLUX), penalty=Penalty.FLUX
-    ),
-    "vi": Method(
-        "PETSc SNESVI for (MLM-I)_h", "Benson, Munson: Optim. Methods Softw. (2006)", solve_bound_constrained
-    ),
+    "snes2": Method("PETSc SNES for (MPε-II)_h", PENALTY, partial(solve_by_newton, Penalty.FLUX), penalty=Penalty.FLUX),
+    "vi": Method("PETSc SNESVI for (MLM-I)_h", "Benson, Munson: Optim. Methods Softw. (2006)", solve_bound_constrained),
     "uzawa": _classical(
         "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", max_iterations=MANY
     ),

@@ -99,9 +99,7 @@ def clip_3(kind: Kinds, flux: Array) -> Mask:
     return (kind == Condition.ROBIN) & (flux < 0)
 
 
-ALGORITHM_3 = SetRule(
-    start=Condition.NO_FLUX, rule=rule_3, contact=Condition.ROBIN, penalty=Penalty.TRACE, clip=clip_3
-)
+ALGORITHM_3 = SetRule(start=Condition.NO_FLUX, rule=rule_3, contact=Condition.ROBIN, penalty=Penalty.TRACE, clip=clip_3)
 
 
 # Algorithm 4, for the penalty formulation (MPε-II)_h, (26): p = [σ·n]_-/ε.

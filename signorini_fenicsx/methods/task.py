@@ -62,7 +62,5 @@ class Task:
 def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:
     """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of a history whose method has no start of its own."""
     zero = np.zeros(len(spaces.facets))
-    iterate = Iterate(
-        p=zero, flux=zero, linear_iterations=0, sigma=fem.Function(spaces.V), u=fem.Function(spaces.Q)
-    )
+    iterate = Iterate(p=zero, flux=zero, linear_iterations=0, sigma=fem.Function(spaces.V), u=fem.Function(spaces.Q))
     return iterate, SiteConditions.everywhere(Condition.NO_FLUX, len(zero))

@@ -15,7 +15,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.norms import l2
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import on_root, scatter_rows
@@ -25,6 +24,7 @@ from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import TOLERANCE, KKTResiduals, kkt_residuals
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, centroids
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods.registry import ALGORITHMS, Algorithm, By

@@ -9,8 +9,6 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, on_root
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import rough_cells
 from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import gathered
 from signorini_fenicsx.rigorous.elementary import FromArb
@@ -42,16 +40,12 @@ class Proof:
         return {"proved": asdict(self.proven) | {"seconds": self.seconds}}
 
 
-def check_size(case: Case) -> None:
-    """Refuse what one process cannot hold, before it is solved (rank 0).
+def check_size(cells: float) -> None:
+    """Refuse a mesh that one process cannot hold.
 
     Raises:
         InputError: If there are too many cells.
     """
-    _check(rough_cells(case))
-
-
-def _check(cells: float) -> None:
     if cells > MOST_CELLS:
         raise InputError(f"--rigorous: one process has room for {MOST_CELLS} cells, not {cells:.3g}; choose a larger h")
 
@@ -66,7 +60,7 @@ def proof_of(solution: Solution, v: fem.Function) -> Proof:
     watch = Stopwatch()
     comm = solution.spaces.mesh.comm
     try:
-        _check(solution.spaces.Q.dofmap.index_map.size_global)
+        check_size(solution.spaces.Q.dofmap.index_map.size_global)
         given = Given.of(solution.data.trees, FromArb())
         discrete = gathered(solution, v)
         proven, reason = on_root(comm, lambda: None if discrete is None else prove(discrete, given)), ""

@@ -13,7 +13,7 @@ How. `certificate` has the argument; here each of its ingredients is exact.
 - *Trace.* See `trace`: v = u_D on Γ_D and v ≥ ψ on Γ_S, up to a function whose gradient is bounded.
 - *κ.* With L in floats and LᵀκL ≥ θ > 0 on T, ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) + (κ − κ̃)∇v with κ̃ the
   linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: Poincaré's
-  constant for energy norms is ĥ/(π√θ), and the trace constant of `forms.certificate` takes ĥ/√θ for h_T/√κ_T.
+  constant for energy norms is ĥ/(π√θ), and the trace constant C_e of `local_fluxes` takes ĥ/√θ for h_T/√κ_T.
 - *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
 """
 
@@ -182,6 +182,6 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
 
 
 def _trace_constant(cells: Simplices, kappa: Conductivity, facets: Facets) -> Interval:
-    """C_e of `forms.certificate.flux_oscillation`, with ĥ for h_T."""
+    """C_e of `certificate.local_fluxes`, with ĥ for h_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
     return root(facets.measure / at(cells.measure, facets.cells) * factor) * at(kappa.diameter, facets.cells)

@@ -9,7 +9,6 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from forms.norms import l2
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.conditions import FacetConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
@@ -17,6 +16,7 @@ from signorini_fenicsx.discrete.data import Data, quadrature
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.loop import Step
 from signorini_fenicsx.methods.registry import Algorithm
 

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.norms import l2
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm
 from signorini_fenicsx.methods.classical.projection import (
     StepLength,
@@ -27,9 +28,8 @@ from signorini_fenicsx.methods.classical.projection import (
     scattered_values,
     step_length,
 )
-from signorini_fenicsx.backends.mixed import MixedBackend
-from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.task import Task
 
 type Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The conforming P1 system that the primal methods share, and what it says about σ, u and p (see `forms.primal`)."""
+"""The conforming P1 system that the primal methods share, and what it says about σ, u and p (see `forms/primal.py`)."""
 
 import math
 from functools import cached_property
@@ -11,18 +11,18 @@ from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
-from forms.crouzeix_raviart import stiffness
-from forms.mixed import flux_product, load, trace_term
-from forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.petsc import LinearSolver, direct_solver
+from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, owned_on_facets
-from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.forms.crouzeix_raviart import stiffness
+from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
+from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.methods.history import History, Outcome, reached
+from signorini_fenicsx.methods.task import Task
 
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
@@ -62,7 +62,7 @@ class P1System:
         self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
         self._system = ConstrainedMatrix(
-            fem.form(stiffness(ufl.TrialFunction(self.space), v, data.kappa_h)), PETSc.Mat.Option.SPD
+            fem.form(stiffness(ufl.TrialFunction(self.space), v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD
         )
         self._stiffness = self._system.natural
         self.change_matrix()
@@ -75,7 +75,7 @@ class P1System:
         known = self._psi.copy()
         known[self.dirichlet] = u_D[self.dirichlet]
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-        self.load = self._owned(load(data.f_h, v) + given_flux) - self._product(self._stiffness, known)
+        self.load = self._owned(load(data.f_h, v, ufl.dx) + given_flux) - self._product(self._stiffness, known)
         self.load[self.dirichlet] = u_D[self.dirichlet]
         self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
         self._solver = direct_solver(self._system.matrix, "cholesky", "primal_")
@@ -164,7 +164,7 @@ class P1System:
         u_h.x.array[: self._size] = u + self._psi
         u_h.x.scatter_forward()
         means = fem.Function(spaces.Q, name="u")
-        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q))) / cell_measures(spaces.Q)
+        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / cell_measures(spaces.Q)
         sigma = _projected_flux(u_h, self._data, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
@@ -202,7 +202,7 @@ class P1Change:
         """Assemble the mass matrix (collective)."""
         self._system = system
         trial, test = ufl.TrialFunction(system.space), ufl.TestFunction(system.space)
-        self._mass = assemble_matrix(fem.form(mass(trial, test)))
+        self._mass = assemble_matrix(fem.form(mass(trial, test, ufl.dx)))
         self._mass.assemble()
         self._change, self._image = self._mass.createVecs()
 
@@ -265,7 +265,7 @@ def primal_outcome(
 def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function:
     """The projection of κ_h∇u to RT0 in (κ_h⁻¹·, ·), by CG on its well-conditioned mass matrix (collective)."""
     tau = ufl.TestFunction(spaces.V)
-    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, data.kappa_h)))
+    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, ufl.dx, data.kappa_h)))
     matrix.assemble()
     x, b = matrix.createVecs()
     b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]

@@ -140,6 +140,4 @@ def _on_vertices(task: Task, rule: SetRule) -> Outcome:
     residual = backend.system.residual(backend.u, 0.0 if rule.penalty is None else task.eps)
     failure = None if outcome.converged else outcome.reason
     failure = failure or not_solved(residual)
-    return replace(
-        outcome, converged=failure is None, reason=failure or outcome.reason, own_residual=residual
-    )
+    return replace(outcome, converged=failure is None, reason=failure or outcome.reason, own_residual=residual)

@@ -7,8 +7,8 @@ import numpy as np
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.methods.classical.primal import Array, P1History, P1System, primal_outcome
 from signorini_fenicsx.methods.classical.projection import iterate_projection, scattered, step_length
-from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.task import Task
 
 
 def primal_uzawa(task: Task) -> Outcome:

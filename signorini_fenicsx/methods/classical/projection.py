@@ -12,8 +12,8 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.base.tolerances import STEP
+from signorini_fenicsx.discrete.spaces import Spaces
 
 type Array = npt.NDArray[np.float64]
 

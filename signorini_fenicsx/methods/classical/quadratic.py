@@ -16,14 +16,14 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 
-from forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
+from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.on_root import RootRows, matrix_on_root
-from signorini_fenicsx.methods.task import Task, nothing_yet
 from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.task import Task, nothing_yet
 
 type Array = npt.NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def quadratic_programme(task: Task) -> Outcome:
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
     data = task.data
     sigma, tau, v = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(Q)
-    blocks = flux_product(sigma, tau, data.kappa_h), mass_balance(sigma, v)
+    blocks = flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx)
     matrices = [assemble_matrix(fem.form(form)) for form in blocks]
     for matrix in matrices:
         matrix.assemble()
@@ -52,10 +52,10 @@ def quadratic_programme(task: Task) -> Outcome:
     sign[spaces.neumann_dofs] = FIXED
     weight = 1 / np.sqrt(cell_measures(Q)[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
-        flux_product(data.sigma_lift, tau, data.kappa_h)
+        flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
     )[:flux_size]
-    right = -assembled(load(data.f_h, v) + mass_balance(data.sigma_lift, v))[:cells]
+    right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
     of_flux = flux_rows.gather(np.column_stack([linear, sign]))
