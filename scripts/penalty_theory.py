@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.comparing.convergence import differences
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -28,9 +28,9 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import refine

@@ -22,9 +22,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
-from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.discrete.kkt import TOLERANCE
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving.solver import solve

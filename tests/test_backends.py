@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.backends import facet_system, hybrid
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.discrete.conditions import FacetConditions
 from signorini_fenicsx.methods.loop import iterate_sets
 from signorini_fenicsx.methods.registry import ALGORITHMS

@@ -15,7 +15,7 @@ from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.comparing.method_comparison import compare_methods, distance, mass_imbalance
 from signorini_fenicsx.forms.norms import l2

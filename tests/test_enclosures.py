@@ -10,7 +10,7 @@ from fuzz_expressions import valid
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.cases.domains import discrete_data, mesh_case
 from signorini_fenicsx.certificate.enclosures import cell_vertices, enclose, facet_vertices
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.expressions import read, values, values_and_gradient

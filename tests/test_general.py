@@ -14,9 +14,9 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends import facet_system
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.meshes.checks import FileMesh

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, half_norm
 from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2

@@ -13,7 +13,7 @@ from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.patch import Patch
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.discretisation import discrete_data, mesh_case
+from signorini_fenicsx.cases.domains import discrete_data, mesh_case
 from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.solving import prediction

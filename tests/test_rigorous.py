@@ -16,7 +16,7 @@ from test_sharp_bounds import make, rotated
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.discretisation import rough_cells
+from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.report import above
 from signorini_fenicsx.expressions import read, values_and_gradient

@@ -10,7 +10,7 @@ from own_mesh import Array, Mask, own_domain
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods import loop as active_set

@@ -10,10 +10,10 @@ import ufl
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.oscillation import water_filled
-from signorini_fenicsx.discrete.data import Problem
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.solving.solution import Solution

@@ -9,7 +9,7 @@ from test_backends import assert_same_iterates
 from test_cli import signorini
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

@@ -20,7 +20,7 @@ from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.parallel import Stopwatch, abort_all_on_exception, peak_memory
 from signorini_fenicsx.cases import discretisation
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.discretisation import discrete_data
+from signorini_fenicsx.cases.domains import discrete_data
 from signorini_fenicsx.discrete.conditions import FacetConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces

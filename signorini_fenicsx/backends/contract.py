@@ -95,8 +95,6 @@ class Backend[I: Pairs](Protocol):
         comm: Communicator.
         sites: Number of sites of this rank.
         dofs: Unknowns of the linear system, over all ranks.
-        precise: Makes a backend for the same problem whose flux stays precise where κ jumps by many orders on bad
-            cells, where that of this one does not; None if this one is precise, or that one would cost too much.
     """
 
     name: str
@@ -104,11 +102,18 @@ class Backend[I: Pairs](Protocol):
     comm: MPI.Comm
     sites: int
     dofs: int
-    precise: "Callable[[], Backend[I]] | None"
 
     @property
     def inexact(self) -> Inexact | None:
         """Its early stops, if its linear solver iterates."""
+        ...
+
+    @property
+    def precise(self) -> "Callable[[], Backend[I]] | None":
+        """Makes a backend for the same problem whose flux stays precise where κ jumps by many orders on bad cells.
+
+        None if that of this one does, or if such a one would cost too much.
+        """
         ...
 
     def solver(self) -> str:

@@ -1,8 +1,8 @@
 """PETSc's solvers with the program's defaults, the user's options, and failures that are told.
 
 An option is taken by every solver of the program; one with a prefix by some, and there it wins: `facet_` by the facet
-system, `mixed_` by the saddle point, `coarse_` by the facet systems of coarser meshes, `primal_` by conforming P1, `vi_`
-by SNESVI, `newton_` by SNES. The global database is the user's: what is put there for a solver is taken out again.
+system, `mixed_` by the saddle point, `coarse_` by the facet systems of coarser meshes, `primal_` by conforming P1,
+`vi_` by SNESVI, `newton_` by SNES. What is put into PETSc's database for a solver is taken out again.
 """
 
 import contextlib

@@ -9,7 +9,7 @@ ROUNDING = 1e-14
 """What sums of numbers of size 1 leave."""
 LINEAR = 1e-12
 """Relative residual of an iterative linear solver, and what a direct one leaves. Newton and interior-point methods stop
-here too. Making the flux conforming amplifies what is left by 1/h, so that KKT residuals are 10 to 1000 times larger."""
+here too. Making the flux conforming amplifies what is left by 1/h: KKT residuals are 10 to 1000 times larger."""
 TIE = 1e-11
 """A value of p or σ·n below this is rounding and decides nothing: ten times LINEAR. A wrong sign of that size stays far
 below KKT."""

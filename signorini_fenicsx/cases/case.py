@@ -3,6 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -15,11 +16,12 @@ from signorini_fenicsx.base.shipped import case_names, data_folder
 from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
-from signorini_fenicsx.discrete.data import Given, Problem
+from signorini_fenicsx.discrete.problem import Given, Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
-from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.solving.options import BACKENDS
 
 
 class _Section(BaseModel):
@@ -149,8 +151,8 @@ class Solve(_Section):
     Without ρ or a number of iterations the algorithm takes its own.
     """
 
-    algorithm: Annotated[str, choice("algorithm", tuple(ALGORITHMS))] = "alg1"
-    backend: Annotated[str, choice("backend", ("hybrid", "mixed"))] = "hybrid"
+    algorithm: Annotated[str, choice("algorithm", tuple(METHODS))] = "alg1"
+    backend: Annotated[str, choice("backend", tuple(BACKENDS))] = "hybrid"
     h: Annotated[Positive, within(1e-90, 1e90)] = 2**-5  # its powers are numbers
     rho: Annotated[Positive, within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, within(1e-14, 1e6)] = 1e-8
@@ -193,6 +195,15 @@ class Case(_Section):
         """What is known of the mesh size before there is a mesh."""
         asked = self.solve.h if self.geometry.shape is not None else self.file_h
         return f"mesh {self.geometry.name}" if asked is None else f"h ≤ {asked:g}"
+
+    def data(self, dim: int) -> Problem:
+        """The data in this dimension, with the exact u where it is given.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
+        return replace(self.problem.read(dim), exact=exact)
 
     def check_dimension(self, dim: int) -> None:
         """Refuse coordinates that a mesh read from a file does not have.

@@ -9,12 +9,14 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Boundary, Case
-from signorini_fenicsx.cases.discretisation import check_solvability, discrete_data, mesh_case, rough_cells
+from signorini_fenicsx.cases.domains import mesh_case, rough_cells
+from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.methods.registry import ALGORITHMS, By
+from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.solving.solver import check_solvability
 
 FACETS_PER_CELL = {2: 1.5, 3: 2.0}
 PROCESS_BYTES = 180 * 2**20
@@ -99,7 +101,7 @@ def expected(case: Case, ranks: int) -> Expected:
 
 def is_typical(case: Case) -> bool:
     """Whether the measured rates are of the case's algorithm and backend."""
-    return ALGORITHMS[case.solve.algorithm].by is By.SETS and case.solve.backend == "hybrid"
+    return METHODS[case.solve.algorithm].starts_from_sets and case.solve.backend == "hybrid"
 
 
 def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
@@ -113,7 +115,7 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
     """
     domain = mesh_case(case, comm)
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    check_solvability(spaces, discrete_data(case, spaces))
+    check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,

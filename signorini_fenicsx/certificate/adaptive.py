@@ -9,18 +9,15 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import mesh_case
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
-from signorini_fenicsx.methods.loop import Step
-from signorini_fenicsx.methods.registry import ALGORITHMS, By
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
+
+type SolveOn = Callable[[Domain, Solution | None], Solution]
 
 FIRST_MESH = 8.0
-"""The first mesh has h at most the diameter of the domain over this, unless the user says else."""
+"""The first mesh has h at most the diameter of the domain over this, unless the user says otherwise."""
 DEFAULT_THETA = 0.5
 DEFAULT_MAX_CELLS = 10**6
 
@@ -61,45 +58,43 @@ class AdaptRow:
 
 
 def adapt(
-    case: Case,
-    comm: MPI.Comm = MPI.COMM_WORLD,
+    domain: Domain,
+    solve_on: SolveOn,
     *,
     target: float | None = None,
     max_cells: int = DEFAULT_MAX_CELLS,
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
-    on_step: Callable[[Step], None] = lambda step: None,
 ) -> tuple[Solution, Certificate]:
-    """Refine the mesh of a case where its certificate says that the error is (collective).
+    """Refine a mesh where the certificate of its solution says that the error is (collective).
 
     Each mesh but the first starts from the contact set of the one before, if the algorithm works on sets.
 
     Args:
-        case: The problem; its h is that of the first mesh.
-        comm: Communicator.
+        domain: The first mesh.
+        solve_on: Solves the problem on a mesh of the domain, from a solution on the mesh before or from none
+            (collective).
         target: Relative certified error to stop at; without one only the number of cells stops it.
         max_cells: A mesh with more cells is not solved on.
         theta: Part of Σ η_T² whose cells are refined; 1 refines uniformly.
         on_row: Called on all ranks after each mesh.
-        on_step: Called on all ranks after each iteration.
 
     Returns:
         The last solution and its certificate, whether the target is reached or not.
 
     Raises:
-        InputError: If there is no first mesh, or one with too many cells.
+        InputError: If the first mesh has too many cells.
         NumericalFailure: If a mesh cannot be solved on or refined.
     """
-    began = time.perf_counter()
-    has_sets = ALGORITHMS[case.solve.algorithm].by is By.SETS
-    domain = mesh_case(case, comm)
+    began, comm = time.perf_counter(), domain.mesh.comm
     cells = _cells(domain)
     if cells > max_cells:
-        raise InputError(f"the first mesh, {case.fineness}, has {cells} cells, more than the {max_cells} allowed")
-    solution: Solution | None = None
+        raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells} cells, more than the {max_cells} allowed")
+    start: Solution | None = None
     mesh = 0
     while True:
-        solution = solve(case, domain=domain, start=solution if has_sets else None, on_step=on_step)
+        solution = solve_on(domain, start)
+        start = solution if solution.method.starts_from_sets else None
         certificate = certify(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
@@ -123,11 +118,11 @@ def _row(refinement: str, mesh: int, solution: Solution, certificate: Certificat
         refinement=refinement,
         mesh=mesh,
         cells=_cells(solution.spaces.domain),
-        unknowns=solution.dofs,
+        unknowns=solution.outcome.dofs,
         h=solution.spaces.domain.h,
         contact_facets=facets,
         contact_measure=measure,
-        iterations=len(solution.history),
+        iterations=len(solution.outcome.history),
         bound=certificate.bound,
         gap=certificate.gap,
         oscillation=certificate.oscillation,

@@ -16,15 +16,14 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.contract import LinearSolveFailure
 from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.certificate.samples import CellMetric
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.forms.mixed import flux_product
-from signorini_fenicsx.methods.registry import Penalty
 from signorini_fenicsx.solving.solution import Solution
 
 type Array = npt.NDArray[np.float64]
@@ -75,11 +74,11 @@ def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, s
 
 def _without_penalty(solution: Solution) -> fem.Function:
     """σ_h; for (MPε-II), where its flux is < q_S off the contact set, that after a step of Algorithm 1 (collective)."""
-    if solution.algorithm.penalty is Penalty.FLUX:
-        open_facets = solution.conditions.kind == Condition.ROBIN
+    if solution.method.penalty is Penalty.FLUX:
+        open_facets = solution.outcome.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
         with contextlib.suppress(LinearSolveFailure):
-            return HybridBackend(solution.spaces, solution.data).solve(FacetConditions(kind)).sigma
+            return HybridBackend(solution.spaces, solution.data).solve(SiteConditions(kind)).sigma
     return solution.sigma
 
 
@@ -115,7 +114,7 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
         psi_h=nothing,
         q_Sh=nothing,
     )
-    return HybridBackend(spaces, loads).solve(FacetConditions(kind)).sigma
+    return HybridBackend(spaces, loads).solve(SiteConditions(kind)).sigma
 
 
 def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) -> float:

@@ -28,7 +28,7 @@ from signorini_fenicsx.base.signals import Interruption, listen_again, listening
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case
-    from signorini_fenicsx.methods.loop import Step
+    from signorini_fenicsx.methods.history import Step
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -45,9 +45,9 @@ app = typer.Typer(
 
 
 def _names_of_algorithms() -> list[str]:
-    from signorini_fenicsx.methods.registry import ALGORITHMS
+    from signorini_fenicsx.methods.registry import METHODS
 
-    return list(ALGORITHMS)
+    return list(METHODS)
 
 
 CaseName = Annotated[
@@ -129,13 +129,13 @@ def solve(
     from signorini_fenicsx.base.results import ResultsFolder
     from signorini_fenicsx.base.signals import end_if_told
     from signorini_fenicsx.cases.case import load_case
-    from signorini_fenicsx.cases.discretisation import rough_cells
+    from signorini_fenicsx.cases.domains import rough_cells
+    from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli import report
-    from signorini_fenicsx.output.checkpoint import load_solution, shared_domain
+    from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
     from signorini_fenicsx.rigorous.proof import check_size, proof_of
-    from signorini_fenicsx.solving.solver import solve as solve_case
 
     comm = MPI.COMM_WORLD
     report.console.quiet = quiet or as_json
@@ -203,8 +203,8 @@ def adapt(
     from signorini_fenicsx.base.results import ResultsFolder
     from signorini_fenicsx.base.signals import end_if_told
     from signorini_fenicsx.cases.case import load_case
+    from signorini_fenicsx.cases.solving import adapt_case
     from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, FIRST_MESH, AdaptRow
-    from signorini_fenicsx.certificate.adaptive import adapt as adapt_case
     from signorini_fenicsx.cli import report
     from signorini_fenicsx.meshes.shapes import SHAPES
     from signorini_fenicsx.output.writing import write_adapt, write_solution
@@ -295,6 +295,7 @@ def export(
       mpirun -n 2 signorini export results/example2 --plot
     """
     from signorini_fenicsx.base.results import ResultsFolder
+    from signorini_fenicsx.cases.solving import case_of
     from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli import report
     from signorini_fenicsx.output.checkpoint import load_solution
@@ -303,7 +304,7 @@ def export(
     comm = MPI.COMM_WORLD
     solution = load_solution(results, comm)
     with ResultsFolder(comm, output or results) as folder:
-        report.heading(solution.case, comm)
+        report.heading(case_of(solution), comm)
         certificate = certify(solution) if solution.converged else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=folder.target == Path(os.path.realpath(results)))
@@ -373,7 +374,7 @@ def convergence(
     from signorini_fenicsx.cases.case import load_case
     from signorini_fenicsx.cli import report
     from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
-    from signorini_fenicsx.methods.registry import ALGORITHMS
+    from signorini_fenicsx.methods.registry import METHODS
     from signorini_fenicsx.output.writing import write_convergence
 
     comm = MPI.COMM_WORLD
@@ -392,7 +393,7 @@ def convergence(
         )
         write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()
-        report.convergence_slopes(fitted_slopes(rows, way), way, ALGORITHMS[problem.solve.algorithm])
+        report.convergence_slopes(fitted_slopes(rows, way), way, METHODS[problem.solve.algorithm])
         report.results(folder.target)
 
 
@@ -537,7 +538,7 @@ def _run(command: Callable[[], object]) -> int:
         _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
         return EXIT_BAD_INPUT if is_input else EXIT_FAILED
     except RuntimeError as error:
-        from signorini_fenicsx.backends.contract import refuse_options
+        from signorini_fenicsx.backends.petsc import refuse_options
 
         try:
             refuse_options(error)

@@ -16,8 +16,8 @@ from signorini_fenicsx.certificate.adaptive import AdaptRow, rate
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.comparison import Comparison
 from signorini_fenicsx.comparing.convergence import ERRORS, ErrorRow, Vary
-from signorini_fenicsx.methods.loop import Step
-from signorini_fenicsx.methods.registry import ALGORITHMS, Algorithm
+from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.output.writing import json_text
 from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.rigorous.theorem import Proven
@@ -33,12 +33,12 @@ def heading(case: Case, comm: MPI.Comm) -> None:
     """Say what is about to be solved."""
     console.print(case.title or case.name, style="bold", markup=False)
     ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
-    console.print(f"{ALGORITHMS[case.solve.algorithm].title}, {ranks}")
+    console.print(f"{METHODS[case.solve.algorithm].title}, {ranks}")
 
 
 def iteration_heading(case: Case) -> None:
     """Say what the run is about and name the columns of the iterations."""
-    penalty = f", ε = {case.solve.eps:g}" if ALGORITHMS[case.solve.algorithm].has_eps else ""
+    penalty = f", ε = {case.solve.eps:g}" if METHODS[case.solve.algorithm].has_eps else ""
     console.print(f"{case.fineness}{penalty}", markup=False)
     counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
     console.print(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
@@ -87,8 +87,8 @@ def solution(result: Solution, folder: Path, certificate: Certificate, proof: Pr
 
 def methods() -> None:
     """List the algorithms, one line each."""
-    names, titles = max(map(len, ALGORITHMS)), max(len(algorithm.title) for algorithm in ALGORITHMS.values())
-    for name, algorithm in ALGORITHMS.items():
+    names, titles = max(map(len, METHODS)), max(len(algorithm.title) for algorithm in METHODS.values())
+    for name, algorithm in METHODS.items():
         console.print(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}", markup=False)
 
 
@@ -199,7 +199,7 @@ def convergence_row(row: ErrorRow) -> None:
     console.print(f"{row.h:8.5f} {_cell(row.eps, 8, '.1e')} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
 
 
-def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Algorithm) -> None:
+def convergence_slopes(slopes: dict[str, float], vary: Vary, algorithm: Method) -> None:
     """Show fitted slopes beside those of the theory."""
     theory = {
         Vary.H: "h (8)" if algorithm.penalty is None else "h (30), (32)",

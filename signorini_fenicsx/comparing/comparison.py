@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.discretisation import same_domain
 from signorini_fenicsx.comparing.convergence import Differences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import same_domain
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ def compare(one: Solution, other: Solution) -> Comparison:
         InputError: If their domains or contact boundaries differ.
     """
     here, there = (
-        f"{solution.case.geometry.name} with contact on {', '.join(sorted(solution.case.boundary.signorini))}"
+        f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.boundary.signorini))}"
         for solution in (one, other)
     )
-    domains = same_domain(one.case, one.spaces.domain, other.case, other.spaces.domain)
-    if not domains or set(one.case.boundary.signorini) != set(other.case.boundary.signorini):
+    domains = same_domain(one.spaces.domain, other.spaces.domain)
+    if not domains or set(one.boundary.signorini) != set(other.boundary.signorini):
         raise InputError(f"solutions of one domain and contact boundary compare, not of {here} and {there}")
     coarse, fine = sorted((one, other), key=_cells)
     norms = differences(coarse, fine)

@@ -18,12 +18,12 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
-from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 type Array = npt.NDArray[np.float64]
 
@@ -201,8 +201,8 @@ def convergence_study(
         InputError: If a mesh cannot be made, or ε is to vary for an algorithm without penalty.
         NumericalFailure: If a run fails.
     """
-    if vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
-        penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
+    if vary is not Vary.H and not METHODS[case.solve.algorithm].has_eps:
+        penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
     domain = mesh_case(case, comm) if vary is Vary.EPS else None
     cases = [case.with_values(level_values(vary, level)) for level in levels]
@@ -212,7 +212,7 @@ def convergence_study(
 
     def solved(problem: Case) -> Solution:
         on_start(problem)
-        return solve(problem, comm, domain=domain)
+        return solve_case(problem, comm, domain=domain)
 
     fine = solved(best)
     slides = slides_errors(case.name, case.solve.algorithm) if vary is Vary.H else {}
@@ -249,8 +249,8 @@ def _row(
     error = differences(coarse, fine)
     topology = coarse.spaces.mesh.topology
     cells = topology.index_map(topology.dim).size_global
-    options = coarse.case.solve
-    eps = options.eps if ALGORITHMS[options.algorithm].has_eps else None
+    options = coarse.options
+    eps = options.eps if options.method.has_eps else None
     flux_scaled = None if eps is None else math.sqrt(eps) * error.flux_Lambda
 
     def order(name: str, value: float | None) -> float | None:
@@ -266,7 +266,7 @@ def _row(
         h=coarse.spaces.domain.h,
         eps=eps,
         cells=cells,
-        iterations=len(coarse.history),
+        iterations=len(coarse.outcome.history),
         sigma_V=error.sigma_V,
         sigma_V_order=order("sigma_V", error.sigma_V),
         u_Q=error.u_Q,

@@ -10,12 +10,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
-from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def compare_methods(
     case: Case,
     h: float,
     fine: Solution,
-    methods: tuple[str, ...] = tuple(ALGORITHMS),
+    methods: tuple[str, ...] = tuple(METHODS),
     *,
     on_failure: Callable[[str, NumericalFailure], None] = lambda method, failure: None,
 ) -> list[MethodRow]:
@@ -72,7 +72,7 @@ def compare_methods(
 
     def solved(method: str) -> Solution:
         values = {"solve.algorithm": method, "solve.h": h, "solve.predict": False}
-        return solve(case.with_values(values), domain=domain)
+        return solve_case(case.with_values(values), domain=domain)
 
     exact = solved("alg1")
     solutions: dict[str, Solution] = {}
@@ -86,7 +86,7 @@ def compare_methods(
             case=case.name,
             h=domain.h,
             method=method,
-            iterations=solution.history[-1].linear_iterations if method == "qp" else len(solution.history),
+            iterations=solution.method.iterations(solution.outcome),
             seconds=solution.timings["assembly"] + solution.timings["solve"],
             flux=flux,
             trace=trace,

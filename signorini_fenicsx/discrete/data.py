@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,38 +18,13 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes, extent, total
+from signorini_fenicsx.discrete.problem import Given, Problem, Rows
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, cells_and_dofs
-from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl
+from signorini_fenicsx.expressions import TREES, Tree, to_ufl
 
 type Array = npt.NDArray[np.float64]
-type Rows = Sequence[Sequence[Tree]]
-type Given = float | Tree | Rows | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; an expression that was read, or a matrix of them; a UFL expression on the mesh, also a `fem.Function`; or a
-function of points of shape (3, n)."""
-
 ROUNDING = 1e-12
 """Relative size of what is rounding in the symmetry of κ."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; u ≥ ψ, κ∇u·n ≥ q_S, one of them equal, on Γ_S.
-
-    Attributes:
-        f: Load.
-        kappa: κ: a scalar, a symmetric positive definite matrix, or one of them for each region of the mesh.
-        u_D: Trace on Γ_D, continuous.
-        g_N: Flux on Γ_N, out of Ω where negative, like κ∇u·n everywhere here.
-        psi: Lower bound of the trace on Γ_S, continuous.
-        q_S: Lower bound of the flux on Γ_S.
-    """
-
-    f: Given
-    kappa: Given | Mapping[str, Given] = 1.0
-    u_D: Given = 0.0
-    g_N: Given = 0.0
-    psi: Given = 0.0
-    q_S: Given = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,6 +50,7 @@ class Data:
         q_Sh: Mean of q_S per Γ_S facet of this rank.
         stiffness: Mean of κ over L, so the σ·n that goes with p = 1.
         total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
+        exact: u itself, where it is known.
         trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
             regions has names such as "kappa.core".
     """
@@ -93,6 +69,7 @@ class Data:
     q_Sh: Array
     stiffness: float
     total_load: float
+    exact: Expr | None
     trees: Mapping[str, Tree | Rows]
 
     def conductivities(self, spaces: Spaces) -> Array:
@@ -137,6 +114,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
             solution leave the range of floating-point numbers; if κ is not symmetric and positive definite, or has no
             value somewhere.
     """
+    problem = problem.parsed(spaces.mesh.geometry.dim)
     f = _expression(spaces, "f", problem.f, continuous=False)
     u_D, g_N, psi, q_S = (_expression(spaces, name, getattr(problem, name)) for name in ("u_D", "g_N", "psi", "q_S"))
     kappa = _conductivity(spaces, problem.kappa)
@@ -183,8 +161,18 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         q_Sh=q_Sh,
         stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
         total_load=total(np.concatenate(loads), spaces.mesh.comm),
+        exact=_exact(spaces, problem.exact),
         trees=_trees(problem),
     )
+
+
+def _exact(spaces: Spaces, given: Given | None) -> Expr | None:
+    if given is None:
+        return None
+    u = _expression(spaces, "exact", given)
+    cells = np.arange(spaces.Q.dofmap.index_map.size_local, dtype=np.int32)
+    check_finite(spaces, "[exact] u", "in the domain", u, cells)
+    return u
 
 
 def _trees(problem: Problem) -> dict[str, Tree | Rows]:
@@ -193,8 +181,7 @@ def _trees(problem: Problem) -> dict[str, Tree | Rows]:
         given |= {f"kappa.{region}": value for region, value in problem.kappa.items()}
     else:
         given["kappa"] = problem.kappa
-    trees = {name: exactly(value) if isinstance(value, int | float) else value for name, value in given.items()}
-    return {name: value for name, value in trees.items() if isinstance(value, TREES | tuple | list)}
+    return {name: value for name, value in given.items() if isinstance(value, TREES | tuple | list)}
 
 
 def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.NDArray[np.int32]) -> None:

@@ -131,7 +131,15 @@ def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
     return float(mesh.comm.allreduce(mesh.h(dim, cells).max(initial=0.0), MPI.MAX))
 
 
-def marked_domain(mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Part], marks: Marks, bend: float) -> Domain:
+def marked_domain(
+    mesh: dolfinx.mesh.Mesh,
+    parts: Mapping[str, Part],
+    marks: Marks,
+    *,
+    bend: float,
+    name: str,
+    is_shape: bool = False,
+) -> Domain:
     """Find the marked facets and cells on a mesh (collective)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
@@ -142,7 +150,7 @@ def marked_domain(mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Part], marks: Mar
         for column, name in enumerate(marks.regions)
         if inside is not None
     }
-    return Domain(mesh, largest_diameter(mesh), parts, _found(mesh, marks.facets), regions, bend)
+    return Domain(mesh, largest_diameter(mesh), parts, _found(mesh, marks.facets), regions, bend, name, is_shape)
 
 
 def _found(mesh: dolfinx.mesh.Mesh, marked: Mapping[str, Indices]) -> dict[str, npt.NDArray[np.int32]]:

@@ -3,6 +3,7 @@
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import dolfinx.mesh
 import gmsh
@@ -75,7 +76,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
         return points, cells
 
     simplices = on_root_only(comm, generate, shape.dim)
-    return label_parts(distribute(comm, *simplices, shape.dim), shape)
+    return label_parts(distribute(comm, *simplices, shape.dim), shape_name)
 
 
 def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
@@ -85,14 +86,14 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
-def label_parts(mesh: dolfinx.mesh.Mesh, shape: Shape) -> Domain:
+def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str) -> Domain:
     """Find the facets of each boundary part of a named shape (collective)."""
-    dim = mesh.topology.dim
+    dim, shape = mesh.topology.dim, SHAPES[shape_name]
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
     }
-    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, BEND)
+    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, BEND, shape_name, is_shape=True)
 
 
 def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
@@ -129,7 +130,8 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
         for column, chosen in enumerate(read[0].regions.values()):
             inside[chosen, column] = True
     parts = {name: axis_part(label) for name, label in labels.items()}
-    return marked_domain(distribute(comm, points, cells, dim), parts, Marks(facets, inside, regions), bend)
+    mesh, marks = distribute(comm, points, cells, dim), Marks(facets, inside, regions)
+    return marked_domain(mesh, parts, marks, bend=bend, name=Path(path).name)
 
 
 @functools.cache

@@ -86,7 +86,7 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         tuple(domain.regions),
     )
     distributed = distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim)
-    return marked_domain(distributed, domain.parts, marks, domain.bend)
+    return marked_domain(distributed, domain.parts, marks, bend=domain.bend, name=domain.name, is_shape=domain.is_shape)
 
 
 def _bisected(

@@ -8,13 +8,14 @@ which is no decision, counts as p = σ·n = 0 there. What rounding is, the backe
 *Cycles.* Each set determines the next one, so if a set comes a second time, the same sets follow again and again. Every
 rule is principal pivoting for a linear complementarity problem, p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
 Schur complement S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ or
-S + ε|e|. These matrices are symmetric and positive definite. Then changing one site at a time, the last in a fixed order
-of those that want to change, ends after finitely many steps (Murty); and so does changing all of them whenever they have
-become fewer than ever before, and one at a time otherwise (Júdice and Pires, Computers & Operations Research 21, 1994).
-That is what the loop does from the first repetition on.
+S + ε|e|. These matrices are symmetric and positive definite. Then changing one site at a time, the last in a fixed
+order of those that want to change, ends after finitely many steps (Murty); and so does changing all of them whenever
+they have become fewer than ever before, and one at a time otherwise (Júdice and Pires, Computers & Operations Research
+21, 1994). That is what the loop does from the first repetition on.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def iterate_sets[I: Pairs](
         solved_with = conditions
         change = (0.0, 0.0) if iterate is before else backend.change(iterate, before)
         before = iterate
-        with reached(lambda: backend.in_mixed_spaces(iterate, solved_with), history.steps):
+        with reached(partial(backend.in_mixed_spaces, iterate, solved_with), history.steps):
             history.append(conditions, change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
         wanted = _wanted(backend, rule, parameters, iterate, solved_with)

@@ -1,5 +1,6 @@
 """The penalty formulations (25) and (26) handed to PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np

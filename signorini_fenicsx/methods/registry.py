@@ -1,5 +1,6 @@
-"""The methods by name: what each solves, where it comes from, how it runs. A new one needs an entry here, or none:
-`solve` takes a `Method` as well as a name.
+"""The methods by name: what each solves, where it comes from, how it runs.
+
+A new one needs an entry here, or none: `solve` takes a `Method` as well as a name.
 
 | method                    | in                            | formulation                              |
 |---------------------------|-------------------------------|------------------------------------------|

@@ -6,8 +6,9 @@ partition, enters the file.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,21 +16,33 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import on_root, scatter_rows
+from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.discretisation import discrete_data
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.kkt import TOLERANCE, KKTResiduals, kkt_residuals
+from signorini_fenicsx.cases.solving import options_of
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.data import Data, project_data
+from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, centroids
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
+from signorini_fenicsx.meshes.domain import Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.methods.registry import ALGORITHMS, Algorithm, By
-from signorini_fenicsx.output.checkpoint_file import About, Arrays, read_checkpoint
+from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.registry import Method
+from signorini_fenicsx.output.checkpoint_file import (
+    FORMAT,
+    About,
+    Arrays,
+    Checkpoint,
+    GivenInPython,
+    read_checkpoint,
+)
 from signorini_fenicsx.output.gather import FacetTable, Fields
+from signorini_fenicsx.solving.options import OWN, Options
 from signorini_fenicsx.solving.solution import Solution
 
 FILE = "checkpoint.npz"
@@ -49,16 +62,18 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         marks: Its boundary parts and regions.
     """
     about = {
-        "name": solution.case.name,
-        "case": solution.case.model_dump(mode="json", exclude_unset=True),
+        "format": FORMAT,
+        "name": solution.name,
+        **_problem(solution),
         "part_names": solution.spaces.part_names,
         "parts": {name: part.label for name, part in solution.spaces.domain.parts.items()},
         "regions": marks.regions,
         "bend": solution.spaces.domain.bend,
-        "history": [asdict(step) for step in solution.history],
-        "beta": solution.conditions.beta,
+        "history": [asdict(step) for step in solution.outcome.history],
+        "beta": solution.outcome.conditions.beta,
         "kkt": vars(solution.kkt),
-        **{key: getattr(solution, key) for key in ABOUT},
+        **{key: getattr(solution.outcome, key) for key in OUTCOME},
+        **{key: getattr(solution, key) for key in COSTS},
     }
     arrays = {key: getattr(fields, key) for key in ("points", "cells", "u", "sigma", "divergence")}
     arrays |= {f"facet_{key}": values for key, values in vars(facets).items()}
@@ -68,83 +83,165 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         np.savez(file, about=np.array(json.dumps(about)), **arrays)
 
 
-ABOUT = (
+OUTCOME = (
     *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
-    *("rough_steps", "timings", "peak_memory"),
+    "rough_steps",
 )
-"""What a solution says about how it was found."""
+"""What a solution's outcome says about how it was found, but for its fields and its history."""
+COSTS = ("timings", "peak_memory")
 SAME = 1e-3
 """Part of a KKT residual by which the one of what is read may differ from the one that was written."""
 
 
-def load_solution(folder: Path | str, comm: MPI.Comm) -> Solution:
+def _problem(solution: Solution) -> dict[str, Any]:
+    """The case, or what of a problem given in Python a file can hold."""
+    if isinstance(solution.source, Case):
+        return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
+    boundary, options, problem = solution.boundary, solution.options, vars(solution.problem)
+    stored = {name: value for name, value in problem.items() if value is not None and _storable(value)}
+    given = GivenInPython(
+        title=solution.title,
+        domain=solution.spaces.domain.name,
+        signorini=list(boundary.signorini),
+        neumann=list(boundary.neumann),
+        problem=stored,
+        missing=[name for name, value in problem.items() if value is not None and name not in stored],
+        options={
+            "algorithm": options.algorithm_name,
+            **{key: getattr(options, key) for key in ("rho", "eps", "max_iterations", "predict")},
+        },
+    )
+    return {"case": None, "given": given.model_dump(mode="json")}
+
+
+def _storable(given: object) -> bool:
+    """Whether a datum consists of numbers and texts."""
+    if isinstance(given, Mapping):
+        return all(map(_storable, given.values()))
+    return all(map(_storable, given)) if isinstance(given, tuple | list) else isinstance(given, str | int | float)
+
+
+def load_solution(
+    folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
+) -> Solution:
     """Read the solution of a results folder, on as many ranks as there are now (collective).
 
+    Args:
+        folder: The results folder.
+        comm: Communicator.
+        problem: The data, if some were given in Python as what no file can hold.
+        options: Likewise with the algorithm.
+
     Raises:
-        InputError: If there is none, it could not have been written by this program, or its fields do not have the
-            residuals that they had: then it is damaged, and no part of it is used.
+        InputError: If there is none, it could not have been written by this program, it needs data or an algorithm
+            given in Python, or its fields do not have the residuals that they had: then it is damaged, and no part of
+            it is used.
     """
     path = Path(folder) / FILE
     everything: list[Arrays] = []
 
-    def read() -> tuple[About, Case, Arrays, int]:
+    def read() -> tuple[Checkpoint, int]:
         repair(folder)
         found = read_checkpoint(path)
         everything.append(found.arrays)
         facets = {key: array for key, array in found.arrays.items() if key.startswith("facet_")}
-        return found.about, found.case, facets, found.dim
+        return replace(found, arrays=facets), found.dim
 
-    about, case, facets, dim = on_root(comm, read)
+    found, dim = on_root(comm, read)
+    about, boundary, facets = found.about, found.boundary, found.arrays
+    problem, options = problem or _read_problem(found, dim), options or _read_options(found)
     arrays = everything[0] if everything else {}
     points = arrays.get("points", np.empty((0, dim)))
     cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
     mesh = distribute(comm, points, cells, dim)
-    domain = marked_domain(mesh, _parts(case, about), _marks(about, arrays, dim), about.bend)
-    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+    marks, is_shape = _marks(about, arrays, dim), found.shape is not None
+    domain = marked_domain(mesh, _parts(found), marks, bend=about.bend, name=found.domain, is_shape=is_shape)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)
     sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux
     sigma.x.scatter_forward()
     p = spaces.multiplier(facets["facet_p"][rows])
-    data = discrete_data(case, spaces)
-    conditions = FacetConditions(facets["facet_condition"][rows].astype(np.int8), about.beta)
-    algorithm = ALGORITHMS[case.solve.algorithm]
-    kkt = kkt_residuals(spaces, sigma, u, p, data, algorithm.penalty, case.solve.eps)
-    damage = _damage(about, algorithm, kkt)
-    by_sets = about.converged and algorithm.by is By.SETS
+    data = project_data(spaces, problem)
+    conditions = SiteConditions(facets["facet_condition"][rows].astype(np.int8), about.beta)
+    kkt = kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps)
+    damage = _damage(about, options.method, kkt)
+    by_sets = about.converged and options.method.starts_from_sets
     if damage is None and by_sets and not _hold(conditions, sigma, u, p, spaces, data):
         damage = "its facet conditions are not those of its values"
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
-    return Solution(
-        case=case,
-        algorithm=algorithm,
-        spaces=spaces,
-        data=data,
-        sigma=sigma,
-        u=u,
-        p=p,
+    trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    outcome = Outcome(
+        iterate=Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u),
         conditions=conditions,
         history=about.history,
+        **{key: getattr(about, key) for key in OUTCOME},
+    )
+    return Solution(
+        name=about.name,
+        title=found.title,
+        source=found.case,
+        boundary=boundary,
+        problem=problem,
+        options=options,
+        spaces=spaces,
+        data=data,
+        p=p,
+        outcome=outcome,
         kkt=kkt,
-        **{key: getattr(about, key) for key in ABOUT},
+        **{key: getattr(about, key) for key in COSTS},
     )
 
 
-def _damage(about: About, algorithm: Algorithm, kkt: KKTResiduals) -> str | None:
+def _read_problem(found: Checkpoint, dim: int) -> Problem:
+    """The data of the file.
+
+    Raises:
+        InputError: If it does not hold all of them.
+    """
+    if found.case is not None:
+        return found.case.data(dim)
+    assert found.about.given is not None
+    given = found.about.given
+    if given.missing:
+        missing = ", ".join(given.missing)
+        raise InputError(f"{missing}: given in Python as what no file can hold; give load_solution the problem")
+    return _made(Problem, given.problem)
+
+
+def _read_options(found: Checkpoint) -> Options:
+    """Likewise the options."""
+    if found.case is not None:
+        return options_of(found.case)
+    assert found.about.given is not None
+    values = found.about.given.options
+    if values.get("algorithm") == OWN:
+        raise InputError("the algorithm was given in Python; give load_solution the options")
+    return _made(Options, values)
+
+
+def _made[T](kind: type[T], values: dict[str, Any]) -> T:
+    try:
+        return kind(**values)
+    except TypeError:
+        raise InputError(f"not a readable solution (its {kind.__name__.lower()} is not of this version)") from None
+
+
+def _damage(about: About, method: Method, kkt: KKTResiduals) -> str | None:
     """Why the residuals of what was read cannot be those of what was written; None if they can."""
     for name, value in vars(kkt).items():
         before = (about.kkt or {}).get(name, value)
-        if np.isfinite(before) and not abs(value - before) <= TOLERANCE + SAME * before:
+        if np.isfinite(before) and not abs(value - before) <= KKT + SAME * before:
             return f"its KKT residual {name} is {value:.1e}, and was {before:.1e} when it was written"
-    known = about.kkt is not None or algorithm.by is not By.CLASSICAL
+    known = about.kkt is not None or method.starts_from_sets
     judged = about.converged and known and about.own_residual is None  # others have a residual of their own
     violation = kkt.violation() if judged else None
     return None if violation is None else f"it claims to be a solution, but has {violation}"
 
 
 def _hold(
-    conditions: FacetConditions, sigma: fem.Function, u: fem.Function, p: fem.Function, spaces: Spaces, data: Data
+    conditions: SiteConditions, sigma: fem.Function, u: fem.Function, p: fem.Function, spaces: Spaces, data: Data
 ) -> bool:
     """Whether σ·n = q_S and p = ψ where the conditions say so (collective)."""
     e, kind = spaces.facet_measure, conditions.kind
@@ -155,20 +252,13 @@ def _hold(
     ]
     left = spaces.length() * spaces.mesh.comm.allreduce(np.array(squares))
     sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (sigma, u)]
-    return bool(np.all(np.sqrt(left) <= TOLERANCE * np.sqrt(sizes)))
+    return bool(np.all(np.sqrt(left) <= KKT * np.sqrt(sizes)))
 
 
-def shared_domain(start: Solution, case: Case) -> Domain | None:
-    """The mesh of an earlier solution if the case asks for the same one; a file may have changed since."""
-    earlier = start.case
-    same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h) and case.geometry.file is None
-    return start.spaces.domain if same else None
-
-
-def _parts(case: Case, about: About) -> Mapping[str, Part]:
-    if case.geometry.shape is not None:
-        return SHAPES[case.geometry.shape].parts
-    return {name: axis_part(label) for name, label in about.parts.items()}
+def _parts(found: Checkpoint) -> Mapping[str, Part]:
+    if found.shape is not None:
+        return SHAPES[found.shape].parts
+    return {name: axis_part(label) for name, label in found.about.parts.items()}
 
 
 def _marks(about: About, arrays: Arrays, dim: int) -> Marks:

@@ -17,11 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import complaint
+from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.meshes.checks import Contents, check_boundary, checked
-from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.meshes.domain import AXES, Boundary
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.methods.history import Step
 
 type Arrays = dict[str, npt.NDArray]
 
@@ -50,12 +51,42 @@ VALUES = ("u", "sigma", "divergence", "facet_u", "facet_p", "facet_flux")
 SIMPLICES = {1: "line", 2: "triangle", 3: "tetra"}
 
 
+FORMAT = 2
+"""Of the files that are written. Those of format 1 have no number and no problems given in Python."""
+
+
+class GivenInPython(BaseModel):
+    """A problem that no case file has.
+
+    Attributes:
+        title: Of the results.
+        domain: Name of its domain.
+        signorini: Parts of Γ_S.
+        neumann: Parts of Γ_N.
+        problem: The data that are numbers, texts or tables of them.
+        missing: The names of the others, which no file can hold.
+        options: Those that are names and numbers; the algorithm is `options.OWN` if it is none in the registry.
+    """
+
+    model_config = ConfigDict(strict=True)
+
+    title: str
+    domain: str
+    signorini: list[str] = Field(min_length=1)
+    neumann: list[str]
+    problem: dict[str, Any]
+    missing: list[str]
+    options: dict[str, Any]
+
+
 class About(BaseModel):
     """What a file says besides its arrays; see `Solution` for what has the same name there.
 
     Attributes:
-        name: Name of the case.
-        case: The case, as its file has it.
+        name: Name of the case or the problem.
+        format: See FORMAT.
+        case: The case, as its file has it; None for a problem given in Python.
+        given: A problem given in Python.
         part_names: Boundary parts of Γ_S.
         parts: For each boundary part the label of the coordinate along it.
         regions: Names of the regions.
@@ -68,7 +99,9 @@ class About(BaseModel):
     model_config = ConfigDict(strict=True)
 
     name: str
-    case: dict[str, Any]
+    format: int = Field(default=1, ge=1, le=FORMAT)
+    case: dict[str, Any] | None
+    given: GivenInPython | None = None
     part_names: list[str]
     parts: dict[str, str]
     regions: list[str]
@@ -94,14 +127,41 @@ class Checkpoint:
 
     Attributes:
         about: What it says.
-        case: Its case.
+        case: Its case, None for a problem given in Python.
         arrays: Its arrays, see `LAYOUT`; also `part_0` … with the facets of each boundary part, shape (facets, dim),
             and `inside`, shape (cells, regions), if there are regions.
     """
 
     about: About
-    case: Case
+    case: Case | None
     arrays: Arrays
+
+    @property
+    def boundary(self) -> Boundary:
+        """Γ_S and Γ_N."""
+        if self.case is not None:
+            return boundary_of(self.case)
+        assert self.about.given is not None
+        return Boundary(self.about.given.signorini, self.about.given.neumann)
+
+    @property
+    def title(self) -> str:
+        """Name in more words."""
+        if self.case is not None:
+            return self.case.title
+        return "" if self.about.given is None else self.about.given.title
+
+    @property
+    def shape(self) -> str | None:
+        """The named shape, if the domain is one."""
+        return None if self.case is None else self.case.geometry.shape
+
+    @property
+    def domain(self) -> str:
+        """Name of the domain."""
+        if self.case is not None:
+            return self.case.geometry.name
+        return "" if self.about.given is None else self.about.given.domain
 
     @property
     def dim(self) -> int:
@@ -120,10 +180,10 @@ def read_checkpoint(path: Path) -> Checkpoint:
             raise InputError(f"{path.parent}: holds no {path.name}, so no solution to start from")
         arrays = _read(path)
         about = About.model_validate_json(str(arrays.pop("about", "")))
-        case = _case(about)
-        _check_layout(about, case, arrays)
-        _check_mesh(about, case, arrays)
-        return Checkpoint(about, case, arrays)
+        found = Checkpoint(about, _case(about), arrays)
+        _check_layout(found)
+        _check_mesh(found)
+        return found
     except ValidationError as error:
         raise InputError(f"{path}: not a readable solution ({complaint(error, About)})") from None
     except InputError as error:
@@ -161,15 +221,18 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray:
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
 
-def _case(about: About) -> Case:
+def _case(about: About) -> Case | None:
+    if (about.case is None) == (about.given is None):
+        raise InputError("not a readable solution (it has neither a case nor a problem)")
     try:
-        return Case.model_validate(about.case | {"name": about.name})
+        return None if about.case is None else Case.model_validate(about.case | {"name": about.name})
     except ValidationError:
-        raise InputError("its case is from another version, or its data were given in Python") from None
+        raise InputError("its case is from another version") from None
 
 
-def _check_layout(about: About, case: Case, arrays: Arrays) -> None:
+def _check_layout(found: Checkpoint) -> None:
     """Types, shapes and numbers that must be finite, or among the known ones."""
+    about, arrays = found.about, found.arrays
     layout = LAYOUT | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
@@ -192,28 +255,29 @@ def _check_layout(about: About, case: Case, arrays: Arrays) -> None:
         raise InputError("is damaged: facet_condition holds what is no condition")
     if not np.isin(arrays["facet_part"], range(len(about.part_names))).all():
         raise InputError("is damaged: facet_part holds what is no part")
-    if case.geometry.shape is not None and SHAPES[case.geometry.shape].dim != dim:
-        raise InputError(f"is damaged: its mesh has dimension {dim}, which '{case.geometry.name}' has not")
-    case.check_dimension(dim)
+    if found.shape is not None and SHAPES[found.shape].dim != dim:
+        raise InputError(f"is damaged: its mesh has dimension {dim}, which '{found.domain}' has not")
+    if found.case is not None:
+        found.case.check_dimension(dim)
 
 
-def _check_mesh(about: About, case: Case, arrays: Arrays) -> None:
+def _check_mesh(found: Checkpoint) -> None:
     """The mesh as that of any file; Γ_S must be the facets that have values."""
-    dim = arrays["points"].shape[1]
-    if case.geometry.shape is None:
+    about, arrays, dim = found.about, found.arrays, found.dim
+    if found.shape is None:
         known = set(about.parts.values()) <= set(AXES[:dim])
     else:
-        known = list(about.parts) == list(SHAPES[case.geometry.shape].parts)
+        known = list(about.parts) == list(SHAPES[found.shape].parts)
     if not known:
-        raise InputError(f"is damaged: its boundary parts are not those of '{case.geometry.name}'")
-    if about.part_names != case.boundary.signorini:
+        raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
+    if about.part_names != list(found.boundary.signorini):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     facets = [arrays[f"part_{index}"] for index in range(len(about.parts))]
     kinds = [(SIMPLICES[dim], arrays["cells"]), *((SIMPLICES[dim - 1], rows) for rows in facets)]
     groups = [(name, dim - 1, [(k, np.arange(len(facets[k - 1])))]) for k, name in enumerate(about.parts, 1)]
     try:
         mesh = checked(Contents(arrays["points"], kinds, groups))
-        check_boundary(mesh, case.boundary.model_dump(exclude_none=True))
+        check_boundary(mesh, {key: list(names) for key, names in vars(found.boundary).items()})
     except InputError as error:
         raise InputError(f"is damaged: its mesh: {error}") from None
     if len(mesh.points) != len(arrays["points"]):

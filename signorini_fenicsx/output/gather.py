@@ -104,7 +104,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         spaces.normal_flux(solution.sigma),
         solution.data.psi_h,
         solution.data.q_Sh,
-        solution.conditions.kind,
+        solution.outcome.conditions.kind,
         *facet_vertices(spaces.mesh, spaces.facets).T,
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))

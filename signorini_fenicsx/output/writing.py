@@ -28,7 +28,7 @@ from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes, write_table
 from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.output.gather import (
     FacetTable,
@@ -92,7 +92,7 @@ def write_solution(
                     pictures.draw_all(folder, scene)
                 if html:
                     pictures.write_page(folder / "solution.html", scene)
-        write_history(folder / "history.csv", solution.history)
+        write_history(folder / "history.csv", solution.outcome.history)
 
     comm = solution.spaces.mesh.comm
     on_root(comm, write)
@@ -143,7 +143,7 @@ def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
             writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
             writer.writeheader()
             writer.writerows(asdict(row) for row in rows)
-        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.case.name)
+        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.name)
         if table is not None and cells is not None and boundary is not None:
             pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
 
@@ -271,7 +271,7 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     _write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
-    condition = spaces.multiplier(solution.conditions.kind, "condition")
+    condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
     _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition])
 
     sigma = centroid_flux(solution)

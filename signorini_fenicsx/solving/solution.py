@@ -9,16 +9,16 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.discrete.conditions import FacetConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.data import Data, quadrature
 from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
-from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.methods.loop import Step
-from signorini_fenicsx.methods.registry import Algorithm
+from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.registry import Method
+from signorini_fenicsx.solving.options import Options
 
 EXACT_CONTACT = 1e-12
 """An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
@@ -29,48 +29,54 @@ class Solution:
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
 
     Attributes:
-        case: What was solved.
-        algorithm: Its algorithm.
+        name: What results are called.
+        title: The same in more words.
+        boundary: Which parts are Γ_S and Γ_N.
+        problem: The data as given.
+        options: Algorithm, backend and their parameters.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
-        data: f and u_D, and their means.
-        sigma: Flux σ_h in RT0.
-        u: u_h in P0.
+        data: The data on the mesh, and their means.
         p: Trace p_h in P0(Γ_S), on the facet submesh.
-        conditions: Final conditions of the Γ_S facets of this rank.
-        history: One step per iteration of the algorithm.
+        outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
         kkt: Residuals of the discrete Signorini problem.
-        reason: Why it ended, in words.
-        converged: Whether the facet sets repeated and all residuals are small.
-        backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
-        dofs: Unknowns of the linear system.
-        linear_solver: Name of the linear solver.
-        own_residual: Residual of the discrete problem that a classical method solves instead of (9), None for others.
-        details: Numbers that the algorithm chose or found, such as ρ.
-        rough_steps: Set updates that went before the history, by solves that stopped early.
+        source: What the problem was read from, a `cases.case.Case`; None if it was given in Python.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
     """
 
-    case: Case
-    algorithm: Algorithm
+    name: str
+    title: str
+    boundary: Boundary
+    problem: Problem
+    options: Options
     spaces: Spaces
     data: Data
-    sigma: fem.Function
-    u: fem.Function
     p: fem.Function
-    conditions: FacetConditions
-    history: list[Step]
+    outcome: Outcome
     kkt: KKTResiduals
-    reason: str
-    converged: bool
-    backend: str
-    dofs: int
-    linear_solver: str
-    own_residual: float | None = None
-    details: dict[str, float] = field(default_factory=dict)
-    rough_steps: int = 0
+    source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
+
+    @property
+    def sigma(self) -> fem.Function:
+        """Flux σ_h in RT0."""
+        return self.outcome.iterate.sigma
+
+    @property
+    def u(self) -> fem.Function:
+        """u_h in P0."""
+        return self.outcome.iterate.u
+
+    @property
+    def converged(self) -> bool:
+        """Whether the facet sets repeated and all residuals are small."""
+        return self.outcome.converged
+
+    @property
+    def method(self) -> Method:
+        """What it was solved with."""
+        return self.options.method
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -90,11 +96,10 @@ class Solution:
         L² norms of those of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance of the contact set to the
         facets in whose midpoints the exact u is ψ.
         """
-        if self.case.exact.u is None:
+        if self.data.exact is None:
             return None
         spaces = self.spaces
-        zero = fem.Constant(spaces.mesh, 0.0)  # a plain number knows no mesh
-        u = parse_expression(self.case.exact.u, ufl.SpatialCoordinate(spaces.mesh)) + zero
+        u = self.data.exact + fem.Constant(spaces.mesh, 0.0)  # a plain number knows no mesh
         metadata = quadrature(u)
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
         squares = {
@@ -118,7 +123,7 @@ class Solution:
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition."""
-        return FacetSet(self.spaces, self.conditions.kind == self.algorithm.contact)
+        return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""
@@ -135,38 +140,38 @@ class Solution:
         negative = [spaces.facet_measure @ np.minimum(values, 0) ** 2 for values in (gap, excess)]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
-        if self.algorithm.stabilised:
+        if self.method.stabilised:
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
         return left
 
     def summary(self) -> dict[str, Any]:
         """Everything about the run that fits into numbers, ready for JSON (collective)."""
-        spaces, solve = self.spaces, self.case.solve
+        spaces, options, outcome = self.spaces, self.options, self.outcome
         contact_facets, contact_measure = self.contact()
-        own = {} if self.own_residual is None else {"own_residual": self.own_residual}
+        own = {} if outcome.own_residual is None else {"own_residual": outcome.own_residual}
         errors = self.errors()
         return {
-            "case": self.case.name,
-            "title": self.case.title,
-            "algorithm": solve.algorithm,
-            "backend": self.backend,
-            "linear_solver": self.linear_solver,
+            "case": self.name,
+            "title": self.title,
+            "algorithm": options.algorithm_name,
+            "backend": outcome.backend,
+            "linear_solver": outcome.linear_solver,
             "h": spaces.domain.h,
             "cells": spaces.mesh.topology.index_map(spaces.mesh.topology.dim).size_global,
             "signorini_facets": spaces.Lambda.dofmap.index_map.size_global,
-            "dofs": self.dofs,
+            "dofs": outcome.dofs,
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
-            "iterations": len(self.history),
-            "rough_steps": self.rough_steps,
-            "converged": self.converged,
-            "reason": self.reason,
+            "iterations": len(outcome.history),
+            "rough_steps": outcome.rough_steps,
+            "converged": outcome.converged,
+            "reason": outcome.reason,
             "norms": self.norms(),
             **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **own,
-            **({"eps": solve.eps, "violation": self.violation()} if self.algorithm.has_eps else {}),
-            "details": self.details,
+            **({"eps": options.eps, "violation": self.violation()} if self.method.has_eps else {}),
+            "details": outcome.details,
             "timings": self.timings,
             "peak_memory": self.peak_memory,
             "ranks": spaces.mesh.comm.size,

@@ -9,10 +9,12 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.discrete.data import Data, Problem, project_data
+from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
 from signorini_fenicsx.methods.registry import METHODS
@@ -60,6 +62,7 @@ def solve(
     """
     options, watch = options or Options(), watch or Stopwatch()
     method, comm = options.method, domain.mesh.comm
+    check_parts(domain, boundary)
     spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     data = project_data(spaces, problem)
     check_solvability(spaces, data)

@@ -11,10 +11,10 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import convergence_study
 from signorini_fenicsx.output.writing import write_convergence, write_solution, write_summary
-from signorini_fenicsx.solving.solver import solve
 from signorini_fenicsx.studies.folder import RECORD, Status, StudyFolder
 from signorini_fenicsx.studies.study import Run
 
@@ -91,7 +91,7 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
 def _compute(run: Run, folder: Path, comm: MPI.Comm) -> None:
     task = run.convergence
     if task is None:
-        solution = solve(run.case, comm)
+        solution = solve_case(run.case, comm)
         write_solution(solution, folder, certificate=certify(solution), fields=run.fields, plot=run.plot)
     else:
         rows = convergence_study(run.case, task.vary, task.levels, task.reference, comm)

@@ -15,10 +15,10 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import data_folder, study_names
 from signorini_fenicsx.cases.case import Case, Solve, load_case
 from signorini_fenicsx.cases.complaints import complaint
-from signorini_fenicsx.cases.discretisation import rough_cells
+from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
-from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.methods.registry import METHODS
 
 SHORT = tuple(Solve.model_fields)
 """Keys of [solve] that a study may write without `solve.`"""
@@ -202,8 +202,8 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     path = folder / name
     case = load_case(path if name.endswith(".toml") else name).with_values(values)
     task = study.convergence
-    if task is not None and task.vary is not Vary.H and not ALGORITHMS[case.solve.algorithm].has_eps:
-        penalised = ", ".join(name for name, algorithm in ALGORITHMS.items() if algorithm.has_eps)
+    if task is not None and task.vary is not Vary.H and not METHODS[case.solve.algorithm].has_eps:
+        penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
     if task is not None:
         for level in task.levels:

@@ -268,7 +268,7 @@ def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function
     matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, ufl.dx, data.kappa_h)))
     matrix.assemble()
     x, b = matrix.createVecs()
-    b.array_w[:] = assembled(gradient(u, tau))[: b.getLocalSize()]
+    b.array_w[:] = assembled(gradient(u, tau, ufl.dx))[: b.getLocalSize()]
     solver = LinearSolver(matrix, "")  # not the solver of the method: it takes no options
     solver.ksp.setType("cg")
     solver.ksp.getPC().setType("jacobi")

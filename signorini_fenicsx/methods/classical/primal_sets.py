@@ -1,6 +1,5 @@
 """Primal-dual active set for (VI) and semismooth Newton for (P_ε), in P1: the loop of the set rules on vertices."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -43,7 +42,7 @@ class VertexBackend:
     name = P1System.name
     noun = ("vertex", "vertices")
     inexact: Inexact | None = None
-    precise: Callable[[], "VertexBackend"] | None = None
+    precise: None = None
 
     def __init__(self, task: Task, contact: Condition):
         """Assemble (collective).

@@ -7,6 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
+from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
 from signorini_fenicsx.output.pictures import plane_files, style
@@ -26,27 +27,27 @@ def scene_of(
     certificate: Certificate | None = None,
 ) -> Scene:
     """What pictures need of a solution and its gathered arrays (rank 0)."""
-    spaces, case = solution.spaces, solution.case
+    spaces = solution.spaces
     return Scene(
-        title=case.title or case.name,
+        title=solution.title or solution.name,
         caption=caption(solution, len(fields.cells), certificate),
         fields=fields,
         facets=facets,
         boundary=boundary,
         regions=regions,
         labels={name: spaces.domain.parts[name].label for name in spaces.part_names},
-        contact=solution.algorithm.contact,
-        history=solution.history,
+        contact=solution.method.contact,
+        history=solution.outcome.history,
     )
 
 
 def caption(solution: Solution, cells: int, certificate: Certificate | None) -> str:
     """Algorithm, h, ε, cells and the certified error, in mathematical type."""
-    solve, h = solution.case.solve, solution.spaces.domain.h
-    asked = solution.case.geometry.shape is not None and solve.h / 2 < h <= solve.h * (1 + 1e-12)
-    words = [method(solution), rf"$h = {style.power(solve.h if asked else h)}$"]
-    if solution.algorithm.has_eps:
-        words.append(rf"$\varepsilon = {style.power(solve.eps)}$")
+    h = solution.spaces.domain.h
+    asked = solution.source.solve.h if isinstance(solution.source, Case) and solution.spaces.domain.is_shape else h
+    words = [method(solution), rf"$h = {style.power(asked if asked / 2 < h <= asked * (1 + 1e-12) else h)}$"]
+    if solution.method.has_eps:
+        words.append(rf"$\varepsilon = {style.power(solution.options.eps)}$")
     words.append(f"{cells} cells")
     if certificate is not None and math.isfinite(certificate.bound):
         words.append(
@@ -58,7 +59,7 @@ def caption(solution: Solution, cells: int, certificate: Certificate | None) -> 
 
 def method(solution: Solution) -> str:
     """The title of its algorithm, in mathematical type."""
-    return solution.algorithm.title.replace("_h", "$_h$")
+    return solution.method.title.replace("_h", "$_h$")
 
 
 @mpl.rc_context(style.STYLE)

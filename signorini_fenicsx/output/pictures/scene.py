@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.methods.loop import Step
+from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
 
 type Array = npt.NDArray[np.float64]

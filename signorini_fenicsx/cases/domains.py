@@ -1,0 +1,33 @@
+"""From a case to its domain."""
+
+from mpi4py import MPI
+
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, expected_cells, own_domain
+
+
+def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
+    """Mesh the domain of a case, or read its mesh (collective).
+
+    Raises:
+        InputError: If there is no mesh with the case's h, or the file's mesh does not suit the case.
+    """
+    geometry = case.geometry
+    if geometry.shape is not None:
+        return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
+    domain = own_domain(comm, geometry.file or "", case.file_h, case.boundary.model_dump(exclude_none=True))
+    case.check_dimension(domain.mesh.topology.dim)
+    return domain
+
+
+def rough_cells(case: Case) -> float:
+    """About how many cells the mesh of a case has, without making it; a file is read (rank 0).
+
+    Raises:
+        InputError: If the file or its mesh cannot be used, or there are too many.
+    """
+    geometry = case.geometry
+    if geometry.shape is not None:
+        return estimated_cells(geometry.shape, case.solve.h)
+    return expected_cells(geometry.file or "", case.file_h)

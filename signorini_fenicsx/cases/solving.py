@@ -1,0 +1,119 @@
+"""Solving the problem of a case file."""
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.methods.history import OnStep
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
+
+
+def solve_case(
+    case: Case,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    domain: Domain | None = None,
+    start: Solution | None = None,
+    tuning: Tuning | None = None,
+    on_step: OnStep = lambda step: None,
+) -> Solution:
+    """Solve a case (collective).
+
+    Args:
+        case: The problem, its discretisation and algorithm.
+        comm: Communicator to run on, if there is no mesh yet.
+        domain: Mesh to solve on, instead of the case's own; then no coarser mesh predicts the sets.
+        start: Solution whose contact set is taken for the first one.
+        tuning: From which size on the program changes its ways.
+        on_step: Called on all ranks after each iteration.
+
+    Raises:
+        InputError: If the case cannot be discretised as asked.
+        NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
+            last state.
+    """
+    watch = Stopwatch()
+
+    def coarser(factor: float) -> Domain:
+        return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
+
+    remesh = coarser if domain is None else None
+    domain = domain or mesh_case(case, comm)
+    watch.lap("mesh")
+    return solve(
+        domain,
+        boundary_of(case),
+        case.data(domain.mesh.geometry.dim),
+        options_of(case, tuning),
+        start=start,
+        remesh=remesh,
+        name=case.name,
+        title=case.title,
+        source=case,
+        watch=watch,
+        on_step=on_step,
+    )
+
+
+def adapt_case(
+    case: Case,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    target: float | None = None,
+    max_cells: int = DEFAULT_MAX_CELLS,
+    theta: float = DEFAULT_THETA,
+    on_row: Callable[[AdaptRow], None] = lambda row: None,
+    on_step: OnStep = lambda step: None,
+) -> tuple[Solution, Certificate]:
+    """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
+
+    Raises:
+        InputError: If there is no first mesh, or one with too many cells.
+        NumericalFailure: If a mesh cannot be solved on or refined.
+    """
+
+    def solve_on(domain: Domain, start: Solution | None) -> Solution:
+        return solve_case(case, domain=domain, start=start, on_step=on_step)
+
+    return adapt(mesh_case(case, comm), solve_on, target=target, max_cells=max_cells, theta=theta, on_row=on_row)
+
+
+def boundary_of(case: Case) -> Boundary:
+    """Γ_S and Γ_N of a case."""
+    return Boundary(case.boundary.signorini, case.boundary.neumann)
+
+
+def options_of(case: Case, tuning: Tuning | None = None) -> Options:
+    """The section `[solve]`, without h."""
+    values = {key: value for key, value in case.solve.model_dump().items() if key != "h"}
+    return Options(**values, tuning=tuning or Tuning())
+
+
+def case_of(solution: Solution) -> Case:
+    """The case that a solution is of.
+
+    Raises:
+        InputError: If its problem was given in Python.
+    """
+    if not isinstance(solution.source, Case):
+        raise InputError(f"{solution.name} was given in Python, not by a case file")
+    return solution.source
+
+
+def shared_domain(start: Solution, case: Case) -> Domain | None:
+    """The mesh of an earlier solution if the case asks for the same one; a file may have changed since."""
+    if not isinstance(start.source, Case):
+        return None
+    earlier = start.source
+    same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h) and case.geometry.file is None
+    return start.spaces.domain if same else None

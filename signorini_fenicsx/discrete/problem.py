@@ -1,0 +1,59 @@
+"""The data of a problem as the user gives them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.expressions import Tree, exactly, read
+
+type Array = npt.NDArray[np.float64]
+type Rows = Sequence[Sequence[Tree]]
+type Entries = Sequence[Sequence[float | str | Tree]]
+type Given = float | str | Tree | Entries | Expr | Callable[[Array], npt.ArrayLike]
+"""A number; an expression as a case file has it, as text or read, or a matrix of them; a UFL expression on the mesh, or
+a `fem.Function`; or a function of points of shape (3, n)."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; u ≥ ψ, κ∇u·n ≥ q_S, one of them equal, on Γ_S.
+
+    Attributes:
+        f: Load.
+        kappa: κ: a scalar, a symmetric positive definite matrix, or one of them for each region of the mesh.
+        u_D: Trace on Γ_D, continuous.
+        g_N: Flux on Γ_N, out of Ω where negative, like κ∇u·n everywhere here.
+        psi: Lower bound of the trace on Γ_S, continuous.
+        q_S: Lower bound of the flux on Γ_S.
+        exact: u itself, where it is known.
+    """
+
+    f: Given
+    kappa: Given | Mapping[str, Given] = 1.0
+    u_D: Given = 0.0
+    g_N: Given = 0.0
+    psi: Given = 0.0
+    q_S: Given = 0.0
+    exact: Given | None = None
+
+    def parsed(self, dim: int) -> "Problem":
+        """The same with numbers and texts as trees.
+
+        Raises:
+            InputError: If a text cannot be read.
+        """
+        return Problem(**{field.name: _parsed(getattr(self, field.name), "xyz"[:dim]) for field in fields(self)})
+
+
+def _parsed(given: Any, names: str) -> Any:
+    if isinstance(given, Mapping):
+        return {name: _parsed(value, names) for name, value in given.items()}
+    if isinstance(given, tuple | list):
+        return [_parsed(entry, names) for entry in given]
+    if isinstance(given, str):
+        return read(given, names)
+    return exactly(given) if isinstance(given, int | float) else given
