@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.certificate.adaptive import FIRST_MESH, AdaptRow, adapt
+from signorini_fenicsx.cases.solving import adapt_case
+from signorini_fenicsx.certificate.adaptive import FIRST_MESH, AdaptRow
 from signorini_fenicsx.meshes.shapes import SHAPES
 
 
@@ -34,9 +35,9 @@ def main() -> None:
         case = case.with_values({"solve.h": SHAPES[case.geometry.shape].diameter / FIRST_MESH})
         uniform: list[AdaptRow] = []
         adaptive: list[AdaptRow] = []
-        adapt(case, max_cells=10_000)
-        _, finest = adapt(case, max_cells=max_cells, theta=1.0, on_row=uniform.append)
-        adapt(case, target=finest.relative, on_row=adaptive.append)
+        adapt_case(case, max_cells=10_000)
+        _, finest = adapt_case(case, max_cells=max_cells, theta=1.0, on_row=uniform.append)
+        adapt_case(case, target=finest.relative, on_row=adaptive.append)
         for before, row in pairwise(uniform):
             reached = next(other for other in adaptive if other.relative <= row.relative)
             alone = row.seconds - before.seconds

@@ -22,9 +22,9 @@ from rich.table import Table
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.method_comparison import MethodRow, compare_methods
-from signorini_fenicsx.methods.registry import ALGORITHMS
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.methods.registry import METHODS
 
 COMM = MPI.COMM_WORLD
 COLUMNS = [field.name for field in fields(MethodRow)]
@@ -65,7 +65,7 @@ def summarise(rows: dict[int, list[MethodRow]]) -> None:
     if COMM.rank == 0:
         title = "geometric means over the examples, h ≤ " + " / ".join(f"2^-{level}" for level in rows)
         table = Table("method", *PANELS, "distance", title=title)
-        for method in ALGORITHMS:
+        for method in METHODS:
             means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in PANELS]
             distance = max(row.distance for some in rows.values() for row in some if row.method == method)
             table.add_row(method, *means, f"{distance:.1e}")
@@ -103,12 +103,12 @@ def main() -> None:
     options = parser.parse_args()
     first, last = (int(level) for level in options.levels.split(":"))
 
-    for method in ALGORITHMS:  # compiles the forms, which no time should contain
-        solve(load_case("example1").with_values({"solve.algorithm": method, "solve.h": 0.25}))
+    for method in METHODS:  # compiles the forms, which no time should contain
+        solve_case(load_case("example1").with_values({"solve.algorithm": method, "solve.h": 0.25}))
     rows: dict[int, list[MethodRow]] = {level: [] for level in range(first, last + 1)}
     for example in options.examples.split(","):
         case = load_case(f"example{example}")
-        fine = solve(case.with_values({"solve.algorithm": "alg1", "solve.h": 2.0**-options.reference}))
+        fine = solve_case(case.with_values({"solve.algorithm": "alg1", "solve.h": 2.0**-options.reference}))
         found = {level: compare_methods(case, 2.0**-level, fine, on_failure=complain) for level in rows}
         for level, of_level in found.items():
             rows[level] += of_level

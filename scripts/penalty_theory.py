@@ -19,16 +19,16 @@ from rich.table import Table
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.comparing.convergence import differences
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 
 def bound(solution: Solution, violation: float, *, with_trace: bool) -> float:
     """Left side of (27) or (28) over ‖f_h‖."""
     norms = solution.norms()
     left = np.hypot(norms["sigma_L2"], norms["div_sigma_L2"]) + norms["u_L2"]
-    left += violation / np.sqrt(solution.case.solve.eps) + with_trace * norms["p_L2"]
+    left += violation / np.sqrt(case_of(solution).solve.eps) + with_trace * norms["p_L2"]
     return left / norms["div_sigma_L2"]  # ∇·σ_h = −f_h
 
 
@@ -42,7 +42,7 @@ def main() -> None:
             domain = mesh_case(base, comm=MPI.COMM_WORLD)
             for eps in (1.0, 1e-2, 1e-4, 1e-8, 1e-12):
                 one, two = (
-                    solve(base.with_values({"solve.algorithm": name, "solve.eps": eps}), domain=domain)
+                    solve_case(base.with_values({"solve.algorithm": name, "solve.eps": eps}), domain=domain)
                     for name in ("alg3", "alg4")
                 )
                 p_minus, flux_minus = one.violation()["trace"], two.violation()["flux"]

@@ -23,11 +23,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.discrete.kkt import TOLERANCE
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.solving.solver import solve
 
 type Array = npt.NDArray[np.float64]
 
@@ -149,12 +149,12 @@ def examine(seed: int) -> Result:
     """Solve the problem of a seed with its algorithm and with the reference."""
     case, domain, problem, words = random_problem(seed)
     try:
-        found = solve(case, domain=domain, problem=problem)
+        found = solve_case(case, domain=domain, problem=problem)
     except NumericalFailure as failure:
         return Result(words, str(failure), np.inf, np.nan)
     reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
     try:
-        expected = solve(reference, domain=domain, problem=problem)
+        expected = solve_case(reference, domain=domain, problem=problem)
     except NumericalFailure:
         difference = np.nan
     else:

@@ -15,7 +15,8 @@ from test_cli import signorini
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt, rate
+from signorini_fenicsx.cases.solving import adapt_case
+from signorini_fenicsx.certificate.adaptive import AdaptRow, rate
 from signorini_fenicsx.meshes.domain import Domain, distribute
 from signorini_fenicsx.meshes.meshing import build_domain, label_parts
 from signorini_fenicsx.meshes.refinement import dorfler, refine
@@ -107,13 +108,12 @@ def test_dorfler():
 
 def test_a_cell_that_would_be_flattened_is_a_failure():
     """Six cells are too few for an annulus: the midpoints of the inner triangle's edges have too far to go."""
-    shape = SHAPES["annulus"]
     angles = np.linspace(0, 2 * np.pi, 4)[:3]
     ring = np.column_stack([np.cos(angles), np.sin(angles)])
     points = np.concatenate([0.5 * ring, ring])
     quads = [(i, (i + 1) % 3, 3 + (i + 1) % 3, 3 + i) for i in range(3)]
     cells = np.array([tri for a, b, c, d in quads for tri in ((a, b, d), (b, c, d))])
-    domain = label_parts(distribute(MPI.COMM_SELF, points, cells, 2), shape)
+    domain = label_parts(distribute(MPI.COMM_SELF, points, cells, 2), "annulus")
     with pytest.raises(NumericalFailure, match="flatten a cell"):
         refine(domain, np.arange(6, dtype=np.int32))
 
@@ -121,7 +121,7 @@ def test_a_cell_that_would_be_flattened_is_a_failure():
 def history(case: str, theta: float, max_cells: int, **values: object) -> list[AdaptRow]:
     rows: list[AdaptRow] = []
     problem = load_case(case).with_values({key.replace("_", "."): value for key, value in values.items()})
-    adapt(problem, COMM, max_cells=max_cells, theta=theta, on_row=rows.append)
+    adapt_case(problem, COMM, max_cells=max_cells, theta=theta, on_row=rows.append)
     return rows
 
 
@@ -150,7 +150,7 @@ def test_adaptive_runs_do_not_depend_on_the_ranks():
         together: list[AdaptRow] = []
         alone: list[AdaptRow] = []
         for comm, rows in ((COMM, together), (MPI.COMM_SELF, alone)):
-            adapt(case, comm, max_cells=1000, on_row=rows.append)
+            adapt_case(case, comm, max_cells=1000, on_row=rows.append)
         assert len(together) == len(alone) > 1
         for a, b in zip(together, alone, strict=True):
             assert (a.cells, a.unknowns, a.contact_facets, a.iterations) == (
@@ -167,10 +167,10 @@ def test_all_algorithms_and_the_end():
     for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "vi"):
         case = load_case("example4").with_values({"solve.h": 0.4, "solve.algorithm": algorithm})
         rows: list[AdaptRow] = []
-        _, certificate = adapt(case, COMM, target=0.3, on_row=rows.append)
+        _, certificate = adapt_case(case, COMM, target=0.3, on_row=rows.append)
         assert certificate.relative == rows[-1].relative <= 0.3 < rows[-2].relative
     with pytest.raises(InputError, match="more than the 20 allowed"):
-        adapt(case, COMM, max_cells=20)
+        adapt_case(case, COMM, max_cells=20)
 
 
 @pytest.mark.parametrize(

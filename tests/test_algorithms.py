@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
-from signorini_fenicsx.methods.registry import (
-    ALGORITHMS,
-    Penalty,
-    flux_penalty_rule,
-    mlm1_rule,
-    mlm2_rule,
-    trace_penalty_rule,
+from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.methods.set_rules import (
+    ALGORITHM_1,
+    ALGORITHM_2,
+    SetRule,
+    clip_3,
+    rule_1,
+    rule_2,
+    rule_3,
+    rule_4,
 )
 
 NO_FLUX, ZERO_TRACE, ROBIN = Condition
@@ -21,22 +23,30 @@ FLUX = np.array([0.0, 0.0, 0.0, 1.0, -1.0])
 
 def test_algorithm_1():
     """Negative flux opens a facet, negative trace closes it, ties are in contact."""
-    np.testing.assert_array_equal(mlm1_rule(P, FLUX, 1.0), [ZERO_TRACE, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
+    np.testing.assert_array_equal(rule_1(P, FLUX, 1.0), [ZERO_TRACE, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
 
 
 def test_algorithm_2():
     """The same but for ties, which are open."""
-    np.testing.assert_array_equal(mlm2_rule(P, FLUX, 1.0), [NO_FLUX, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
+    np.testing.assert_array_equal(rule_2(P, FLUX, 1.0), [NO_FLUX, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
 
 
 def test_algorithm_3():
     """Facets with p > 0 are open, ties are penalised."""
-    np.testing.assert_array_equal(trace_penalty_rule(P, FLUX, 1.0), [ROBIN, NO_FLUX, ROBIN, ROBIN, ROBIN])
+    np.testing.assert_array_equal(rule_3(P, FLUX, 1.0), [ROBIN, NO_FLUX, ROBIN, ROBIN, ROBIN])
+
+
+def test_the_clip_of_algorithm_3():
+    """Only where the penalty acts."""
+    kind = np.array([ROBIN, ROBIN, NO_FLUX, ROBIN, NO_FLUX], dtype=np.int8)
+    np.testing.assert_array_equal(
+        clip_3(kind, np.array([-1.0, 1.0, -1.0, 0.0, 1.0])), [True, False, False, False, False]
+    )
 
 
 def test_algorithm_4():
     """Facets with σ·n > 0 are in contact, ties are penalised."""
-    np.testing.assert_array_equal(flux_penalty_rule(P, FLUX, 1.0), [ROBIN, ROBIN, ROBIN, ZERO_TRACE, ROBIN])
+    np.testing.assert_array_equal(rule_4(P, FLUX, 1.0), [ROBIN, ROBIN, ROBIN, ZERO_TRACE, ROBIN])
 
 
 @pytest.mark.parametrize("penalty", Penalty)
@@ -55,7 +65,7 @@ def test_a_penalty_solution_is_a_shifted_signorini_solution(penalty: Penalty):
 
 @pytest.mark.parametrize("beta", [1e8, 1e-8])
 def test_clean_computes_the_smaller_robin_value(beta: float):
-    conditions = FacetConditions(np.array([ROBIN], dtype=np.int8), beta)
+    conditions = SiteConditions(np.array([ROBIN], dtype=np.int8), beta)
     p, flux = conditions.clean(np.array([-3.0]), np.array([-5.0]), 1.0)
     if beta > 1:
         assert (p[0], flux[0]) == (5.0 / beta, -5.0)
@@ -63,15 +73,15 @@ def test_clean_computes_the_smaller_robin_value(beta: float):
         assert (p[0], flux[0]) == (-3.0, 3.0 * beta)
 
 
-@pytest.mark.parametrize("name", ["alg1", "alg2"])
-def test_rho_does_not_matter_when_p_flux_vanishes(name: str):
-    rule = ALGORITHMS[name].rule
+@pytest.mark.parametrize("algorithm", [ALGORITHM_1, ALGORITHM_2])
+def test_rho_does_not_matter_when_p_flux_vanishes(algorithm: SetRule):
+    rule = algorithm.rule
     for rho in (1e-6, 0.1, 1e6):
         np.testing.assert_array_equal(rule(P, FLUX, rho), rule(P, FLUX, 1.0))
 
 
 def test_clean_leaves_no_noise():
-    conditions = FacetConditions(np.array([NO_FLUX, ZERO_TRACE], dtype=np.int8))
+    conditions = SiteConditions(np.array([NO_FLUX, ZERO_TRACE], dtype=np.int8))
     p, flux = conditions.clean(np.array([2.0, 1e-17]), np.array([-1e-17, 3.0]), 1.0)
     np.testing.assert_array_equal(p, [2.0, 0.0])
     np.testing.assert_array_equal(flux, [0.0, 3.0])

@@ -14,13 +14,38 @@ from dolfinx.mesh import CellType, GhostMode, create_unit_square
 from mpi4py import MPI
 
 from signorini_fenicsx import api
-from signorini_fenicsx.api import Condition, Data, FacetConditions, Iterate, Problem, Solve, Spaces, solve_on
+from signorini_fenicsx.api import (
+    Boundary,
+    Condition,
+    Data,
+    Domain,
+    FacetBackend,
+    Iterate,
+    Method,
+    Options,
+    Outcome,
+    Problem,
+    SetRule,
+    SiteConditions,
+    Solution,
+    Spaces,
+    Task,
+    adapt,
+    compare,
+    domain_of,
+    load_solution,
+    solve,
+)
 from signorini_fenicsx.backends.hybrid import HybridBackend
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.output.writing import write_solution
 
 COMM = MPI.COMM_WORLD
+OWN = SetRule(
+    start=Condition.NO_FLUX,
+    rule=lambda p, flux, rho: np.where(flux > rho * p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8),
+)
 WALLS: Mapping[str, Callable[[npt.NDArray], npt.NDArray]] = {
     "bottom": lambda x: np.isclose(x[1], 0),
     "right": lambda x: np.isclose(x[0], 1),
@@ -65,10 +90,8 @@ def test_kinds_of_data(folder: Path):
             u_D=0,
         ),
     ]
-    one, two, three = (
-        solve_on(mesh, problem, parts=parts, signorini=["bottom"], neumann=["right"], regions=regions)
-        for problem in problems
-    )
+    domain, boundary = domain_of(mesh, parts, regions), Boundary(["bottom"], ["right"])
+    one, two, three = (solve(domain, boundary, problem) for problem in problems)
     assert 0 < one.contact()[0] < 8
     for other in (two, three):
         np.testing.assert_allclose(other.sigma.x.array, one.sigma.x.array, atol=1e-11)
@@ -79,14 +102,14 @@ def test_kinds_of_data(folder: Path):
     assert (folder / "facets.csv").is_file()
 
 
-class Counting:
+class Counting(FacetBackend):
     """A backend of one's own: the hybrid one, counting its solves."""
 
     name = "counting"
     solves = 0
 
     def __init__(self, spaces: Spaces, data: Data):
-        self.spaces, self.data = spaces, data
+        super().__init__(spaces, data)
         self._inner = HybridBackend(spaces, data)
         self.dofs = self._inner.dofs
 
@@ -94,7 +117,7 @@ class Counting:
         """Its name."""
         return self._inner.solver()
 
-    def solve(self, conditions: FacetConditions) -> Iterate:
+    def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve and count."""
         Counting.solves += 1
         return self._inner.solve(conditions)
@@ -104,49 +127,116 @@ class Counting:
 def test_own_backend():
     mesh, parts = square()
     x = ufl.SpatialCoordinate(mesh)
-    options = Solve(algorithm="alg4", eps=1e-3)
-    solution = solve_on(
-        mesh, Problem(f=40 * (x[0] - 0.6)), parts=parts, signorini=["bottom"], options=options, backend=Counting
+    options = Options(algorithm="alg4", eps=1e-3, backend=Counting)
+    solution = solve(domain_of(mesh, parts), Boundary(["bottom"]), Problem(f=40 * (x[0] - 0.6)), options)
+    assert Counting.solves == len(solution.outcome.history) + 1  # the start, too
+    assert solution.outcome.backend == "counting"
+    kind = solution.outcome.conditions.kind
+    assert np.all((kind == Condition.ZERO_TRACE) | (kind == Condition.ROBIN))
+
+
+def one_step(task: Task) -> Outcome:
+    """A method of one's own: contact everywhere, which is right for f < 0."""
+    backend = task.backend(task.spaces, task.data)
+    conditions = SiteConditions.everywhere(Condition.ZERO_TRACE, backend.sites)
+    return Outcome(
+        iterate=backend.solve(conditions),
+        conditions=conditions,
+        history=[],
+        reason="all facets are in contact",
+        converged=True,
+        backend=backend.name,
+        dofs=backend.dofs,
+        linear_solver=backend.solver(),
     )
-    assert Counting.solves == len(solution.history) + 1  # the start, too
-    assert solution.backend == "counting"
-    assert np.all((solution.conditions.kind == Condition.ZERO_TRACE) | (solution.conditions.kind == Condition.ROBIN))
+
+
+@pytest.mark.parallel(2)
+def test_own_method():
+    """It is judged by the KKT residuals like any other."""
+    mesh, parts = square()
+    domain, boundary = domain_of(mesh, parts), Boundary(["bottom"])
+    options = Options(algorithm=Method("contact everywhere", "", one_step))
+    solution, expected = (solve(domain, boundary, Problem(f=-1.0), given) for given in (options, Options()))
+    np.testing.assert_allclose(solution.sigma.x.array, expected.sigma.x.array, atol=1e-12)
+    assert solution.summary()["algorithm"] == "own"
+    with pytest.raises(NumericalFailure, match="KKT residuals above"):
+        solve(domain, boundary, Problem(f="40*(x - 0.6)"), options)
+
+
+@pytest.mark.parallel(2)
+def test_what_is_given_in_python_is_written_and_read(folder: Path):
+    """Numbers and texts are in the file; UFL is asked for in one sentence. Meshes of one's own refine and compare."""
+    mesh, parts = square()
+    domain, boundary = domain_of(mesh, parts), Boundary(["bottom"], ["right"])
+    text, x = "40*(x - 0.6)", ufl.SpatialCoordinate(mesh)
+    solution = solve(domain, boundary, Problem(f=text, kappa=[[2, 0], [0, 1]]), Options(algorithm="alg3", eps=1e-6))
+    write_solution(solution, folder, certificate=certify(solution))
+    read = load_solution(folder, COMM)
+    assert read.problem == solution.problem
+    assert read.options == solution.options
+    assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
+    again = solve(domain, boundary, read.problem, start=read)
+    assert len(again.outcome.history) <= len(solution.outcome.history)
+    ufl_given = solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]]), Options(algorithm=OWN))
+    write_solution(ufl_given, folder)
+    with pytest.raises(InputError, match="f: given in Python as what no file can hold; give load_solution the problem"):
+        load_solution(folder, COMM)
+    with pytest.raises(InputError, match="the algorithm was given in Python; give load_solution the options"):
+        load_solution(folder, COMM, problem=solution.problem)
+    read = load_solution(folder, COMM, problem=solution.problem, options=ufl_given.options)
+    assert compare(read, solution).relative["sigma_V"] < 1e-5
+
+    def solve_on(domain: Domain, start: Solution | None) -> Solution:
+        f = 40 * (ufl.SpatialCoordinate(domain.mesh)[0] - 0.6)
+        return solve(domain, boundary, Problem(f=f), start=start)
+
+    finest, certificate = adapt(domain, solve_on, max_cells=600)
+    assert finest.spaces.Q.dofmap.index_map.size_global > 300
+    assert certificate.bound < certify(solve_on(domain, None)).bound
+    assert compare(finest, solution).hausdorff < 0.2
 
 
 @pytest.mark.parallel(2)
 def test_refusals():
     mesh, parts = square()
     f = Problem(f=1.0)
-    with pytest.raises(InputError, match="signorini: unknown part 'top'; there are bottom, right, middle"):
-        solve_on(mesh, f, parts=parts, signorini=["top"])
-    with pytest.raises(InputError, match="part 'middle' has 8 facets that are inside the domain or in another part"):
-        solve_on(mesh, f, parts=parts, signorini=["middle"])
-    with pytest.raises(InputError, match="part 'right' has 8 facets that are inside"):
-        solve_on(mesh, f, parts=parts | {"bottom": parts["right"]}, signorini=["bottom"], neumann=["right"])
-    with pytest.raises(InputError, match="part 'none' has no facet"):
-        solve_on(mesh, f, parts={"none": np.empty(0, dtype=np.int32)}, signorini=["none"])
-    with pytest.raises(InputError, match="psi: has shape"):
-        solve_on(mesh, Problem(f=1.0, psi=ufl.SpatialCoordinate(mesh)), parts=parts, signorini=["bottom"])
-    with pytest.raises(InputError, match=r"8 cells have no value|no value"):
-        solve_on(
-            mesh,
-            Problem(f=1.0, kappa={"west": 1.0}),
-            parts=parts,
-            signorini=["bottom"],
-            regions={"west": np.empty(0, dtype=np.int32)},
-        )
+    empty = {"west": np.empty(0, dtype=np.int32)}
     everywhere = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
-    with pytest.raises(InputError, match="cells are in more than one of one, two"):
-        solve_on(
-            mesh,
+    twice = {"one": everywhere, "two": everywhere[:1]}
+    domain, x = domain_of(mesh, parts), ufl.SpatialCoordinate(mesh)
+    bottom = Boundary(["bottom"])
+    for given, boundary, problem, message in [
+        (domain, Boundary(["top"]), f, "signorini: unknown part 'top'; there are bottom, right, middle"),
+        (domain, Boundary(["middle"]), f, "part 'middle' has 8 facets that are inside the domain or in another part"),
+        (
+            domain_of(mesh, parts | {"bottom": parts["right"]}),
+            Boundary(["bottom"], ["right"]),
+            f,
+            "part 'right' has 8 facets that are inside",
+        ),
+        (domain_of(mesh, {"none": empty["west"]}), Boundary(["none"]), f, "part 'none' has no facet"),
+        (domain, bottom, Problem(f=1.0, psi=x), "psi: has shape"),
+        (domain_of(mesh, parts, empty), bottom, Problem(f=1.0, kappa={"west": 1.0}), "8 cells have no value|no value"),
+        (
+            domain_of(mesh, parts, twice),
+            bottom,
             Problem(f=1.0, kappa={"one": 1.0, "two": 2.0}),
-            parts=parts,
-            signorini=["bottom"],
-            regions={"one": everywhere, "two": everywhere[:1]},
-        )
+            "cells are in more than one of one, two",
+        ),
+        (domain, bottom, Problem(f="40*(x - w)"), "unknown name 'w'"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            solve(given, boundary, problem)
     quads, parts = square(cell_type=CellType.quadrilateral)
     with pytest.raises(InputError, match="must consist of triangles or tetrahedra"):
-        solve_on(quads, f, parts=parts, signorini=["bottom"])
+        domain_of(quads, parts)
     ghosted, parts = square(ghost_mode=GhostMode.shared_facet)
     with pytest.raises(InputError, match="has ghost cells"):
-        solve_on(ghosted, f, parts=parts, signorini=["bottom"])
+        domain_of(ghosted, parts)
+    with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
+        Boundary("bottom")
+    with pytest.raises(InputError, match="algorithm: unknown name 'alg5'; use one of alg1"):
+        Options(algorithm="alg5")
+    with pytest.raises(InputError, match="eps: must be greater than 0"):
+        Options(eps=0.0)

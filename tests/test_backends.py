@@ -9,32 +9,34 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends import facet_system, hybrid
+from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.discrete.conditions import FacetConditions
-from signorini_fenicsx.methods.loop import iterate_sets
-from signorini_fenicsx.methods.registry import ALGORITHMS
-from signorini_fenicsx.solving import prediction
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.methods.set_rules import ALGORITHM_1
 
 COMM = MPI.COMM_WORLD
+MULTIGRID, DIRECT = Tuning(direct_up_to=0), Tuning(direct_up_to=10**6)
 
 
-def assert_same_iterates(case: Case, tolerance: float) -> None:
+def assert_same_iterates(case: Case, tolerance: float, tuning: Tuning | None = None) -> None:
     """Every algorithm takes the same sets and ends in the same σ, u, p with both backends (collective)."""
     domain = mesh_case(case, COMM)
     for algorithm in ("alg1", "alg2", "alg3", "alg4"):
         mixed, facet = (
-            solve(
+            solve_case(
                 case.with_values({"solve.algorithm": algorithm, "solve.backend": backend, "solve.eps": 1e-6}),
                 COMM,
                 domain=domain,
+                tuning=tuning,
             )
             for backend in ("mixed", "hybrid")
         )
-        for a, b in zip(mixed.history, facet.history, strict=True):
+        for a, b in zip(mixed.outcome.history, facet.outcome.history, strict=True):
             assert (a.no_flux, a.zero_trace, a.robin, a.changed, a.clipped) == (
                 b.no_flux,
                 b.zero_trace,
@@ -43,7 +45,7 @@ def assert_same_iterates(case: Case, tolerance: float) -> None:
                 b.clipped,
             )
             assert a.sigma_change == pytest.approx(b.sigma_change, abs=1e-8)
-        np.testing.assert_array_equal(mixed.conditions.kind, facet.conditions.kind)
+        np.testing.assert_array_equal(mixed.outcome.conditions.kind, facet.outcome.conditions.kind)
         for one, two in [(mixed.sigma, facet.sigma), (mixed.u, facet.u), (mixed.p, facet.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=tolerance)
 
@@ -55,65 +57,63 @@ def test_direct_solver():
 
 
 @pytest.mark.parallel([1, 2])
-def test_multigrid(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
+def test_multigrid():
     for name in ["example2", "example4", "example6"] if COMM.size == 1 else ["example6"]:
-        assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 16}), 1e-10)
+        assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 16}), 1e-10, MULTIGRID)
 
 
 @pytest.mark.parallel([1, 2])
-def test_cube_and_random_loads(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_cube_and_random_loads(folder: Path):
     rng = np.random.default_rng(3)
-    for direct_up_to, mesh in itertools.product((0, 10**6), ("structured", "unstructured")[: 3 - COMM.size]):
-        monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
+    for tuning, mesh in itertools.product((MULTIGRID, DIRECT), ("structured", "unstructured")[: 3 - COMM.size]):
         a, b, c = rng.uniform(1, 8, 3)
         f = f"50*sin({a}*x + {b}*y)*cos({c}*z)"
         case = make_case(folder, shape="cube", mesh=mesh, parts=["bottom", "left"], f=f, h=0.4)
-        assert_same_iterates(case, 1e-10)
+        assert_same_iterates(case, 1e-10, tuning)
 
 
 @pytest.mark.parallel([1, 2])
-def test_multigrid_iterations_do_not_grow(monkeypatch: pytest.MonkeyPatch):
+def test_multigrid_iterations_do_not_grow():
     """CG to 1e-12 takes at most 20 iterations in 2D, on every step and mesh, wherever the sets started."""
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
     examples = [("example1", "alg1"), ("example5", "alg4")]
     for (name, algorithm), h in itertools.product(examples, (1 / 8, 1 / 32, 1 / 64)[: 4 - COMM.size]):
-        solution = solve(load_case(name).with_values({"solve.h": h, "solve.algorithm": algorithm}), COMM)
-        assert solution.linear_solver == "cg+mg"
-        assert max(step.linear_iterations for step in solution.history) <= 20
+        solution = solve_case(
+            load_case(name).with_values({"solve.h": h, "solve.algorithm": algorithm}), COMM, tuning=MULTIGRID
+        )
+        assert solution.outcome.linear_solver == "cg+mg"
+        assert max(step.linear_iterations for step in solution.outcome.history) <= 20
         assert max(vars(solution.kkt).values()) < 1e-9
 
 
 @pytest.mark.parallel([1, 2])
-def test_snesvi_finds_the_same(monkeypatch: pytest.MonkeyPatch):
+def test_snesvi_finds_the_same():
     """SNESVI, which shares neither rule nor loop, ends in the sets and fields of Algorithm 1."""
-    for direct_up_to, name in itertools.product((0, 10**6), ("example2", "example3")):
-        monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
+    for tuning, name in itertools.product((MULTIGRID, DIRECT), ("example2", "example3")):
         case = load_case(name).with_values({"solve.h": 1 / 16})
-        loop = solve(case, COMM)
-        vi = solve(case.with_values({"solve.algorithm": "vi"}), COMM, domain=loop.spaces.domain)
-        assert vi.linear_solver.startswith("vinewtonrsls")
-        np.testing.assert_array_equal(loop.conditions.kind, vi.conditions.kind)
+        loop = solve_case(case, COMM, tuning=tuning)
+        vi = solve_case(case.with_values({"solve.algorithm": "vi"}), COMM, domain=loop.spaces.domain, tuning=tuning)
+        assert vi.outcome.linear_solver.startswith("vinewtonrsls")
+        np.testing.assert_array_equal(loop.outcome.conditions.kind, vi.outcome.conditions.kind)
         for one, two in [(loop.sigma, vi.sigma), (loop.u, vi.u), (loop.p, vi.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
-        assert len(vi.history) <= 15
+        assert len(vi.outcome.history) <= 15
 
 
 @pytest.mark.parallel([1, 2])
-def test_bad_cells(monkeypatch: pytest.MonkeyPatch):
+def test_bad_cells():
     """Aspect ratio 20 and obtuse angles slow CG down; sets and fields stay those of the saddle point."""
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
-    monkeypatch.setattr(prediction, "PREDICT_FROM", 0)
+    tuning = Tuning(direct_up_to=0, predict_from=0)
     case = load_case("example1").with_values({"geometry.mesh": "structured", "solve.h": 1 / 32})
     domain = mesh_case(case, COMM)
     x = domain.mesh.geometry.x
     x[:, 1] *= 0.05
     x[:, 0] += 0.05 * np.sin(50 * x[:, 1] * 20) * np.sin(np.pi * x[:, 0])
     mixed, facet = (
-        solve(case.with_values({"solve.backend": backend}), COMM, domain=domain) for backend in ("mixed", "hybrid")
+        solve_case(case.with_values({"solve.backend": backend}), COMM, domain=domain, tuning=tuning)
+        for backend in ("mixed", "hybrid")
     )
-    assert facet.linear_solver == "cg+mg"
-    np.testing.assert_array_equal(mixed.conditions.kind, facet.conditions.kind)
+    assert facet.outcome.linear_solver == "cg+mg"
+    np.testing.assert_array_equal(mixed.outcome.conditions.kind, facet.outcome.conditions.kind)
     for one, two in [(mixed.sigma, facet.sigma), (mixed.u, facet.u), (mixed.p, facet.p)]:
         np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9 * np.abs(one.x.array).max(initial=1.0))
 
@@ -121,13 +121,13 @@ def test_bad_cells(monkeypatch: pytest.MonkeyPatch):
 def test_wrong_prediction_is_corrected():
     """From any conditions whatever Algorithm 1 ends in the same solution."""
     case = load_case("example1").with_values({"solve.h": 1 / 16})
-    expected = solve(case)
-    backend = hybrid.HybridBackend(expected.spaces, expected.data)
+    expected = solve_case(case)
+    backend = HybridBackend(expected.spaces, expected.data)
     rng = np.random.default_rng(1)
     for _ in range(5):
-        random = FacetConditions(rng.integers(0, 2, len(expected.spaces.facets)).astype(np.int8))
-        outcome = iterate_sets(backend, ALGORITHMS["alg1"], rho=1.0, eps=1.0, max_iterations=50, predicted=random)
-        np.testing.assert_array_equal(outcome.conditions.kind, expected.conditions.kind)
+        random = SiteConditions(rng.integers(0, 2, len(expected.spaces.facets)).astype(np.int8))
+        outcome = iterate_sets(backend, ALGORITHM_1, Parameters(), start=random)
+        np.testing.assert_array_equal(outcome.conditions.kind, expected.outcome.conditions.kind)
         np.testing.assert_allclose(outcome.iterate.sigma.x.array, expected.sigma.x.array, atol=1e-11)
 
 
@@ -139,14 +139,14 @@ def test_user_options_choose_the_solver():
     for name, value in chosen.items():
         options[name] = value
     try:
-        assert solve(case).linear_solver == "cg+gamg"
+        assert solve_case(case).outcome.linear_solver == "cg+gamg"
         options["ksp_max_it"] = 1
         with pytest.raises(NumericalFailure, match=r"cg\+gamg stopped"):
-            solve(case)
+            solve_case(case)
         del options["ksp_max_it"]
         options["ksp_type"] = "preonly"
         with pytest.raises(NumericalFailure, match="KKT residuals above"):
-            solve(case)
+            solve_case(case)
     finally:
         for name in (*chosen, "ksp_max_it"):
             options.delValue(name)

@@ -12,12 +12,12 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 ALGORITHMS = ("alg1", "alg2", "vi", "alg3", "alg4", "snes1", "snes2")
@@ -67,17 +67,17 @@ def test_random_data(seeds: range):
     """The bound exceeds the distance to a solution by Algorithm 1 on a mesh 8 times (3D: 3 times) as fine."""
     for seed in seeds:
         case = random_case(np.random.default_rng(seed))
-        solution = solve(case)
+        solution = solve_case(case)
         finer = {"solve.h": case.solve.h / (3 if case.geometry.shape == "cube" else 8), "solve.algorithm": "alg1"}
-        assert 0 < flux_difference(solution, solve(case.with_values(finer))) < certify(solution).bound, seed
+        assert 0 < flux_difference(solution, solve_case(case.with_values(finer))) < certify(solution).bound, seed
 
 
 @pytest.mark.parametrize("name", ["example2", "example5"])
 def test_sharp_at_corners(name: str):
     """At corners, where v is worst, the bound exceeds the error by less than 9 %."""
     values = {"solve.h": 1 / 8, "solve.algorithm": "alg1", "geometry.mesh": "structured"}
-    solution = solve(load_case(name).with_values(values))
-    fine = solve(solution.case.with_values({"solve.h": 1 / 64}))
+    solution = solve_case(load_case(name).with_values(values))
+    fine = solve_case(case_of(solution).with_values({"solve.h": 1 / 64}))
     certificate = certify(solution)
     error = flux_difference(solution, fine)
     assert error < certificate.sigma_bound < 1.09 * error
@@ -91,7 +91,7 @@ def test_penalty_solutions(algorithm: str):
         case = load_case("transition").with_values(
             {"solve.h": 1 / 8, "solve.algorithm": algorithm, "solve.eps": eps, "solve.backend": "mixed"}
         )
-        solution = solve(case)
+        solution = solve_case(case)
         certificate, errors = certify(solution), solution.errors()
         assert errors is not None
         assert errors["sigma_L2"] < certificate.sigma_bound < (1.1 if eps < 1e-4 else 3) * errors["sigma_L2"]
@@ -106,7 +106,7 @@ def test_unfinished_linear_solve():
         options[name] = value
     try:
         with pytest.raises(NumericalFailure, match="KKT residuals above") as caught:
-            solve(load_case("singular").with_values({"solve.h": 1 / 8}), COMM)
+            solve_case(load_case("singular").with_values({"solve.h": 1 / 8}), COMM)
     finally:
         for name in chosen:
             options.delValue(name)
@@ -123,22 +123,22 @@ def test_where_dirichlet_meets_signorini(folder: Path):
     case = make_case(folder, parts=["bottom"], f="-4", h=0.3)
     for u_D in ("abs(x - 0.45)^3", "sin(9*x)^2*y + x^4"):
         case = case.with_values({"problem.u_D": u_D})
-        coarse = solve(case, COMM)
-        fine = solve(case.with_values({"solve.h": 0.04, "geometry.mesh": "structured"}), COMM)
+        coarse = solve_case(case, COMM)
+        fine = solve_case(case.with_values({"solve.h": 0.04, "geometry.mesh": "structured"}), COMM)
         assert flux_difference(coarse, fine) < certify(coarse).bound < 1.6 * flux_difference(coarse, fine)
 
 
 def test_no_bound_without_a_solution(folder: Path):
     """U = u_D < 0 next to u ≥ 0 has no finite energy."""
     case = make_case(folder, parts=["bottom"], f="0", h=0.3).with_values({"problem.u_D": "x - 0.5"})
-    assert certify(solve(case, COMM)).bound == math.inf
-    assert math.isfinite(certify(solve(case.with_values({"problem.u_D": "x - y"}), COMM)).bound)
+    assert certify(solve_case(case, COMM)).bound == math.inf
+    assert math.isfinite(certify(solve_case(case.with_values({"problem.u_D": "x - y"}), COMM)).bound)
 
 
 @pytest.mark.parallel(3)
 def test_ranks_do_not_matter():
     for name, algorithm in [("example2", "alg4"), ("example6", "alg3")]:
         case = load_case(name).with_values({"solve.h": 1 / 8, "solve.algorithm": algorithm, "solve.eps": 1e-2})
-        together, alone = certify(solve(case, COMM)), certify(solve(case, MPI.COMM_SELF))
+        together, alone = certify(solve_case(case, COMM)), certify(solve_case(case, MPI.COMM_SELF))
         assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-10, abs=1e-12)
         assert (together.guaranteed, together.unresolved) == (alone.guaranteed, alone.unresolved)

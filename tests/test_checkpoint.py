@@ -10,11 +10,11 @@ from test_cli import signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.output.checkpoint import load_solution, shared_domain
+from signorini_fenicsx.cases.solving import case_of, shared_domain, solve_case
+from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather_facets, gather_fields
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -23,7 +23,7 @@ CUBE = {"geometry.shape": "cube", "boundary.signorini": ["bottom", "left"], "pro
 
 def kept(case: Case, comm: MPI.Comm, folder: Path) -> Solution:
     """Solve and write on some ranks."""
-    solution = solve(case, comm)
+    solution = solve_case(case, comm)
     write_solution(solution, folder, fields=False)
     comm.Barrier()
     return solution
@@ -44,8 +44,8 @@ def test_read_on_any_number_of_ranks(folder: Path):
             (kept(case, COMM, folder), load_solution(folder, MPI.COMM_SELF)),
             (kept(case, MPI.COMM_SELF, alone), load_solution(COMM.bcast(alone), COMM)),
         ]:
-            assert read.case == original.case
-            assert len(read.history) == len(original.history)
+            assert case_of(read) == case_of(original)
+            assert len(read.outcome.history) == len(original.outcome.history)
             assert read.norms() == pytest.approx(original.norms(), rel=1e-12)
             assert read.contact() == pytest.approx(original.contact(), rel=1e-12)
             assert max(vars(read.kkt).values()) < 1e-11
@@ -61,24 +61,24 @@ def test_read_on_any_number_of_ranks(folder: Path):
 def test_start_from_another_solution(folder: Path):
     """Starting at the solution takes one step, from a coarser one fewer than cold; the result is the same."""
     cold_case = load_case("example2").with_values({"solve.h": 2**-5})
-    cold = solve(cold_case, COMM)
+    cold = solve_case(cold_case, COMM)
     kept(cold_case.with_values({"solve.h": 2**-4}), COMM, folder)
     start = load_solution(folder, COMM)
     assert shared_domain(start, cold_case) is None
     for algorithm in ("alg1", "alg2", "alg3", "alg4"):
         case = cold_case.with_values({"solve.algorithm": algorithm, "solve.eps": 1e-10})
-        warm = solve(case, COMM, domain=cold.spaces.domain, start=start)
-        assert len(warm.history) <= 2 < len(cold.history)
+        warm = solve_case(case, COMM, domain=cold.spaces.domain, start=start)
+        assert len(warm.outcome.history) <= 2 < len(cold.outcome.history)
         assert warm.contact() == cold.contact()
         assert warm.norms() == pytest.approx(cold.norms(), rel=1e-8)
-    same = solve(start.case, COMM, domain=shared_domain(start, start.case), start=start)
+    same = solve_case(case_of(start), COMM, domain=shared_domain(start, case_of(start)), start=start)
     assert same.spaces.domain is start.spaces.domain
-    assert [step.changed for step in same.history] == [0]
+    assert [step.changed for step in same.outcome.history] == [0]
     assert same.norms() == pytest.approx(start.norms(), rel=1e-12)
     with pytest.raises(InputError, match="'lshape', not on 'square'"):
-        solve(load_case("example1").with_values({"solve.h": 0.25}), COMM, start=start)
+        solve_case(load_case("example1").with_values({"solve.h": 0.25}), COMM, start=start)
     with pytest.raises(InputError, match="no facet sets to start from"):
-        solve(cold_case.with_values({"solve.algorithm": "vi", "solve.h": 0.25}), COMM, start=start)
+        solve_case(cold_case.with_values({"solve.algorithm": "vi", "solve.h": 0.25}), COMM, start=start)
 
 
 def test_a_failed_run_is_continued_and_exported(tmp_path: Path):

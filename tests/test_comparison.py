@@ -11,11 +11,11 @@ from test_cli import signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -55,7 +55,7 @@ def test_solutions():
     case = load_case("example2")
     found = []
     for comm in (COMM, MPI.COMM_SELF):
-        coarse, middle, fine = (solve(case.with_values({"solve.h": h}), comm) for h in (1 / 4, 1 / 8, 1 / 16))
+        coarse, middle, fine = (solve_case(case.with_values({"solve.h": h}), comm) for h in (1 / 4, 1 / 8, 1 / 16))
         far, near, back = compare(coarse, fine), compare(middle, fine), compare(fine, middle)
         assert near.norms == back.norms
         assert (near.jaccard, near.hausdorff) == (back.jaccard, back.hausdorff)
@@ -70,13 +70,13 @@ def test_solutions():
     assert vars(together.norms) == pytest.approx(vars(alone.norms), rel=1e-9)
     assert (together.jaccard, together.hausdorff) == pytest.approx((alone.jaccard, alone.hausdorff), rel=1e-10)
     with pytest.raises(InputError, match="of one domain and contact boundary"):
-        compare(fine, solve(load_case("example1").with_values({"solve.h": 0.5}), MPI.COMM_SELF))
+        compare(fine, solve_case(load_case("example1").with_values({"solve.h": 0.5}), MPI.COMM_SELF))
 
 
 def test_position_of_the_exact_contact_set():
     """On transition cases the contact set is found to within about a facet."""
     for name, h in (("transition", 1 / 8), ("transition", 1 / 32), ("transition3d", 1 / 4)):
-        errors = solve(load_case(name).with_values({"solve.h": h}), MPI.COMM_SELF).errors()
+        errors = solve_case(load_case(name).with_values({"solve.h": h}), MPI.COMM_SELF).errors()
         assert errors is not None
         assert errors["contact_hausdorff"] < 1.5 * h
 

@@ -13,9 +13,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.output.checkpoint import FILE, load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.solving.solver import solve
 
 type Arrays = dict[str, Any]
 
@@ -27,7 +27,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a solution on a structured L-shape."""
     folder = tmp_path_factory.mktemp("good")
     case = load_case("example2").with_values({"solve.h": 0.5, "geometry.mesh": "structured"})
-    write_solution(solve(case, COMM), folder, fields=False)
+    write_solution(solve_case(case, COMM), folder, fields=False)
     return folder
 
 
@@ -142,7 +142,7 @@ def test_headers_that_are_not_python_are_refused(tmp_path: Path, header: str):
 @pytest.mark.parallel([1, 2])
 def test_all_ranks_refuse(folder: Path):
     comm = MPI.COMM_WORLD
-    write_solution(solve(load_case("example1").with_values({"solve.h": 0.25}), comm), folder, fields=False)
+    write_solution(solve_case(load_case("example1").with_values({"solve.h": 0.25}), comm), folder, fields=False)
     comm.Barrier()
     if comm.rank == 0:
         arrays = arrays_of(folder)
@@ -155,7 +155,7 @@ def test_all_ranks_refuse(folder: Path):
 def test_the_state_of_a_failed_run_is_read(tmp_path: Path):
     case = load_case("example2").with_values({"solve.h": 0.25, "solve.max_iterations": 1})
     with pytest.raises(NumericalFailure) as caught:
-        solve(case, COMM)
+        solve_case(case, COMM)
     assert caught.value.solution is not None
     write_solution(caught.value.solution, tmp_path, fields=False)
     read = load_solution(tmp_path, COMM)
@@ -176,9 +176,9 @@ def test_a_structured_lshape_keeps_its_facets(good: Path):
 def test_methods_with_residuals_of_their_own(tmp_path: Path):
     """Their solutions violate (9), which is no damage, and other changes are."""
     case = load_case("example1").with_values({"solve.h": 0.25, "solve.algorithm": "primal-pdas"})
-    write_solution(solve(case, COMM), tmp_path, fields=False)
+    write_solution(solve_case(case, COMM), tmp_path, fields=False)
     read = load_solution(tmp_path, COMM)
-    assert read.own_residual is not None
+    assert read.outcome.own_residual is not None
     assert read.kkt.violation() is not None
     arrays = arrays_of(tmp_path)
     np.savez(tmp_path / FILE, **(arrays | {"sigma": 5 * arrays["sigma"]}))

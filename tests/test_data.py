@@ -10,11 +10,11 @@ from conftest import make_case
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.backends import facet_system
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -23,7 +23,7 @@ AFFINE = [("2 + x", (1, 0), ["bottom", "top"]), ("-y", (0, -1), ["bottom"]), ("5
 
 
 @pytest.mark.parallel([1, 2])
-def test_affine_solutions(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_affine_solutions(folder: Path):
     """σ_h = ∇u, the cell means u_h and the facet means p_h are exact, but for the ε of a penalty."""
     ways = [(0, "alg1", "hybrid"), (0, "alg4", "hybrid")]
     if COMM.size == 1:
@@ -33,9 +33,9 @@ def test_affine_solutions(folder: Path, monkeypatch: pytest.MonkeyPatch):
         base = make_case(folder, parts=parts, f="0", h=0.3).with_values({"problem.u_D": u_D, "solve.eps": 1e-12})
         domain = None
         for direct_up_to, algorithm, backend in ways:
-            monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
+            tuning = Tuning(direct_up_to=direct_up_to)
             case = base.with_values({"solve.algorithm": algorithm, "solve.backend": backend})
-            solution = solve(case, COMM, domain=domain)
+            solution = solve_case(case, COMM, domain=domain, tuning=tuning)
             spaces, domain = solution.spaces, solution.spaces.domain
             u = parse_expression(u_D, ufl.SpatialCoordinate(spaces.mesh))
             assert spaces.integrate(l2(ufl.as_vector(gradient) - solution.sigma, ufl.dx)) < 1e-18
@@ -52,10 +52,10 @@ def test_backends_agree(folder: Path):
     for shape, algorithm in itertools.product(("lshape", "cube"), algorithms):
         case = make_case(folder, shape=shape, parts=["bottom", "left"], f="20*(x - 0.6)", h=0.4)
         case = case.with_values({"problem.u_D": "sin(3*x)*y + abs(x - 0.7)", "solve.algorithm": algorithm})
-        one = solve(case, COMM)
-        two = solve(case.with_values({"solve.backend": "mixed"}), COMM, domain=one.spaces.domain)
+        one = solve_case(case, COMM)
+        two = solve_case(case.with_values({"solve.backend": "mixed"}), COMM, domain=one.spaces.domain)
         assert 0 < one.contact()[0] < one.spaces.Lambda.dofmap.index_map.size_global
-        assert [step.changed for step in one.history] == [step.changed for step in two.history]
+        assert [step.changed for step in one.outcome.history] == [step.changed for step in two.outcome.history]
         for a, b in [(one.sigma, two.sigma), (one.u, two.u), (one.p, two.p)]:
             np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-11)
 
@@ -70,6 +70,6 @@ def test_bad_data(folder: Path):
         ("psi", "log(x)", "psi: not finite everywhere on Γ_S"),  # quadrature point
     ]:
         with pytest.raises(InputError, match=message):
-            solve(case.with_values({f"problem.{name}": value}), COMM)
+            solve_case(case.with_values({f"problem.{name}": value}), COMM)
     with pytest.raises(InputError, match=r"\[problem\] u_D: expression 'q': unknown name 'q'"):
         case.with_values({"problem.u_D": "q"})

@@ -10,8 +10,9 @@ from fuzz_expressions import valid
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.domains import discrete_data, mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.enclosures import cell_vertices, enclose, facet_vertices
+from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.expressions import read, values, values_and_gradient
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
@@ -166,7 +167,7 @@ def test_partition_changes_nothing(folder: Path):
     case = make_case(folder, parts=["bottom"], f="1 if (x-0.4)^2 + y^2 < 0.01 else sin(300*x*y)", h=0.3)
     case = case.with_values({"problem.q_S": "-abs(x - 0.3)", "problem.kappa": [["2", "x/9"], ["x/9", "1"]]})
     spaces = build_spaces(mesh_case(case, MPI.COMM_WORLD), ["bottom"])
-    data = discrete_data(case, spaces)
+    data = project_data(spaces, case.data(2))
     assert set(data.trees) == {"f", "kappa", "u_D", "g_N", "psi", "q_S"}
     comm = MPI.COMM_WORLD
     for tree, vertices in [

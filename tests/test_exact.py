@@ -10,12 +10,12 @@ import ufl
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -66,7 +66,8 @@ def solutions(name: str) -> list[Solution]:
     values |= {} if expected.f is None else {"problem.f": expected.f}
     case = load_case(name.split(",")[0]).with_values(values)
     return [
-        solve(case.with_values({"solve.h": h, "geometry.mesh": expected.mesh}), MPI.COMM_SELF) for h in expected.levels
+        solve_case(case.with_values({"solve.h": h, "geometry.mesh": expected.mesh}), MPI.COMM_SELF)
+        for h in expected.levels
     ]
 
 
@@ -75,7 +76,7 @@ def all_errors(solution: Solution) -> dict[str, float]:
     errors = solution.errors()
     assert errors is not None
     Q = solution.spaces.Q
-    u = parse_expression(solution.case.exact.u, ufl.SpatialCoordinate(Q.mesh))
+    u = parse_expression(case_of(solution).exact.u, ufl.SpatialCoordinate(Q.mesh))
     measures = cell_measures(Q)
     means = assembled(u * ufl.TestFunction(Q) * ufl.dx(metadata={"quadrature_degree": 10})) / measures
     return {
@@ -110,7 +111,7 @@ def test_certificate(name: str):
     for solution in solutions(name):
         spaces = solution.spaces
         certificate = certify(solution)
-        u = parse_expression(solution.case.exact.u, ufl.SpatialCoordinate(spaces.mesh))
+        u = parse_expression(case_of(solution).exact.u, ufl.SpatialCoordinate(spaces.mesh))
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata={"quadrature_degree": 8})
         sigma, v = (
             np.sqrt(spaces.integrate(l2(ufl.grad(u) - approximation, dx)))
@@ -130,7 +131,7 @@ def test_certificate(name: str):
 def test_ranks_do_not_matter():
     for name in ("transition", "singular3d"):
         case = load_case(name).with_values({"solve.h": 0.3})
-        together, alone = solve(case, COMM), solve(case, MPI.COMM_SELF)
+        together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
         assert together.errors() == pytest.approx(alone.errors(), rel=1e-10, abs=1e-11)
         assert certify(together).numbers() == pytest.approx(certify(alone).numbers(), rel=1e-10, abs=1e-11)
 
@@ -139,7 +140,7 @@ def test_ranks_do_not_matter():
 def test_contact_with_a_curved_obstacle(u: str):
     """Contact everywhere, with a ψ whose facet means are not its values at midpoints."""
     values = {"boundary.signorini": ["bottom"], "solve.h": 0.5, "exact.u": u, "problem.f": "-10"}
-    solution = solve(load_case("example1").with_values(values | {"problem.u_D": u, "problem.psi": u}))
+    solution = solve_case(load_case("example1").with_values(values | {"problem.u_D": u, "problem.psi": u}))
     errors = solution.errors()
     assert errors is not None
     assert solution.contact()[1] == pytest.approx(1.0)

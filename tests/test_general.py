@@ -12,9 +12,10 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.backends import facet_system
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.norms import l2
@@ -50,7 +51,7 @@ def affine_errors(solution: Solution) -> list[float]:
 
 
 @pytest.mark.parallel([1, 2])
-def test_affine_solutions(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_affine_solutions(folder: Path):
     """Every method reproduces an affine solution with a matrix κ and conditions of all kinds, but for its ε."""
     case = make_case(folder, parts=["left", "top"], f="0", h=0.3).with_values(AFFINE | {"solve.eps": 1e-12})
     domain = mesh_case(case, COMM)
@@ -59,9 +60,9 @@ def test_affine_solutions(folder: Path, monkeypatch: pytest.MonkeyPatch):
         ways += [(10**6, name, "hybrid") for name in (*METHODS, *MIXED_CLASSICS, *P1_CLASSICS)]
         ways += [(10**6, name, "mixed") for name in METHODS[:4]]
     for direct_up_to, algorithm, backend in ways:
-        monkeypatch.setattr(facet_system, "DIRECT_UP_TO", direct_up_to)
+        tuning = Tuning(direct_up_to=direct_up_to)
         values = {"solve.algorithm": algorithm, "solve.backend": backend}
-        solution = solve(case.with_values(values), COMM, domain=domain)
+        solution = solve_case(case.with_values(values), COMM, domain=domain, tuning=tuning)
         assert max(affine_errors(solution)) < 1e-8, algorithm
         assert solution.contact()[1] == pytest.approx(1.0), algorithm
         assert certify(solution).bound < 1e-5, algorithm  # a trace of 1e-12 counts linearly
@@ -101,7 +102,7 @@ def test_manufactured_solutions(folder: Path, which: int):
         domain = mesh_case(case.with_values({"solve.h": h}), COMM)
         x = ufl.SpatialCoordinate(domain.mesh)
         u, problem = manufactured(x, conductivities(x)[which])
-        solution = solve(case, domain=domain, problem=problem)
+        solution = solve(domain, boundary_of(case), problem)
         certificate, spaces = certify(solution), solution.spaces
         error = energy_error(solution, u)
         assert error < certificate.sigma_bound < 1.25 * error
@@ -127,12 +128,12 @@ def test_backends_agree(folder: Path):
     for shape, algorithm in itertools.product(("lshape", "cube"), METHODS[:4] if COMM.size == 1 else ("alg3",)):
         case = make_case(folder, shape=shape, parts=["bottom"], f="8*sin(5*x)", h=0.4).with_values(values)
         case = case.with_values({"solve.algorithm": algorithm, "solve.eps": 1e-3})
-        one = solve(case, COMM)
+        one = solve_case(case, COMM)
         independent = {"alg3": "snes1", "alg4": "snes2"}.get(algorithm, "vi")
         others = [{"solve.backend": "mixed"}, {"solve.algorithm": independent}]
-        two, three = (solve(case.with_values(other), COMM, domain=one.spaces.domain) for other in others)
+        two, three = (solve_case(case.with_values(other), COMM, domain=one.spaces.domain) for other in others)
         assert 0 < one.contact()[0] < one.spaces.Lambda.dofmap.index_map.size_global
-        assert [step.changed for step in one.history] == [step.changed for step in two.history]
+        assert [step.changed for step in one.outcome.history] == [step.changed for step in two.outcome.history]
         for a, b, c in [(one.sigma, two.sigma, three.sigma), (one.u, two.u, three.u), (one.p, two.p, three.p)]:
             size = COMM.allreduce(np.abs(a.x.array).max(initial=0.0), MPI.MAX)
             np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-9 * size)
@@ -140,27 +141,26 @@ def test_backends_agree(folder: Path):
 
 
 @pytest.mark.parallel([1, 2])
-def test_without_dirichlet_part(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_without_dirichlet_part(folder: Path):
     """With a negative total load all methods agree; without one there is no solution, or more than one."""
     case = make_case(folder, parts=["bottom"], f="3*x - 2", h=0.2)
     case = case.with_values({"boundary.neumann": ["left", "right", "top"], "problem.psi": "0.1*sin(20*x)"})
     domain = mesh_case(case, COMM)
-    reference = solve(case, COMM, domain=domain)
+    reference = solve_case(case, COMM, domain=domain)
     assert 0 < reference.contact()[0] < reference.spaces.Lambda.dofmap.index_map.size_global
     size = COMM.allreduce(np.abs(reference.p.x.array).max(initial=0.0), MPI.MAX)
     for algorithm, backend in [*((name, "hybrid") for name in METHODS), ("alg2", "mixed"), ("alg4", "mixed")]:
         values = {"solve.algorithm": algorithm, "solve.backend": backend, "solve.eps": 1e-11}
-        solution = solve(case.with_values(values), COMM, domain=domain)
+        solution = solve_case(case.with_values(values), COMM, domain=domain)
         np.testing.assert_allclose(solution.p.x.array, reference.p.x.array, atol=1e-7 * size)
         assert certify(solution).bound < 1.01 * certify(reference).bound
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
-    solution = solve(case, COMM, domain=domain)
+    solution = solve_case(case, COMM, domain=domain, tuning=Tuning(direct_up_to=0))
     np.testing.assert_allclose(solution.p.x.array, reference.p.x.array, atol=1e-9 * size)
     for f, verdict in [("x - 1/4", "there is no solution"), ("x - 1/2", "u is not unique")]:
         with pytest.raises(InputError, match=verdict):
-            solve(case.with_values({"problem.f": f}), COMM, domain=domain)
+            solve_case(case.with_values({"problem.f": f}), COMM, domain=domain)
     with pytest.raises(InputError, match="uzawa needs a part of the boundary"):
-        solve(case.with_values({"solve.algorithm": "uzawa"}), COMM, domain=domain)
+        solve_case(case.with_values({"solve.algorithm": "uzawa"}), COMM, domain=domain)
 
 
 @pytest.mark.parallel(2)
@@ -176,10 +176,10 @@ def test_bad_data(folder: Path):
         ("q_S", "1e200", "q_S: its largest value"),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(case.with_values({f"problem.{key}": value}), COMM)
+            solve_case(case.with_values({f"problem.{key}": value}), COMM)
     for key, where in (("problem.u_D", "in the cells at Γ_D"), ("exact.u", "in the domain")):
         with pytest.raises(InputError, match=f"its gradient is not finite everywhere {where}"):
-            solve(case.with_values({key: "sqrt(max(0, x - 0.5))"}), COMM)
+            solve_case(case.with_values({key: "sqrt(max(0, x - 0.5))"}), COMM)
     for key, value, message in [
         ("problem.kappa", [["1", "2"]], "2 rows of 2 expressions"),
         ("problem.kappa", [["1", True], ["1", "1"]], "must be an expression, a matrix"),

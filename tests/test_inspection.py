@@ -14,7 +14,7 @@ from test_cli import signorini
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.inspection import check, expected
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.cases.solving import solve_case
 
 
 def test_sizes_are_those_of_the_mesh():
@@ -26,7 +26,7 @@ def test_sizes_are_those_of_the_mesh():
         assert estimate.exact == (tolerance == 0)
         assert estimate.cells == pytest.approx(counts["cells"], rel=tolerance)
     dam = expected(load_case("dam"), 2)
-    assert dam.facets == solve(load_case("dam"), MPI.COMM_SELF).dofs
+    assert dam.facets == solve_case(load_case("dam"), MPI.COMM_SELF).outcome.dofs
     assert {name: part["condition"] for name, part in dam.parts.items()} == {
         "upstream": "dirichlet",
         "face": "signorini",

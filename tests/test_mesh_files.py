@@ -14,7 +14,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
+from signorini_fenicsx.cases.solving import adapt_case, case_of, solve_case
+from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.files import read_mesh_file
@@ -23,7 +24,6 @@ from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -157,9 +157,9 @@ def test_xdmf_of_dolfinx(folder: Path):
 
 def test_a_named_shape_from_a_file_has_the_same_solution(tmp_path: Path):
     case = square_case(tmp_path, n=8)
-    own = solve(case)
+    own = solve_case(case)
     values = {"boundary.signorini": ["bottom"], "problem.f": case.problem.f, "solve.h": 2**0.5 / 8 * 1.001}
-    named = solve(load_case("example1").with_values(values | {"geometry.mesh": "structured"}))
+    named = solve_case(load_case("example1").with_values(values | {"geometry.mesh": "structured"}))
     assert own.norms() == pytest.approx(named.norms(), rel=1e-12)
     assert own.contact() == pytest.approx(named.contact(), rel=1e-12)
     result = compare(own, named)
@@ -170,7 +170,7 @@ def test_a_named_shape_from_a_file_has_the_same_solution(tmp_path: Path):
 def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
     """Solve, keep, read on one rank, refine: facets, regions and numbers are those of one rank."""
     case = cube_case(folder)
-    together, alone = solve(case, COMM), solve(case, MPI.COMM_SELF)
+    together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
     for one in (together, alone):
         check_cube(one)
     assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
@@ -178,11 +178,11 @@ def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
     COMM.Barrier()
     read = load_solution(folder, MPI.COMM_SELF)
     check_cube(read)
-    assert read.case == case
+    assert case_of(read) == case
     assert read.norms() == pytest.approx(alone.norms(), rel=1e-10)
     rows: list[list[AdaptRow]] = [[], []]
     for comm, history in zip((COMM, MPI.COMM_SELF), rows, strict=True):
-        last, _ = adapt(case, comm, max_cells=1000, on_row=history.append)
+        last, _ = adapt_case(case, comm, max_cells=1000, on_row=history.append)
         check_cube(last)
     assert len(rows[0]) == len(rows[1]) > 1
     for a, b in zip(*rows, strict=True):
@@ -220,10 +220,10 @@ def test_any_unit_of_length(tmp_path: Path, scale: float):
             (tmp_path / f"{n}.msh").write_text(msh_text(scaled, elements))
             path = tmp_path / f"{n}.toml"
             path.write_text(CASE_FOR_MESH.format(file=f"{n}.msh"))
-            solutions.append(solve(load_case(path).with_values({"problem.f": f"10*(x/{s!r} - 0.4)/{s!r}^2"})))
+            solutions.append(solve_case(load_case(path).with_values({"problem.f": f"10*(x/{s!r} - 0.4)/{s!r}^2"})))
         result = compare(*solutions)
         rows: list[AdaptRow] = []
-        adapt(solutions[0].case, max_cells=150, on_row=rows.append)
+        adapt_case(case_of(solutions[0]), max_cells=150, on_row=rows.append)
         relative = [(row.cells, row.contact_facets, row.iterations, row.relative) for row in rows]
         numbers = [result.jaccard, result.hausdorff / s, result.relative["u_Q"], result.relative["p_Lambda"]]
         found.append((numbers, relative))
@@ -275,7 +275,7 @@ def test_all_ranks_refuse_together(folder: Path):
         ({"problem.kappa": {"outside": "1"}}, "outside"),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(case.with_values(values), COMM)
+            solve_case(case.with_values(values), COMM)
     with pytest.raises(InputError, match="as fine as it is"):
         case.with_values({"solve.h": 0.1})
 
@@ -316,7 +316,7 @@ def test_a_geometry_runs_no_commands(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parallel([1, 2])
 def test_seepage_through_the_dam():
     """Water leaves the face right above the downstream level and nowhere else, and what enters leaves."""
-    solution = solve(load_case("dam"), COMM)
+    solution = solve_case(load_case("dam"), COMM)
     spaces = solution.spaces
     y = dolfinx.mesh.compute_midpoints(spaces.mesh, 1, spaces.facets)[:, 1]
     seeping = solution.contact_set().inside
@@ -340,7 +340,7 @@ def boundary_fluxes(solution: Solution) -> list:
 
 @pytest.mark.parallel([1, 2])
 def test_electropainting_leaves_the_cavity_bare():
-    solution = solve(load_case("electropainting"), COMM)
+    solution = solve_case(load_case("electropainting"), COMM)
     spaces = solution.spaces
     x = dolfinx.mesh.compute_midpoints(spaces.mesh, 2, spaces.facets)
     bare = solution.contact_set().inside

@@ -12,12 +12,12 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, half_norm
 from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -47,20 +47,20 @@ def test_set_algorithms_equal_newton(pairs: list[tuple[str, float]]):
     for name, eps in pairs:
         domain = mesh_case(penalised(name, "alg3", eps), COMM)
         for algorithm, newton in (("alg3", "snes1"), ("alg4", "snes2")):
-            one = solve(penalised(name, algorithm, eps), COMM, domain=domain)
-            two = solve(penalised(name, newton, eps), COMM, domain=domain)
+            one = solve_case(penalised(name, algorithm, eps), COMM, domain=domain)
+            two = solve_case(penalised(name, newton, eps), COMM, domain=domain)
             assert distance(one, two) < 1e-11
             assert one.contact() == two.contact()
-            assert max(len(one.history), len(two.history)) <= 12
+            assert max(len(one.outcome.history), len(two.outcome.history)) <= 12
 
 
 @pytest.mark.parallel([1, 2])
 def test_small_penalty_equals_no_penalty():
     """At ε = 1e-10 both penalties have the norms and the contact set of Algorithm 1, to 1e-8."""
     for name in (f"example{i}" for i in range(1, 7)):
-        exact = solve(penalised(name, "alg1", 1.0), COMM)
+        exact = solve_case(penalised(name, "alg1", 1.0), COMM)
         for algorithm in ("alg3", "alg4"):
-            solution = solve(penalised(name, algorithm, 1e-10), COMM, domain=exact.spaces.domain)
+            solution = solve_case(penalised(name, algorithm, 1e-10), COMM, domain=exact.spaces.domain)
             assert solution.norms() == pytest.approx(exact.norms(), abs=1e-8)
             assert solution.contact() == exact.contact()
 
@@ -70,7 +70,7 @@ def test_solutions_satisfy_the_literal_forms():
     """Algorithm 3 solves (25) and Algorithm 4 solves (26) as they stand, with 1/ε."""
     for eps in (1.0, 1e-3):
         for algorithm, problem in (("alg3", mp_eps_1), ("alg4", mp_eps_2)):
-            solution = solve(penalised("example4", algorithm, eps), COMM)
+            solution = solve_case(penalised("example4", algorithm, eps), COMM)
             spaces = solution.spaces
             fields = Fields(solution.sigma, solution.u, solution.p)
             tests = Fields(*(ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda)))
@@ -84,7 +84,7 @@ def test_solutions_satisfy_the_literal_forms():
 def test_what_the_penalty_leaves():
     """(MPε-I) keeps σ·n ≥ 0 and violates p ≥ 0 by O(ε); (MPε-II) the other way round. The law itself holds."""
     for algorithm, violated, kept in (("alg3", "trace", "flux"), ("alg4", "flux", "trace")):
-        large, small = (solve(penalised("example4", algorithm, eps), COMM) for eps in (1e-3, 1e-5))
+        large, small = (solve_case(penalised("example4", algorithm, eps), COMM) for eps in (1e-3, 1e-5))
         for solution in (large, small):
             assert solution.violation()[kept] < 1e-14
             assert max(vars(solution.kkt).values()) < 1e-11
@@ -121,11 +121,11 @@ def sheared(n: int, stretch: float, shear: float, diagonal: str, f: str) -> tupl
 def test_clip_that_cycles_is_given_up_and_reported():
     for parameters in SHEARED:
         case, domain = sheared(*parameters)
-        solution = solve(case.with_values({"solve.algorithm": "alg3"}), COMM, domain=domain)
-        newton = solve(case.with_values({"solve.algorithm": "snes1"}), COMM, domain=domain)
-        assert "without the clip (36)" in solution.reason
-        assert "cycle with period 2" in solution.reason
-        assert any(step.clipped for step in solution.history)
+        solution = solve_case(case.with_values({"solve.algorithm": "alg3"}), COMM, domain=domain)
+        newton = solve_case(case.with_values({"solve.algorithm": "snes1"}), COMM, domain=domain)
+        assert "without the clip (36)" in solution.outcome.reason
+        assert "cycle with period 2" in solution.outcome.reason
+        assert any(step.clipped for step in solution.outcome.history)
         assert distance(solution, newton) < 1e-9
         assert solution.converged
 
@@ -135,8 +135,8 @@ def test_stretched_mesh():
     """Aspect ratio 20: Algorithms 3 and 4 and SNES still agree."""
     case, domain = sheared(12, 0.05, 0.3, "left", "50*sin(9*x)")
     for algorithm, newton in (("alg3", "snes1"), ("alg4", "snes2")):
-        one = solve(case.with_values({"solve.algorithm": algorithm}), COMM, domain=domain)
-        two = solve(case.with_values({"solve.algorithm": newton}), COMM, domain=domain)
+        one = solve_case(case.with_values({"solve.algorithm": algorithm}), COMM, domain=domain)
+        two = solve_case(case.with_values({"solve.algorithm": newton}), COMM, domain=domain)
         assert distance(one, two) < 1e-9
 
 
@@ -144,7 +144,7 @@ def test_stretched_mesh():
 def test_ranks_do_not_matter():
     for name, algorithm in itertools.product(("example4", "example5"), ("alg3", "alg4", "snes1", "snes2")):
         case = penalised(name, algorithm, 1e-6, h=1 / 8)
-        together, alone = solve(case, COMM).summary(), solve(case, MPI.COMM_SELF).summary()
+        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
         for key in ("iterations", "contact_facets", "cells"):
             assert together[key] == alone[key]
         assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
@@ -156,28 +156,28 @@ def test_snes_obeys_the_user(option: str):
     """Other line searches and a trust region, given as PETSc options, end in the same solution."""
     options = PETSc.Options()
     name, value = option.split()
-    expected = solve(penalised("example4", "alg3", 1e-4))
+    expected = solve_case(penalised("example4", "alg3", 1e-4))
     options[name] = value
     try:
-        found = solve(penalised("example4", "snes1", 1e-4), domain=expected.spaces.domain)
+        found = solve_case(penalised("example4", "snes1", 1e-4), domain=expected.spaces.domain)
         assert options.getString(name) == value
     finally:
         del options[name]
     assert distance(found, expected) < 1e-9
-    assert ("newtontr" in found.linear_solver) == (value == "newtontr")
+    assert ("newtontr" in found.outcome.linear_solver) == (value == "newtontr")
 
 
 def test_continuation_when_the_direct_start_fails():
     """With too few steps per ε the direct start fails, and continuation in ε from 1 down succeeds."""
     case = penalised("example5", "snes1", 1e-3, h=1 / 32)
-    direct = solve(case)
+    direct = solve_case(case)
     options = PETSc.Options()
-    options["snes_max_it"] = len(direct.history) - 1
+    options["snes_max_it"] = len(direct.outcome.history) - 1
     try:
-        continued = solve(case, domain=direct.spaces.domain)
+        continued = solve_case(case, domain=direct.spaces.domain)
     finally:
         del options["snes_max_it"]
-    assert "by continuation from ε = 1: the direct start ended with SNES reason" in continued.reason
+    assert "by continuation from ε = 1: the direct start ended with SNES reason" in continued.outcome.reason
     assert distance(direct, continued) < 1e-11
 
 
@@ -207,7 +207,7 @@ def test_eps_cannot_vary_without_a_penalty():
 @pytest.mark.parallel([1, 2])
 def test_half_norm():
     """On one side of the unit square ‖1‖ = 1 and ‖x‖² = 1/3 + 1: the double integral of (x − x')²/|x − x'|² is 1."""
-    solution = solve(load_case("example1").with_values({"boundary.signorini": ["top"], "solve.h": 1 / 64}), COMM)
+    solution = solve_case(load_case("example1").with_values({"boundary.signorini": ["top"], "solve.h": 1 / 64}), COMM)
     x = solution.spaces.Lambda.tabulate_dof_coordinates()[: len(solution.spaces.facets), 0]
     facet = solution.spaces.facet_measure.max(initial=0.0)
     assert half_norm(solution, np.ones_like(x)) == pytest.approx(1.0)

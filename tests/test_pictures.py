@@ -12,6 +12,7 @@ from mpi4py import MPI
 from test_cli import run
 
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.output.gather import (
     Boundary,
     FacetTable,
@@ -25,7 +26,6 @@ from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.streams import on_grid
 from signorini_fenicsx.output.pictures.water import Water
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
@@ -44,7 +44,7 @@ except SystemExit as end:
 
 def scene(name: str, **values: object) -> Scene:
     """A solved case on one rank, as pictures take it."""
-    solution = solve(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
+    solution = solve_case(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
     fields, facets, boundary = gather_fields(solution), gather_facets(solution), gather_boundary(solution)
     assert fields is not None
     assert facets is not None
@@ -126,7 +126,7 @@ def _by_x(facets: FacetTable) -> FacetTable:
 @pytest.mark.parallel([1, 3])
 def test_boundary_is_the_same_on_all_ranks():
     case = load_case("example2").with_values({"solve.h": 0.5})
-    together, alone = gather_boundary(solve(case, COMM)), gather_boundary(solve(case, MPI.COMM_SELF))
+    together, alone = gather_boundary(solve_case(case, COMM)), gather_boundary(solve_case(case, MPI.COMM_SELF))
     assert (together is None) == (COMM.rank > 0)
     if together is None or alone is None:
         return

@@ -1,6 +1,7 @@
 """Sets predicted on coarser meshes and by solves that stop early: fewer steps, the same result."""
 
 import resource
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,68 +9,64 @@ import pytest
 from conftest import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx.backends import facet_system
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.patch import Patch
 from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.domains import discrete_data, mesh_case
-from signorini_fenicsx.discrete.conditions import Condition, FacetConditions
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
-from signorini_fenicsx.solving import prediction
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
+ALWAYS = Tuning(direct_up_to=0, predict_from=0)
 
 
 @pytest.mark.parallel([1, 2])
-def test_prediction_changes_the_number_of_steps_only(monkeypatch: pytest.MonkeyPatch):
+def test_prediction_changes_the_number_of_steps_only():
     """Starting from a coarser mesh's sets ends in the sets and fields of a cold start, in fewer steps."""
-    monkeypatch.setattr(prediction, "PREDICT_FROM", 300)
     cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
     for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases]:
-        cold = solve(case.with_values({"solve.predict": False}), COMM)
-        warm = solve(case, COMM)
-        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
+        cold = solve_case(case.with_values({"solve.predict": False}), COMM)
+        warm = solve_case(case, COMM, tuning=Tuning(predict_from=300))
+        np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
         for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
-        assert len(warm.history) <= min(3, len(cold.history))
+        assert len(warm.outcome.history) <= min(3, len(cold.outcome.history))
 
 
 @pytest.mark.slow
 @pytest.mark.parallel([1, 2])
-def test_rough_solves_predict_on_any_mesh(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_rough_solves_predict_on_any_mesh(folder: Path):
     """Without a coarser mesh rough solves alone find the sets, all but a few facets, and change no result."""
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
-    monkeypatch.setattr(prediction, "PREDICT_FROM", 0)
     cube = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="20*(x - 0.5)", h=0.2)
     cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
     for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
         domain = mesh_case(case, COMM)
-        cold = solve(case.with_values({"solve.predict": False}), COMM, domain=domain)
-        warm = solve(case, COMM, domain=domain)
-        assert (cold.rough_steps, cold.linear_solver) == (0, "cg+mg")
-        assert 2 <= warm.rough_steps <= len(cold.history) + 2
-        assert len(warm.history) <= min(3, len(cold.history))
-        np.testing.assert_array_equal(cold.conditions.kind, warm.conditions.kind)
+        cold = solve_case(case.with_values({"solve.predict": False}), COMM, domain=domain, tuning=ALWAYS)
+        warm = solve_case(case, COMM, domain=domain, tuning=ALWAYS)
+        assert (cold.outcome.rough_steps, cold.outcome.linear_solver) == (0, "cg+mg")
+        assert 2 <= warm.outcome.rough_steps <= len(cold.outcome.history) + 2
+        assert len(warm.outcome.history) <= min(3, len(cold.outcome.history))
+        np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
         for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
 
 
 @pytest.mark.parallel([1, 2])
-def test_few_solves_at_any_size(monkeypatch: pytest.MonkeyPatch):
+def test_few_solves_at_any_size():
     """At most three solves with a coarser mesh, four without, where p and σ·n vanish together at the contact's edge."""
-    monkeypatch.setattr(facet_system, "DIRECT_UP_TO", 0)
-    monkeypatch.setattr(prediction, "PREDICT_FROM", 0)
-    monkeypatch.setattr(prediction, "PATCH_SHARE", 1.0)  # as on large meshes
+    tuning = replace(ALWAYS, patch_share=1.0)  # as on large meshes
     sizes = {"transition": (1 / 16, 1 / 32, 1 / 64), "transition3d": (0.2, 0.15, 0.11)}
     for (name, hs), most in zip(sizes.items(), (3, 4), strict=True):
         for h in hs[: 4 - COMM.size]:
             case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
-            solution = solve(case, COMM)
-            assert solution.rough_steps >= 1
-            assert solution.rough_steps + len(solution.history) <= most
-            assert 0 < max(step.linear_iterations for step in solution.history) <= 18
+            solution = solve_case(case, COMM, tuning=tuning)
+            assert solution.outcome.rough_steps >= 1
+            assert solution.outcome.rough_steps + len(solution.outcome.history) <= most
+            assert 0 < max(step.linear_iterations for step in solution.outcome.history) <= 18
 
 
 @pytest.mark.parallel([1, 3])
@@ -78,13 +75,13 @@ def test_patch_is_solved_and_nothing_else_changes():
     case = load_case("example2").with_values({"solve.h": 1 / 16})
     domain = mesh_case(case, COMM)
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    system = FacetSystem(spaces, discrete_data(case, spaces))
+    system = FacetSystem(spaces, project_data(spaces, case.data(2)), Tuning())
     last = COMM.allreduce(COMM.rank if len(spaces.facets) > 0 else -1, MPI.MAX)
     in_contact = np.zeros(len(spaces.facets), dtype=np.int8)
     if COMM.rank == last:
         in_contact[:2] = Condition.ZERO_TRACE
     system.x.set(1.0)
-    system.apply(FacetConditions(in_contact))
+    system.apply(SiteConditions(in_contact))
     before = system.x.array_r.copy()
     patch = Patch(system.matrix, system.trace_dofs[in_contact == Condition.ZERO_TRACE], layers=6)
     patch.solve(system.matrix, system.b, system.x)
@@ -106,7 +103,7 @@ def test_watching_a_solve_keeps_nothing_alive():
     case = load_case("transition").with_values({"geometry.mesh": "structured", "solve.h": 2**-7})
     mebibytes = []
     for _ in range(10):
-        assert solve(case, COMM).rough_steps > 0
+        assert solve_case(case, COMM).outcome.rough_steps > 0
         collect_garbage(COMM)
         mebibytes.append(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20)
     assert mebibytes[-1] < mebibytes[2] + 40  # 12 a solve were lost

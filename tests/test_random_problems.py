@@ -11,11 +11,11 @@ MANY_RUNS = """
 from mpi4py import MPI
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.base.parallel import collect_garbage
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.cases.solving import solve_case
 from petsc4py import PETSc
 PETSc.Log.begin()
 for _ in range(3):
-    solve(load_case("example1").with_values({"solve.h": 0.25, "solve.algorithm": "vi"}))
+    solve_case(load_case("example1").with_values({"solve.h": 0.25, "solve.algorithm": "vi"}))
     collect_garbage(MPI.COMM_WORLD)
 PETSc.Log.view()
 """

@@ -5,15 +5,14 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Problem, solve_on
+from signorini_fenicsx.api import Boundary, Problem, solve
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.certificate.adaptive import adapt
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.cli.report import bound
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 DISC = "1e4 if (x-0.515)^2+(y-0.54)^2 < 2.5e-5 else 0"
@@ -26,7 +25,7 @@ def problem(h: float, **data: object) -> Case:
 
 
 def certified(h: float, **data: object) -> tuple[Solution, Certificate]:
-    solution = solve(problem(h, **data), COMM)
+    solution = solve_case(problem(h, **data), COMM)
     return solution, certify(solution)
 
 
@@ -58,7 +57,7 @@ def test_what_is_not_resolved_is_never_guaranteed(h: float, data: dict[str, obje
 @pytest.mark.parametrize("f", [DISC, "1e5*exp(-2e5*((x-.515)^2+(y-.54)^2))"])
 def test_what_quadrature_missed_enters_the_bound(f: str):
     coarse, certificate = certified(0.2, f=f)
-    fine = solve(problem(2**-7, f=f), COMM)
+    fine = solve_case(problem(2**-7, f=f), COMM)
     assert distance(coarse, fine) < certificate.sigma_bound < np.inf
 
 
@@ -78,15 +77,15 @@ def test_what_is_resolved_is_guaranteed_and_sharp(data: dict[str, object]):
     assert certificate.guaranteed
     assert "not guaranteed" not in bound(certificate)
     if not data.get("kappa"):
-        fine = solve(problem(2**0.5 / 64, **data), COMM)
+        fine = solve_case(problem(2**0.5 / 64, **data), COMM)
         assert distance(coarse, fine) < certificate.sigma_bound < 1.6 * distance(coarse, fine)
 
 
 def test_data_from_python_are_by_quadrature():
-    domain = solve(problem(0.2), COMM).spaces.domain
+    domain = solve_case(problem(0.2), COMM).spaces.domain
     x = ufl.SpatialCoordinate(domain.mesh)
     given = Problem(f=ufl.sin(x[0]), kappa=1 + x[1] ** 2)
-    certificate = certify(solve_on(domain.mesh, given, parts=domain.facets, signorini=["bottom"]))
+    certificate = certify(solve(domain, Boundary(["bottom"]), given))
     assert certificate.by_quadrature == ("f", "kappa")
     assert not certificate.guaranteed
     assert bound(certificate).endswith("not guaranteed: f, kappa by quadrature")
@@ -95,13 +94,13 @@ def test_data_from_python_are_by_quadrature():
 def test_without_dirichlet_the_means_of_loads_are_by_quadrature():
     sides = {"boundary.neumann": ["left", "right", "top"]}
     for f, by_quadrature in (("-1 + x/2", ()), ("-1 + x*sin(9*x)/2", ("f",))):
-        certificate = certify(solve(problem(0.2, f=f).with_values(sides), COMM))
+        certificate = certify(solve_case(problem(0.2, f=f).with_values(sides), COMM))
         assert certificate.by_quadrature == by_quadrature
         assert np.isfinite(certificate.bound)
 
 
 def test_unresolved_places_are_refined_first():
-    solution, certificate = adapt(problem(0.3, f=DISC), COMM, max_cells=600)
+    solution, certificate = adapt_case(problem(0.3, f=DISC), COMM, max_cells=600)
     diameters = solution.spaces.mesh.h(2, np.arange(len(certificate.coarse), dtype=np.int32))
     middles = solution.spaces.mesh.geometry.x[solution.spaces.mesh.geometry.dofmaps[0]].mean(axis=1)
     near = np.linalg.norm(middles[:, :2] - [0.515, 0.54], axis=1) < 0.05

@@ -17,6 +17,7 @@ from test_sharp_bounds import make, rotated
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import rough_cells
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.report import above
 from signorini_fenicsx.expressions import read, values_and_gradient
@@ -31,7 +32,6 @@ from signorini_fenicsx.rigorous.simplices import EDGES
 from signorini_fenicsx.rigorous.theorem import prove
 from signorini_fenicsx.rigorous.trace import _lifts
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
@@ -221,7 +221,7 @@ def shaken(discrete: Discrete, size: float, seed: int) -> Discrete:
 def test_any_flux_and_trace(name: str, h: float):
     """The bound is above the exact error, for the solution sharply, for whatever else too."""
     case = load_case(name).with_values({"solve.h": h})
-    discrete, given = discrete_of(solve(case, MPI.COMM_SELF))
+    discrete, given = discrete_of(solve_case(case, MPI.COMM_SELF))
     assert case.exact.u is not None
     error, bound = true_error(discrete, case.exact.u), prove(discrete, given).sigma_bound
     assert error <= bound * (1 + 1e-9)
@@ -257,7 +257,7 @@ def test_any_flux_and_trace(name: str, h: float):
     ids=["cube", "dam", "general", "no Γ_D", "jumps"],
 )
 def test_near_the_certificate(case):
-    solution = solve(case, MPI.COMM_SELF)
+    solution = solve_case(case, MPI.COMM_SELF)
     certificate = certify(solution)
     proof = proof_of(solution, certificate.v)
     assert proof.proven is not None, proof.reason
@@ -270,7 +270,7 @@ def test_near_the_certificate(case):
 def test_load_between_the_points():
     """A disc that no quadrature sees: ‖σ‖ is at least (f, φ)/‖∇φ‖ with φ = min(ln R/r, ln R/a)⁺, a and R radii."""
     case = make(5, ["bottom"], problem__f="1e4 if (x - 0.515)^2 + (y - 0.54)^2 < 2.5e-5 else 0")
-    solution = solve(case, MPI.COMM_SELF)
+    solution = solve_case(case, MPI.COMM_SELF)
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is not None
     far = math.log(0.46 / 0.005)
@@ -292,7 +292,7 @@ def test_load_between_the_points():
 )
 def test_refusals(values: dict[str, object], reason: str):
     """One sentence that says where."""
-    solution = solve(make(4, ["bottom"], **values), MPI.COMM_SELF)
+    solution = solve_case(make(4, ["bottom"], **values), MPI.COMM_SELF)
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is None
     assert proof.summary()["proved"] is None
@@ -302,7 +302,7 @@ def test_refusals(values: dict[str, object], reason: str):
 
 def test_seam():
     """u_D < ψ where Γ_D meets Γ_S leaves no function at all."""
-    solution = solve(make(4, ["bottom"], problem__u_D="1", problem__psi="0.5"), MPI.COMM_SELF)
+    solution = solve_case(make(4, ["bottom"], problem__u_D="1", problem__psi="0.5"), MPI.COMM_SELF)
     discrete, given = discrete_of(solution)
     assert math.isfinite(prove(discrete, given).bound)
     with pytest.raises(InputError, match=r"u_D ≥ psi is not certain near \(0\.[18]\d*, 0\)"):
@@ -310,7 +310,7 @@ def test_seam():
 
 
 def test_data_from_python_and_large_meshes():
-    solution = solve(make(4, ["bottom"]), MPI.COMM_SELF)
+    solution = solve_case(make(4, ["bottom"]), MPI.COMM_SELF)
     with pytest.raises(InputError, match="f must be an expression"):
         Given.of({name: tree for name, tree in solution.data.trees.items() if name != "f"}, FromArb())
     check_size(rough_cells(load_case("example1")))
@@ -324,7 +324,7 @@ def test_ranks_do_not_matter():
     case = make(6, ["bottom", "left"], **general)
     proofs = []
     for comm in (COMM, MPI.COMM_SELF):
-        solution = solve(case, comm)
+        solution = solve_case(case, comm)
         proofs.append(proof_of(solution, certify(solution).v))
     together, alone = (proof.proven for proof in proofs)
     assert together is not None

@@ -11,13 +11,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.oscillation import water_filled
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 EVERYWHERE = ["bottom", "top", "left", "right"]
@@ -63,13 +63,13 @@ def spoilt(solution: Solution) -> Solution:
 )
 def test_near_the_error(n: int, values: dict[str, object], sharp: float):
     """Above the distance to a solution on a mesh 4 times as fine, which is a little less than the error."""
-    coarse, fine = solve(make(n, ["bottom"], **values)), solve(make(4 * n, ["bottom"], **values))
+    coarse, fine = solve_case(make(n, ["bottom"], **values)), solve_case(make(4 * n, ["bottom"], **values))
     assert energy(coarse, fine) < certify(coarse).sigma_bound < sharp * energy(coarse, fine)
 
 
 def test_without_dirichlet_part():
     """A flux that misses the balance by more than rounding is mended, also where nothing holds u but contact."""
-    solution = solve(make(8, EVERYWHERE))
+    solution = solve_case(make(8, EVERYWHERE))
     exact, other = certify(solution), certify(spoilt(solution))
     assert exact.remainder < 1e-9 * exact.bound
     size = math.sqrt(solution.spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx)))
@@ -98,7 +98,7 @@ def test_contact_disc():
         u_D=lambda x: hertz(x, np),
         psi=lambda x: 0.3**2 - ((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2) / 2,
     )
-    solution = solve(case, domain=domain, problem=problem)
+    solution = solve_case(case, domain=domain, problem=problem)
     difference = ufl.grad(hertz(ufl.SpatialCoordinate(domain.mesh), ufl)) - solution.sigma
     dx = ufl.Measure("dx", domain=domain.mesh, metadata={"quadrature_degree": 4})
     error = math.sqrt(solution.spaces.integrate(ufl.inner(difference, difference) * dx))
@@ -127,5 +127,5 @@ def test_ranks_do_not_matter():
     general = {"problem__psi": "0.2*sin(40*x)*cos(30*y) - 0.1", "problem__u_D": "1", "boundary__neumann": ["top"]}
     general |= {"problem__q_S": "cos(20*x)", "problem__g_N": "sin(20*x)", "problem__kappa": rotated(100, 20)}
     for case in (make(8, ["bottom", "left"], **general), make(8, EVERYWHERE)):
-        together, alone = (certify(spoilt(solve(case, comm))) for comm in (COMM, MPI.COMM_SELF))
+        together, alone = (certify(spoilt(solve_case(case, comm))) for comm in (COMM, MPI.COMM_SELF))
         assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-10, abs=1e-12)

@@ -13,12 +13,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.forms.mixed import Fields, mlm_1, mlm_2
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -52,7 +52,7 @@ def test_order_on_an_exact_solution(folder: Path, mesh: str, backend: str):
     found = []
     for h in (1 / 8, 1 / 16, 1 / 32):
         case = make_case(folder, mesh=mesh, parts=["bottom"], f=F, h=h)
-        solution = solve(case.with_values({"solve.backend": backend}), COMM)
+        solution = solve_case(case.with_values({"solve.backend": backend}), COMM)
         found.append((solution.spaces.domain.h, errors(solution)))
         assert abs(solution.contact()[1] - X0) < 0.6 * h**0.5
     for (h0, coarse_errors), (h1, fine_errors) in itertools.pairwise(found):
@@ -67,19 +67,19 @@ def test_algorithms_agree():
     """Algorithms 1 and 2 find the same sets and fields, within a few steps, whatever ρ is."""
     other_ways = [{"solve_algorithm": "alg2"}, {"solve_algorithm": "alg1", "solve_rho": 1e3}]
     for name in CASES:
-        first = solve(coarse(name, solve_algorithm="alg1"), COMM)
+        first = solve_case(coarse(name, solve_algorithm="alg1"), COMM)
         for values in other_ways:
-            other = solve(coarse(name, **values), COMM, domain=first.spaces.domain)
+            other = solve_case(coarse(name, **values), COMM, domain=first.spaces.domain)
             for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
                 np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-11)
             assert first.contact() == other.contact()
-            assert len(other.history) <= 12
+            assert len(other.outcome.history) <= 12
 
 
 @pytest.mark.parallel([1, 2])
 def test_solution_satisfies_the_forms():
     """The residuals of (9) and (10), with projections for (9c) and (10c), vanish for any ρ."""
-    solution = solve(coarse("example2"), COMM)
+    solution = solve_case(coarse("example2"), COMM)
     spaces = solution.spaces
     fields = Fields(solution.sigma, solution.u, solution.p)
     tests = Fields(*(ufl.TestFunction(space) for space in (spaces.V, spaces.Q, spaces.Lambda)))
@@ -112,7 +112,7 @@ PENALTIES = [
 @pytest.mark.parametrize(("name", "algorithm"), [*((name, "alg1") for name in CASES), *PENALTIES])
 def test_independent_values(name: str, algorithm: str):
     """At h = 2^-6 norms within 0.5 %, contact measure within two facets of another program's."""
-    solution = solve(coarse(name, solve_h=2**-6, solve_algorithm=algorithm, solve_eps=1e-8))
+    solution = solve_case(coarse(name, solve_h=2**-6, solve_algorithm=algorithm, solve_eps=1e-8))
     norms = solution.norms()
     found = [norms[key] for key in ("sigma_L2", "u_L2", "p_L2", "flux_L2")]
     assert found == pytest.approx(INDEPENDENT[name][:4], rel=5e-3)
@@ -122,10 +122,10 @@ def test_independent_values(name: str, algorithm: str):
 
 @pytest.mark.parametrize("mesh", ["unstructured", "structured"])
 def test_contact_conditions(mesh: str):
-    solution = solve(coarse("example1", geometry_mesh=mesh), COMM)
+    solution = solve_case(coarse("example1", geometry_mesh=mesh), COMM)
     size = len(solution.spaces.facets)
     p, flux = solution.p.x.array[:size], solution.spaces.normal_flux(solution.sigma)
-    contact = solution.conditions.kind == Condition.ZERO_TRACE
+    contact = solution.outcome.conditions.kind == Condition.ZERO_TRACE
     assert np.all(p[contact] == 0)
     assert np.all(flux[contact] >= 0)
     assert np.all(p[~contact] >= 0)
@@ -135,7 +135,7 @@ def test_contact_conditions(mesh: str):
 
 
 def test_cell_mass_balance():
-    solution = solve(coarse("example3"), COMM)
+    solution = solve_case(coarse("example3"), COMM)
     divergence = fem.Function(solution.spaces.Q)
     points = solution.spaces.Q.element.interpolation_points
     divergence.interpolate(fem.Expression(ufl.div(solution.sigma), points))
@@ -145,7 +145,7 @@ def test_cell_mass_balance():
 @pytest.mark.parallel([1, 3])
 def test_no_load_no_solution_needed(folder: Path):
     """Without a load the solution is 0, and the scale-free residuals are 0 by definition."""
-    solution = solve(make_case(folder, parts=["top"], f="0", h=0.25), COMM)
+    solution = solve_case(make_case(folder, parts=["top"], f="0", h=0.25), COMM)
     assert max(solution.norms().values()) == 0
     assert solution.converged
 
@@ -154,8 +154,8 @@ def test_no_load_no_solution_needed(folder: Path):
 def test_cube(folder: Path):
     for mesh in ("structured", "unstructured"):
         case = make_case(folder, shape="cube", mesh=mesh, parts=["bottom", "left"], f="40*(x - 0.5)", h=0.4)
-        first = solve(case, COMM)
-        second = solve(case.with_values({"solve.algorithm": "alg2"}), COMM, domain=first.spaces.domain)
+        first = solve_case(case, COMM)
+        second = solve_case(case.with_values({"solve.algorithm": "alg2"}), COMM, domain=first.spaces.domain)
         np.testing.assert_allclose(first.sigma.x.array, second.sigma.x.array, atol=1e-12)
         assert 0 < first.contact()[1] < 2
 
@@ -163,10 +163,10 @@ def test_cube(folder: Path):
 @pytest.mark.parallel([1, 2])
 def test_too_few_iterations_is_a_failure_with_its_state():
     with pytest.raises(NumericalFailure, match="facets still change after 2 iterations") as caught:
-        solve(coarse("example2", solve_max_iterations=2), COMM)
+        solve_case(coarse("example2", solve_max_iterations=2), COMM)
     assert caught.value.solution is not None
     assert not caught.value.solution.converged
-    assert len(caught.value.solution.history) == 2
+    assert len(caught.value.solution.outcome.history) == 2
 
 
 RANK_INVARIANTS = ["iterations", "contact_facets", "cells", "dofs", "signorini_facets"]
@@ -183,7 +183,7 @@ def test_ranks_do_not_matter():
         ("example6", "alg1", "unstructured"),
     ]:
         case = coarse(name, solve_algorithm=algorithm, geometry_mesh=mesh)
-        together, alone = solve(case, COMM).summary(), solve(case, MPI.COMM_SELF).summary()
+        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
         assert [together[key] for key in RANK_INVARIANTS] == [alone[key] for key in RANK_INVARIANTS]
         assert together["contact_measure"] == pytest.approx(alone["contact_measure"], rel=1e-12)
         assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)

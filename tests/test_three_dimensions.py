@@ -10,7 +10,7 @@ from test_cli import signorini
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.cases.solving import solve_case
 
 COMM = MPI.COMM_WORLD
 COARSE = {"cube": 0.5, "lprism": 0.7, "ball": 0.8}
@@ -29,10 +29,10 @@ def test_algorithms_agree():
     for name, h in COARSE.items():
         case = load_case(name).with_values({"solve.h": h, "solve.eps": 1e-8})
         domain = mesh_case(case, COMM)
-        first = solve(case, domain=domain)
+        first = solve_case(case, domain=domain)
         assert 0 < first.contact()[0] < first.summary()["signorini_facets"]
         for algorithm, tolerance in (("alg2", 1e-11), ("alg3", 1e-6), ("alg4", 1e-6), ("snes1", 1e-6), ("vi", 1e-9)):
-            other = solve(case.with_values({"solve.algorithm": algorithm}), domain=domain)
+            other = solve_case(case.with_values({"solve.algorithm": algorithm}), domain=domain)
             assert other.contact() == pytest.approx(first.contact())
             for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
                 np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance)
@@ -43,7 +43,7 @@ def test_algorithms_agree():
 def test_ranks_do_not_matter():
     for name, h in COARSE.items():
         case = load_case(name).with_values({"solve.h": h})
-        together, alone = solve(case, COMM).summary(), solve(case, MPI.COMM_SELF).summary()
+        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
         assert together["contact_facets"] == alone["contact_facets"]
         assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
 

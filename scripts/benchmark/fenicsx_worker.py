@@ -5,6 +5,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
@@ -12,23 +13,23 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends import contract as backend
-from signorini_fenicsx.backends import facet_system, hybrid, mixed
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.parallel import Stopwatch, abort_all_on_exception, peak_memory
-from signorini_fenicsx.cases import discretisation
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.domains import discrete_data
-from signorini_fenicsx.discrete.conditions import FacetConditions
-from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
+from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Domain, distribute
 from signorini_fenicsx.meshes.meshing import label_parts
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.solving import prediction, solver
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -42,22 +43,22 @@ SETTINGS: dict[str, dict[str, object]] = {
 }
 
 
-class FreshMixed:
+class FreshMixed(FacetBackend):
     """The paper's way: the saddle point is assembled and factored anew in each step."""
 
     name = "mixed"
 
     def __init__(self, spaces: Spaces, data: Data):
-        self.spaces, self._data = spaces, data
+        super().__init__(spaces, data)
         self.dofs = spaces.V.dofmap.index_map.size_global + spaces.Q.dofmap.index_map.size_global
 
     def solver(self) -> str:
         """Name of the linear solver."""
         return "preonly+lu+mumps"
 
-    def solve(self, conditions: FacetConditions) -> Iterate:
+    def solve(self, conditions: SiteConditions) -> Iterate:
         """Assemble, factor and solve (collective)."""
-        return MixedBackend(self.spaces, self._data).solve(conditions)
+        return MixedBackend(self.spaces, self.data).solve(conditions)
 
 
 def read_mesh(path: str, shape: str) -> Domain:
@@ -68,63 +69,54 @@ def read_mesh(path: str, shape: str) -> Domain:
             points, cells = file["points"], file["cells"]
     else:
         points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
-    return label_parts(distribute(COMM, points, cells, dim), SHAPES[shape])
+    return label_parts(distribute(COMM, points, cells, dim), shape)
 
 
 def solve_known(case: Case, found: Solution) -> dict[str, float]:
     """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
     watch = Stopwatch()
     spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
-    system = HybridBackend(spaces, discrete_data(case, spaces))
+    system = HybridBackend(spaces, project_data(spaces, case.data(spaces.mesh.geometry.dim)))
     watch.lap("assembly")
-    system.solve(found.conditions)
+    system.solve(found.outcome.conditions)
     watch.lap("solve")
     return watch.longest(COMM)
 
 
-class Phases:
-    """Seconds of set-up and of iterations or substitutions, over all linear solves of the backends."""
-
-    def __init__(self) -> None:
-        self.setup = self.solve = 0.0
-
-    def solve_linear(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """What the backends call, with a clock (collective)."""
-        watch = Stopwatch()
-        ksp.setUp()
-        ksp.getPC().setUp()  # which KSP leaves to its solve where only values have changed
-        watch.lap("setup")
-        backend.solve_linear(ksp, b, x)
-        watch.lap("solve")
-        seconds = watch.longest(COMM)
-        self.setup += seconds["setup"]
-        self.solve += seconds["solve"]
+def logged(event: str) -> float:
+    """Seconds that PETSc has spent in one of its events so far, the longest over the ranks (collective)."""
+    return float(COMM.allreduce(PETSc.Log.Event(event).getPerfInfo()["time"], MPI.MAX))
 
 
-def run(method: str, case: Case, domain: Domain) -> dict[str, object]:
+def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, object]:
     """Solve once and report (collective)."""
     case = case.with_values(SETTINGS[method])
-    found = solver.solve(case, COMM, domain=domain) if method == "contact set known" else None
-    phases = Phases()
-    hybrid.solve_linear = mixed.solve_linear = phases.solve_linear
-    if found is None:
-        found = solver.solve(case, COMM, domain=None if method == "ours" else domain)
+    own_mesh = method == "ours"
+    found = solve_case(case, COMM, domain=domain, tuning=tuning) if method == "contact set known" else None
+    before = {event: logged(event) for event in ("PCSetUp", "KSPSolve")}
+    if found is not None:
+        timings = solve_known(case, found)
+    elif method == "saddle point, fresh":
+        options = replace(options_of(case, tuning), backend=FreshMixed)
+        found = solve(domain, boundary_of(case), case.data(domain.mesh.geometry.dim), options)
         timings = found.timings
     else:
-        timings = solve_known(case, found)
+        found = solve_case(case, COMM, domain=None if own_mesh else domain, tuning=tuning)
+        timings = found.timings
+    setup, solving = (logged(event) - seconds for event, seconds in before.items())
     seconds = sum(timings.get(phase, 0.0) for phase in ("assembly", "prediction", "solve"))
     errors = found.errors()
     return {
         "cells": found.spaces.mesh.topology.index_map(found.spaces.mesh.topology.dim).size_global,
-        "unknowns": found.dofs,
-        "solver": found.linear_solver,
-        "steps": 1 if method == "contact set known" else found.rough_steps + len(found.history),
-        "linear_iterations": max(step.linear_iterations for step in found.history),
+        "unknowns": found.outcome.dofs,
+        "solver": found.outcome.linear_solver,
+        "steps": 1 if method == "contact set known" else found.outcome.rough_steps + len(found.outcome.history),
+        "linear_iterations": max(step.linear_iterations for step in found.outcome.history),
         "seconds": seconds,
         "assembly": timings["assembly"],
-        "setup": phases.setup,
-        "solve": phases.solve,
-        "recovery and rest": seconds - timings["assembly"] - phases.setup - phases.solve,
+        "setup": setup,
+        "solve": solving,
+        "recovery and rest": seconds - timings["assembly"] - setup - solving,
         "kkt": max(vars(found.kkt).values()),
         "flux_error": errors["sigma_L2"] if errors else None,
         "contact_measure": found.contact()[1],
@@ -138,14 +130,10 @@ def main() -> None:
     abort_all_on_exception(COMM)
     method, name, h, mesh = sys.argv[1:]
     case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
-    if method == "saddle point, fresh":
-        solver.BACKENDS["mixed"] = FreshMixed
+    PETSc.Log.begin()
     small = case.with_values({"solve.h": 0.2})
-    limits = facet_system.DIRECT_UP_TO, prediction.PREDICT_FROM
-    facet_system.DIRECT_UP_TO, prediction.PREDICT_FROM = 0, 0
-    run(method, small, discretisation.mesh_case(small, COMM))
-    facet_system.DIRECT_UP_TO, prediction.PREDICT_FROM = limits
-    result = run(method, case, read_mesh(mesh, case.geometry.shape))
+    run(method, small, mesh_case(small, COMM), Tuning(direct_up_to=0, predict_from=0))
+    result = run(method, case, read_mesh(mesh, case.geometry.shape), Tuning())
     if COMM.rank == 0:
         print(json.dumps(result))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid
 from fuzzing.cases import KEYS, VALUES
-from signorini_fenicsx.methods.registry import ALGORITHMS
+from signorini_fenicsx.methods.registry import METHODS
 
 SIZES = (
     *NUMBERS,
@@ -146,7 +146,7 @@ def _petsc(rng: random.Random, folder: Path) -> Broken:
 
 def _methods(rng: random.Random, folder: Path) -> Broken:
     """Any algorithm with parameters at and beyond the ends of their ranges."""
-    words = ["solve", "example1", "--h", "1/3", "--algorithm", rng.choice(list(ALGORITHMS)), "--set"]
+    words = ["solve", "example1", "--h", "1/3", "--algorithm", rng.choice(list(METHODS)), "--set"]
     words += [f"solve.max_iterations={rng.choice(['1', '2', '200', '0', '1.5', '-1', 'true'])}"]
     for name in rng.sample(["--rho", "--eps"], rng.choice([0, 1, 2])):
         words += [name, rng.choice(["1e-100", "1e100", "1e-14", "1e6", "1e-320", "1e-13", "1e3", "1", "nan"])]
