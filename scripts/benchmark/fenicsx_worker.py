@@ -74,11 +74,11 @@ def read_mesh(path: str, shape: str) -> Domain:
 def solve_known(case: Case, found: Solution) -> dict[str, float]:
     """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
     watch = Stopwatch()
-    spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
-    system = HybridBackend(spaces, discrete_data(case, spaces))
-    watch.lap("assembly")
-    system.solve(found.conditions)
-    watch.lap("solve")
+    with watch.phase("assembly"):
+        spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
+        system = HybridBackend(spaces, discrete_data(case, spaces))
+    with watch.phase("solve"):
+        system.solve(found.conditions)
     return watch.longest(COMM)
 
 
@@ -91,11 +91,11 @@ class Phases:
     def solve_linear(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """What the backends call, with a clock (collective)."""
         watch = Stopwatch()
-        ksp.setUp()
-        ksp.getPC().setUp()  # which KSP leaves to its solve where only values have changed
-        watch.lap("setup")
-        backend.solve_linear(ksp, b, x)
-        watch.lap("solve")
+        with watch.phase("setup"):
+            ksp.setUp()
+            ksp.getPC().setUp()  # which KSP leaves to its solve where only values have changed
+        with watch.phase("solve"):
+            backend.solve_linear(ksp, b, x)
         seconds = watch.longest(COMM)
         self.setup += seconds["setup"]
         self.solve += seconds["solve"]

@@ -40,8 +40,8 @@ def solve_by_newton(penalty: Penalty, task: Task) -> Outcome:
     Raises:
         InputError: If PETSc refuses an option.
     """
-    newton = PenaltyNewton(task.spaces, task.data, penalty, eps=task.eps, max_iterations=task.max_iterations)
-    task.watch.lap("assembly")
+    with task.watch.phase("assembly"):
+        newton = PenaltyNewton(task.spaces, task.data, penalty, eps=task.eps, max_iterations=task.max_iterations)
     return newton.solve(task.on_step)
 
 
