@@ -1,6 +1,7 @@
 """What is installed, and what is too long to be read."""
 
 import importlib.metadata
+import re
 import tomllib
 from pathlib import Path
 
@@ -17,6 +18,15 @@ def test_every_room_is_installed():
     folders = [path.parent.relative_to(ROOT) for path in (ROOT / "signorini_fenicsx").rglob("__init__.py")]
     assert sorted({".".join(folder.parts) for folder in folders} | {"signorini_fenicsx.forms"}) == sorted(packages)
     assert importlib.metadata.distribution("signorini_fenicsx").read_text("top_level.txt") == "signorini_fenicsx\n"
+
+
+def test_files_that_the_documentation_names():
+    """Each `….py` in README and docs is a file, by its name and the folder before it if one is named."""
+    folders = ("forms", "scripts", "signorini_fenicsx", "tests")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+        named = set(re.findall(r"(?:\w+/)?\w+\.py\b", page.read_text(encoding="utf-8")))
+        assert {name for name in named if not any(path.match(name) for path in files)} == set(), page
 
 
 @pytest.mark.parametrize(
