@@ -75,11 +75,11 @@ def read_mesh(path: str, shape: str) -> Domain:
 def solve_known(case: Case, found: Solution) -> dict[str, float]:
     """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
     watch = Stopwatch()
-    spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
-    system = HybridBackend(spaces, project_data(spaces, case.data(spaces.mesh.geometry.dim)))
-    watch.lap("assembly")
-    system.solve(found.outcome.conditions)
-    watch.lap("solve")
+    with watch.phase("assembly"):
+        spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
+        system = HybridBackend(spaces, project_data(spaces, case.data(spaces.mesh.geometry.dim)))
+    with watch.phase("solve"):
+        system.solve(found.outcome.conditions)
     return watch.longest(COMM)
 
 

@@ -1,12 +1,13 @@
 """What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
 
+import contextlib
 import gc
 import os
 import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import NoReturn
 
@@ -98,17 +99,31 @@ def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
 
 
 class Stopwatch:
-    """Wall time per phase."""
+    """Wall time per phase; each phase is a stage of PETSc's log as well, so that `-log_view` reads like the program.
+
+    Attributes:
+        seconds: Time of each phase that has ended, without that of the phases within it.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._within = 0.0
 
-    def lap(self, phase: str) -> None:
-        """Add the time since the last lap to a phase."""
-        now = time.perf_counter()
-        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._last
-        self._last = now
+    @contextlib.contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Measure what is done inside; a phase within another one interrupts it."""
+        from petsc4py import PETSc  # not before the command line has given PETSc its options
+
+        stage, began, before = PETSc.Log.Stage(name), time.perf_counter(), self._within
+        self._within = 0.0
+        stage.push()
+        try:
+            yield
+        finally:
+            stage.pop()
+            seconds = time.perf_counter() - began
+            self.seconds[name] = self.seconds.get(name, 0.0) + seconds - self._within
+            self._within = before + seconds
 
     def longest(self, comm: MPI.Comm) -> dict[str, float]:
         """Each phase's longest time over the ranks (collective)."""

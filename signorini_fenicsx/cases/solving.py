@@ -48,8 +48,8 @@ def solve_case(
         return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
 
     remesh = coarser if domain is None else None
-    domain = domain or mesh_case(case, comm)
-    watch.lap("mesh")
+    with watch.phase("mesh"):
+        domain = domain or mesh_case(case, comm)
     return solve(
         domain,
         boundary_of(case),

@@ -39,8 +39,8 @@ def solve_bound_constrained(task: Task) -> Outcome:
     Raises:
         InputError: If PETSc refuses an option.
     """
-    system = FacetSystem(task.spaces, task.data, task.tuning)
-    task.watch.lap("assembly")
+    with task.watch.phase("assembly"):
+        system = FacetSystem(task.spaces, task.data, task.tuning)
     everywhere_free = SiteConditions.everywhere(Condition.NO_FLUX, len(system.spaces.facets))
     system.apply(everywhere_free)
     system.x.set(0.0)

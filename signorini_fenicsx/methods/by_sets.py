@@ -21,11 +21,11 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
         InputError: If PETSc refuses an option.
         LinearSolveFailure: If the start cannot be solved.
     """
-    backend = task.backend(task.spaces, task.data)
-    task.watch.lap("assembly")
+    with task.watch.phase("assembly"):
+        backend = task.backend(task.spaces, task.data)
     parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations)
-    outcome = _from_best_start(backend, rule, parameters, task)
-    task.watch.lap("solve")
+    with task.watch.phase("solve"):
+        outcome = _from_best_start(backend, rule, parameters, task)
     if backend.precise is None or not outcome.converged:
         return outcome
     return _made_precise(outcome, backend.precise, rule, parameters, task)
@@ -37,14 +37,14 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
     spaces = task.spaces
     predicted, steps = None, 0
     with contextlib.suppress(LinearSolveFailure):
-        contact, worth_it = task.start, task.predict and prediction.is_worth_it(spaces)
-        if contact is None and worth_it:
-            contact = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
-        if worth_it and backend.inexact is not None:
-            predicted, steps = prediction.settle(backend.inexact, spaces, contact)
-        elif contact is not None:
-            predicted = prediction.transferred(contact, spaces)
-        task.watch.lap("prediction")
+        with task.watch.phase("prediction"):
+            contact, worth_it = task.start, task.predict and prediction.is_worth_it(spaces)
+            if contact is None and worth_it:
+                contact = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
+            if worth_it and backend.inexact is not None:
+                predicted, steps = prediction.settle(backend.inexact, spaces, contact)
+            elif contact is not None:
+                predicted = prediction.transferred(contact, spaces)
         if predicted is not None:
             outcome = iterate_sets(backend, rule, parameters, start=predicted, on_step=task.on_step)
             if outcome.converged:
@@ -60,12 +60,11 @@ def _made_precise(
     outcome: Outcome, precise: Callable[[], Backend[Iterate]], rule: SetRule, parameters: Parameters, task: Task
 ) -> Outcome:
     """The outcome with its KKT residuals; if they say so, that of a precise backend from its sets (collective)."""
-    kkt = task.kkt(outcome.iterate, rule.penalty)
-    task.watch.lap("kkt")
+    with task.watch.phase("kkt"):
+        kkt = task.kkt(outcome.iterate, rule.penalty)
     if kkt.stationarity <= KKT:
         return replace(outcome, kkt=kkt)
     again = iterate_sets(precise(), rule, parameters, start=outcome.conditions, on_step=task.on_step)
-    task.watch.lap("solve")
     steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
     remark = f"by the saddle point, because the facet system left stationarity {kkt.stationarity:.1e}"
     return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")

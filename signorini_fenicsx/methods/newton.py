@@ -40,15 +40,15 @@ def solve_by_newton(penalty: Penalty, task: Task) -> Outcome:
     Raises:
         InputError: If PETSc refuses an option.
     """
-    newton = PenaltyNewton(task.spaces, task.data, penalty, eps=task.eps, max_iterations=task.max_iterations)
-    task.watch.lap("assembly")
+    with task.watch.phase("assembly"):
+        newton = PenaltyNewton(task.spaces, task.data, penalty, eps=task.eps, max_iterations=task.max_iterations)
     return newton.solve(task.on_step)
 
 
 class PenaltyNewton:
     """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
 
-    SNES gets the laws free of 1/ε (see `forms.penalty`) with the derivative that UFL makes of them, for σ − σ_lift, u
+    SNES gets the laws free of 1/ε of `forms/penalty.py` with the derivative that UFL makes of them, for σ − σ_lift, u
     and p − ψ. All its options are the user's: -snes_monitor, -snes_linesearch_type bt, -newton_snes_type newtontr, …
     """
 

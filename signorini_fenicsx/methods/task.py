@@ -37,7 +37,7 @@ class Task:
         predict: Whether the sets of large problems are predicted.
         coarser: Makes coarser meshes for that, if there are some.
         tuning: From which size on, and more of that kind.
-        watch: Its laps end the phases of the method.
+        watch: Measures the phases of the method.
     """
 
     spaces: Spaces

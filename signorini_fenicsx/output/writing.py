@@ -65,40 +65,40 @@ def write_solution(
     """
     folder = Path(folder)
     watch = Stopwatch()
-    indicator = None if certificate is None else certificate.indicator
-    table, cells = gather_facets(solution), gather_fields(solution, indicator)
-    boundary = gather_boundary(solution) if plot or html else None
-    marks = gather_marks(solution.spaces.domain)
-    summary = solution.summary()
-    if certificate is not None:
-        summary["certificate"] = certificate.summary()
-        summary["timings"] |= {"certificate": certificate.seconds}
-    if proof is not None:
-        summary["certificate"] |= proof.summary()
+    with watch.phase("output"):
+        indicator = None if certificate is None else certificate.indicator
+        table, cells = gather_facets(solution), gather_fields(solution, indicator)
+        boundary = gather_boundary(solution) if plot or html else None
+        marks = gather_marks(solution.spaces.domain)
+        summary = solution.summary()
+        if certificate is not None:
+            summary["certificate"] = certificate.summary()
+            summary["timings"] |= {"certificate": certificate.seconds}
+        if proof is not None:
+            summary["certificate"] |= proof.summary()
 
-    def write() -> None:
-        if table is not None and cells is not None:
-            part = folder / f"{FILE}.part"
-            write_checkpoint(part, solution, cells, table, marks)
-            part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
-            write_facets(folder / "facets.csv", solution.spaces.part_names, table)
-            if boundary is not None:
-                from signorini_fenicsx.output import (
-                    pictures,  # costs a second, which a run without pictures need not wait
-                )
+        def write() -> None:
+            if table is not None and cells is not None:
+                part = folder / f"{FILE}.part"
+                write_checkpoint(part, solution, cells, table, marks)
+                part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
+                write_facets(folder / "facets.csv", solution.spaces.part_names, table)
+                if boundary is not None:
+                    from signorini_fenicsx.output import (
+                        pictures,  # costs a second, which a run without pictures need not wait
+                    )
 
-                scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
-                if plot:
-                    pictures.draw_all(folder, scene)
-                if html:
-                    pictures.write_page(folder / "solution.html", scene)
-        write_history(folder / "history.csv", solution.outcome.history)
+                    scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+                    if plot:
+                        pictures.draw_all(folder, scene)
+                    if html:
+                        pictures.write_page(folder / "solution.html", scene)
+            write_history(folder / "history.csv", solution.outcome.history)
 
-    comm = solution.spaces.mesh.comm
-    on_root(comm, write)
-    if fields:
-        write_fields(solution, folder, certificate)
-    watch.lap("output")
+        comm = solution.spaces.mesh.comm
+        on_root(comm, write)
+        if fields:
+            write_fields(solution, folder, certificate)
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 

@@ -59,12 +59,13 @@ def proof_of(solution: Solution, v: fem.Function) -> Proof:
     """
     watch = Stopwatch()
     comm = solution.spaces.mesh.comm
-    try:
-        check_size(solution.spaces.Q.dofmap.index_map.size_global)
-        given = Given.of(solution.data.trees, FromArb())
-        discrete = gathered(solution, v)
-        proven, reason = on_root(comm, lambda: None if discrete is None else prove(discrete, given)), ""
-    except InputError as error:
-        proven, reason = None, str(error)
-    watch.lap("proof")
+    proven, reason = None, ""
+    with watch.phase("proof"):
+        try:
+            check_size(solution.spaces.Q.dofmap.index_map.size_global)
+            given = Given.of(solution.data.trees, FromArb())
+            discrete = gathered(solution, v)
+            proven = on_root(comm, lambda: None if discrete is None else prove(discrete, given))
+        except InputError as error:
+            reason = str(error)
     return Proof(proven, reason, watch.longest(comm)["proof"])

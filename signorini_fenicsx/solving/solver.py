@@ -62,35 +62,34 @@ def solve(
     """
     options, watch = options or Options(), watch or Stopwatch()
     method, comm = options.method, domain.mesh.comm
-    check_parts(domain, boundary)
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
-    data = project_data(spaces, problem)
-    check_solvability(spaces, data)
-    _check_method(options, spaces, start)
-    # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
-    constant = 0.0 if method.stabilised else data.common_constant(spaces)
-    task = Task(
-        spaces=spaces,
-        data=data.less(spaces, constant),
-        rho=options.rho,
-        eps=options.eps,
-        max_iterations=options.max_iterations or method.max_iterations,
-        on_step=on_step,
-        backend=options.make_backend,
-        start=None if start is None else start.contact_set(),
-        predict=options.predict,
-        coarser=None if remesh is None else _coarser(remesh, boundary, problem),
-        tuning=options.tuning,
-        watch=watch,
-    )
-    watch.lap("assembly")
-    outcome = _run(task, options)
-    watch.lap("solve")
-
-    kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
-    outcome.iterate.u.x.array[:] += constant
-    PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
-    watch.lap("kkt")
+    with watch.phase("assembly"):
+        check_parts(domain, boundary)
+        spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+        data = project_data(spaces, problem)
+        check_solvability(spaces, data)
+        _check_method(options, spaces, start)
+        # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
+        constant = 0.0 if method.stabilised else data.common_constant(spaces)
+        task = Task(
+            spaces=spaces,
+            data=data.less(spaces, constant),
+            rho=options.rho,
+            eps=options.eps,
+            max_iterations=options.max_iterations or method.max_iterations,
+            on_step=on_step,
+            backend=options.make_backend,
+            start=None if start is None else start.contact_set(),
+            predict=options.predict,
+            coarser=None if remesh is None else _coarser(remesh, boundary, problem),
+            tuning=options.tuning,
+            watch=watch,
+        )
+    with watch.phase("solve"):
+        outcome = _run(task, options)
+    with watch.phase("kkt"):
+        kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
+        outcome.iterate.u.x.array[:] += constant
+        PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     failure = _failure(outcome, kkt)
     solution = Solution(
         name=name,

@@ -1,0 +1,45 @@
+"""Refuse modules and functions that are too long to be read: `python scripts/sizes.py`, a part of CI.
+
+A function is counted without its docstring.
+"""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+MODULE = {"forms": 350, "signorini_fenicsx": 350, "scripts": 400, "tests": 400}
+"""Most lines of a module, by folder."""
+FUNCTION = 60
+"""Most lines of a function in the package and its forms."""
+
+
+def too_long(root: Path) -> Iterator[str]:
+    """What is longer than that in the repository at `root`, a sentence each."""
+    for folder, most in MODULE.items():
+        for path in sorted((root / folder).rglob("*.py")):
+            name, text = path.relative_to(root), path.read_text(encoding="utf-8")
+            if (lines := len(text.splitlines())) > most:
+                yield f"{name}: {lines} lines, more than {most}"
+            if folder in ("forms", "signorini_fenicsx"):
+                for node in ast.walk(ast.parse(text)):
+                    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (lines := length(node)) > FUNCTION:
+                        yield f"{name}:{node.lineno}: {node.name} has {lines} lines, more than {FUNCTION}"
+
+
+def length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function without its docstring and decorators."""
+    first, *_ = function.body
+    has_docstring = ast.get_docstring(function, clean=False) is not None
+    return _lines(function) - (_lines(first) if has_docstring else 0)
+
+
+def _lines(node: ast.stmt) -> int:
+    return (node.end_lineno or node.lineno) - node.lineno + 1
+
+
+if __name__ == "__main__":
+    found = list(too_long(ROOT))
+    print("\n".join(found), end="\n" if found else "")
+    sys.exit(bool(found))

@@ -1,0 +1,47 @@
+"""What is installed, and what is too long to be read."""
+
+import importlib.metadata
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from sizes import too_long
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_room_is_installed():
+    """The list in pyproject.toml is complete, and the package is the only name that an installation takes."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        packages = tomllib.load(file)["tool"]["setuptools"]["packages"]
+    folders = [path.parent.relative_to(ROOT) for path in (ROOT / "signorini_fenicsx").rglob("__init__.py")]
+    assert sorted({".".join(folder.parts) for folder in folders} | {"signorini_fenicsx.forms"}) == sorted(packages)
+    assert importlib.metadata.distribution("signorini_fenicsx").read_text("top_level.txt") == "signorini_fenicsx\n"
+
+
+def test_files_that_the_documentation_names():
+    """Each `….py` in README and docs is a file, by its name and the folder before it if one is named."""
+    folders = ("forms", "scripts", "signorini_fenicsx", "tests")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+        named = set(re.findall(r"(?:\w+/)?\w+\.py\b", page.read_text(encoding="utf-8")))
+        assert {name for name in named if not any(path.match(name) for path in files)} == set(), page
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "found"),
+    [
+        ("forms/a.py", "x = 1\n" * 350, []),
+        ("forms/a.py", "x = 1\n" * 351, ["forms/a.py: 351 lines, more than 350"]),
+        ("tests/a.py", "x = 1\n" * 401, ["tests/a.py: 401 lines, more than 400"]),
+        ("forms/a.py", 'def f():\n    """One.\n\n    Two.\n    """\n' + "    g()\n" * 59, []),
+        ("forms/a.py", "def f():\n" + "    g()\n" * 60, ["forms/a.py:1: f has 61 lines, more than 60"]),
+        ("scripts/a.py", "def f():\n" + "    g()\n" * 60, []),
+    ],
+)
+def test_sizes(tmp_path: Path, file: str, text: str, found: list[str]):
+    path = tmp_path / file
+    path.parent.mkdir()
+    path.write_text(text)
+    assert list(too_long(tmp_path)) == found

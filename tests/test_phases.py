@@ -1,0 +1,30 @@
+"""The phases of a run, by the clock and in PETSc's log."""
+
+from pathlib import Path
+
+import pytest
+from test_cli import signorini
+
+from signorini_fenicsx.base import parallel
+from signorini_fenicsx.base.parallel import Stopwatch
+
+
+def test_a_phase_interrupts_the_one_around_it(monkeypatch: pytest.MonkeyPatch):
+    ticks = iter([0.0, 1.0, 3.0, 4.0, 8.0, 16.0])
+    monkeypatch.setattr(parallel.time, "perf_counter", lambda: next(ticks))
+    watch = Stopwatch()
+    with watch.phase("solve"):  # 0 to 16
+        with watch.phase("assembly"):  # 1 to 3
+            pass
+        with pytest.raises(ValueError, match="lost"), watch.phase("assembly"):  # 4 to 8
+            raise ValueError("lost")
+    assert list(watch.seconds.items()) == [("assembly", 6.0), ("solve", 10.0)]
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_log_view_reads_like_the_program(tmp_path: Path, ranks: int):
+    done = signorini(tmp_path, "solve", "example2", "--h", "1/4", "--", "-log_view", ":log", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    table = (tmp_path / "log").read_text().partition("Summary of Stages:")[2].partition("\n---")[0]
+    stages = [line.split(":")[1].strip() for line in table.splitlines() if line[:2].strip().isdigit()]
+    assert stages == ["Main Stage", "mesh", "assembly", "solve", "prediction", "kkt", "certificate", "output"]
