@@ -18,7 +18,7 @@ from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
 from signorini_fenicsx.methods.registry import METHODS
-from signorini_fenicsx.methods.task import Coarser, Task
+from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 
@@ -64,8 +64,7 @@ def solve(
     method, comm = options.method, domain.mesh.comm
     with watch.phase("assembly"):
         check_parts(domain, boundary)
-        spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
-        data = project_data(spaces, problem)
+        spaces, data = _discretised(domain, boundary, problem)
         check_solvability(spaces, data)
         _check_method(options, spaces, start)
         # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
@@ -80,7 +79,7 @@ def solve(
             backend=options.make_backend,
             start=None if start is None else start.contact_set(),
             predict=options.predict,
-            coarser=None if remesh is None else _coarser(remesh, boundary, problem),
+            coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
             tuning=options.tuning,
             watch=watch,
         )
@@ -139,12 +138,9 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
     return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {KKT:g}"
 
 
-def _coarser(remesh: Remesh, boundary: Boundary, problem: Problem) -> Coarser:
-    def coarser(factor: float) -> tuple[Spaces, Data]:
-        spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann)
-        return spaces, project_data(spaces, problem)
-
-    return coarser
+def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    return spaces, project_data(spaces, problem)
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
