@@ -10,7 +10,7 @@ from signorini_fenicsx.api import Problem, solve_on
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import Certificate, certify
-from signorini_fenicsx.cli.report import bound
+from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve

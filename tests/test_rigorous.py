@@ -17,7 +17,7 @@ from test_sharp_bounds import make, rotated
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.cli.report import above
+from signorini_fenicsx.cli.solution_report import above
 from signorini_fenicsx.expressions import read, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.rigorous import simplices

@@ -3,9 +3,8 @@
 import csv
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 
 import dolfinx.mesh
 import numpy as np
@@ -293,11 +292,3 @@ def fitted_slopes(rows: list[ErrorRow], vary: Vary) -> dict[str, float]:
             base = 10 if vary is Vary.EPS else 2
             slopes[name] = -float(np.polyfit([row.level for row in rows], np.log(values) / np.log(base), 1)[0])
     return slopes
-
-
-def write_table(path: Path, rows: list[ErrorRow]) -> None:
-    """Write the rows as CSV (rank 0)."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(ErrorRow)])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
