@@ -224,15 +224,20 @@ def _file_digest(path: str) -> str:
 
 
 def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
-    """A run, named by what it is."""
-    values = case.model_dump(mode="json")
+    """A run, named by what it is.
+
+    Keys at their default do not enter the name, so that runs made before there was a key stay valid.
+    """
+    values = flattened(case.model_dump(mode="json", exclude_defaults=True))
     if case.geometry.file is not None:
-        values["geometry"]["file"] = _file_digest(case.geometry.file)
+        values["geometry.file"] = _file_digest(case.geometry.file)
+    if case.file_h is not None:  # without h, a `.geo` file has sizes of its own
+        values["solve.h"] = case.file_h
     content = {
         "version": __version__,
         "case": case.name,
         "values": values,
-        "convergence": None if task is None else task.model_dump(mode="json"),
+        "convergence": None if task is None else task.model_dump(mode="json", exclude_defaults=True),
         "fields": fields,
         "plot": plot,
     }
