@@ -8,12 +8,12 @@ from enum import Enum
 
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
 from forms.norms import l2
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.base.shipped import data_folder
@@ -23,8 +23,6 @@ from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.methods.registry import ALGORITHMS
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
-
-type Array = npt.NDArray[np.float64]
 
 ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
 ASYMPTOTIC_EPS = 1e-2
