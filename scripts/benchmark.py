@@ -8,8 +8,6 @@ the fields: without the mesh and without the final KKT check.
     uv run --group bench python scripts/benchmark.py --quick
 """
 
-import csv
-import dataclasses
 import json
 import os
 import statistics
@@ -26,6 +24,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.meshes.shapes import SHAPES
 
@@ -93,7 +92,7 @@ def main(
     for name in (case,) if case else sizes:
         for h in sizes[name]:
             rows += compare(name, h, repeats)
-            write_csv(rows, output / "benchmark.csv")
+            write_table(output / "benchmark.csv", Row, rows)
     draw(rows, output / "benchmark.png")
     console.print(targets(rows))
     console.print(f"results    {output}")
@@ -268,14 +267,6 @@ def seconds(rows: list[Row], case: str, method: str, cells: int, *, ranks: int =
         return known[cells], False
     (n1, t1), (n2, t2) = sorted(known.items())[-2:]
     return t2 * (cells / n2) ** (np.log(t2 / t1) / np.log(n2 / n1)), True
-
-
-def write_csv(rows: list[Row], path: Path) -> None:
-    """Write one line per competitor and mesh."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in dataclasses.fields(Row)])
-        writer.writeheader()
-        writer.writerows(dataclasses.asdict(row) for row in rows)
 
 
 def draw(rows: list[Row], path: Path) -> None:

@@ -9,8 +9,8 @@ over the examples.
 """
 
 import argparse
-import csv
-from dataclasses import asdict, fields
+import itertools
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from rich.table import Table
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.method_comparison import MethodRow, compare_methods
@@ -118,10 +119,7 @@ def main() -> None:
 
     def write() -> None:
         options.output.mkdir(parents=True, exist_ok=True)
-        with (options.output / "methods.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(asdict(row) for of_level in rows.values() for row in of_level)
+        write_table(options.output / "methods.csv", MethodRow, itertools.chain(*rows.values()))
         draw(options.output / "methods.png", rows)
 
     on_root(COMM, write)

@@ -20,9 +20,9 @@ from mpi4py import MPI
 import signorini_fenicsx  # noqa: F401 - orders MPI before DOLFINx
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import abort_all_on_exception, on_root
-from signorini_fenicsx.cli import study_report
+from signorini_fenicsx.base.versions import versions
+from signorini_fenicsx.cli.study_report import Progress, StudyReport
 from signorini_fenicsx.comparing.convergence import Vary, slides_errors
-from signorini_fenicsx.output.writing import versions
 from signorini_fenicsx.studies.folder import StudyFolder
 from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
 from signorini_fenicsx.studies.study import Convergence, Run, load_study, make_run
@@ -127,7 +127,7 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
     wanted = {name: item for name, item in items().items() if name in names or "all" in names}
     runs_by_item = on_root(comm, lambda: {name: runs_of(item, quick=quick) for name, item in wanted.items()})
     runs = list({run.name: run for runs in runs_by_item.values() for run in runs}.values())
-    with folder, study_report.Progress(runs, folder, comm) as progress:
+    with folder, Progress(runs, folder, comm, StudyReport()) as progress:
         if runs:
             run_study(runs, 1, folder, comm, on_run=progress.say)
             check_all_succeeded(runs, folder, comm)

@@ -12,8 +12,8 @@ import pytest
 from test_cli import run, signorini
 
 from signorini_fenicsx.base.signals import Interruption, listening
-from signorini_fenicsx.cli import report
 from signorini_fenicsx.cli.main import main
+from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.solving import solver
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
@@ -47,7 +47,7 @@ def test_a_signal_in_the_loop_keeps_its_state(
 ):
     monkeypatch.chdir(tmp_path)
     with monkeypatch.context() as during:
-        told_to_end(during, report, "step", 2, signal.SIGTERM)
+        told_to_end(during, SolutionReport, "step", 2, signal.SIGTERM)
         during.setattr(sys, "argv", ["signorini"])
         assert ended(during, *SOLVE, "--algorithm", algorithm) == 1
     assert "failed: interrupted by SIGTERM; the last state is in" in " ".join(capsys.readouterr().err.split())
@@ -63,13 +63,13 @@ def test_a_signal_to_one_rank_ends_all_in_order(tmp_path: Path):
         "import os, signal, sys\n"
         "from mpi4py import MPI\n"
         "from signorini_fenicsx.cli import main as cli\n"
-        "from signorini_fenicsx.cli import report\n"
-        "step = report.step\n"
-        "def signalled(row):\n"
-        "    step(row)\n"
+        "from signorini_fenicsx.cli.solution_report import SolutionReport\n"
+        "step = SolutionReport.step\n"
+        "def signalled(report, row):\n"
+        "    step(report, row)\n"
         "    if row.iteration == 2 and MPI.COMM_WORLD.rank == 1:\n"
         "        os.kill(os.getpid(), signal.SIGINT)\n"
-        "report.step = signalled\n"
+        "SolutionReport.step = signalled\n"
         "cli.main()\n"
     )
     done = run(tmp_path, sys.executable, str(script), *SOLVE, ranks=2)

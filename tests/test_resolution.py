@@ -9,7 +9,7 @@ from signorini_fenicsx.api import Boundary, Problem, solve
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import Certificate, certify
-from signorini_fenicsx.cli.report import bound
+from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.solving.solution import Solution

@@ -19,7 +19,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.cli.report import above
+from signorini_fenicsx.cli.solution_report import above
 from signorini_fenicsx.expressions import read, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.rigorous import simplices

@@ -15,8 +15,10 @@ from test_cli import read_rows, run, signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.farm import hand_out
+from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.studies.folder import StudyFolder
-from signorini_fenicsx.studies.study import load_study, study_names
+from signorini_fenicsx.studies.study import Convergence, load_study, make_run, study_names
 
 STUDY = """
 title = "A small study"
@@ -62,6 +64,29 @@ def test_cases_beside_the_study(tmp_path: Path):
     _, changed = load_study(write(tmp_path, 'case = "mine.toml"'))
     assert [run.case.name for run in runs] == ["mine"]
     assert runs[0].name != changed[0].name
+
+
+def test_keys_at_their_default_do_not_make_another_run(tmp_path: Path):
+    """A later version may have a key more, with which older runs stay valid; given a value, it makes another run."""
+
+    class LaterCase(Case):
+        law: str = "signorini"
+
+    case = load_case("example1")
+    later = LaterCase.model_validate(case.model_dump() | {"name": case.name})
+    assert make_run(later).name == make_run(case).name
+    assert make_run(later.model_copy(update={"law": "tresca"})).name != make_run(case).name
+    defaults = {"solve.eps": "1e-8", "solve.predict": True, "problem.psi": "0", "geometry.mesh": "unstructured"}
+    assert make_run(case.with_values(defaults)).name == make_run(case).name
+    task = Convergence(levels=[2, 3])
+    assert make_run(case, task).name == make_run(case, Convergence(levels=[2, 3], reference=8)).name
+    assert make_run(case, task).name != make_run(case, Convergence(levels=[2, 3], reference=7)).name
+
+
+def test_the_default_h_of_a_geometry_is_not_its_own():
+    """A `.geo` file has sizes of its own unless h is given, whatever the value."""
+    own = load_case("dam").with_values({"geometry": {"file": str(data_folder("meshes") / "dam.geo")}})
+    assert make_run(own).name != make_run(own.with_values({"solve.h": 2**-5})).name
 
 
 def test_eps_varies_wherever_there_is_one(tmp_path: Path):

@@ -60,6 +60,8 @@ def import_everything(pencil: Path) -> None:
 
     import signorini_fenicsx.cases.inspection
     import signorini_fenicsx.certificate.adaptive
+    import signorini_fenicsx.cli.adapt_report
+    import signorini_fenicsx.cli.comparison_report
     import signorini_fenicsx.cli.study_report
     import signorini_fenicsx.comparing.comparison
     import signorini_fenicsx.meshes.meshio_files

@@ -20,7 +20,7 @@ from signorini_fenicsx.discrete.problem import Given, Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
-from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
 
@@ -195,6 +195,11 @@ class Case(_Section):
         """What is known of the mesh size before there is a mesh."""
         asked = self.solve.h if self.geometry.shape is not None else self.file_h
         return f"mesh {self.geometry.name}" if asked is None else f"h ≤ {asked:g}"
+
+    @property
+    def method(self) -> Method:
+        """What it is solved with."""
+        return METHODS[self.solve.algorithm]
 
     def data(self, dim: int) -> Problem:
         """The data in this dimension, with the exact u where it is given.

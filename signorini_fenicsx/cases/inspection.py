@@ -15,7 +15,6 @@ from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solver import check_solvability
 
 FACETS_PER_CELL = {2: 1.5, 3: 2.0}
@@ -101,7 +100,7 @@ def expected(case: Case, ranks: int) -> Expected:
 
 def is_typical(case: Case) -> bool:
     """Whether the measured rates are of the case's algorithm and backend."""
-    return METHODS[case.solve.algorithm].starts_from_sets and case.solve.backend == "hybrid"
+    return case.method.starts_from_sets and case.solve.backend == "hybrid"
 
 
 def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:

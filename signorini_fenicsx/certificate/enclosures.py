@@ -25,8 +25,9 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import Tree
-from signorini_fenicsx.expressions.intervals import WHOLE, Array, Elementary, FromNumPy, Interval, Mask, enclosing
+from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, FromNumPy, Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges
 from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack, stacked
 

@@ -8,32 +8,34 @@ from typing import Self
 from mpi4py import MPI
 from rich.live import Live
 
-from signorini_fenicsx.cli.report import console
+from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.studies.folder import Status, StudyFolder
 from signorini_fenicsx.studies.study import Run, Study
 
 
-def heading(study: Study, runs: Sequence[Run], comm: MPI.Comm) -> None:
-    """Say what is about to be done, and with what."""
-    size = min(study.ranks_per_run, comm.size)
-    groups, idle = divmod(comm.size, size)
-    console.print(study.title or study.name, style="bold", markup=False)
-    shape = f"{groups} group{'s' * (groups > 1)} of {size} rank{'s' * (size > 1)}"
-    remark = f", {idle} idle" if idle else ""
-    if size < study.ranks_per_run:
-        remark += f" (ranks_per_run = {study.ranks_per_run} wants more)"
-    console.print(f"{len(runs)} runs, {shape}{remark}")
+class StudyReport(Report):
+    """What `signorini study` prints."""
 
+    def heading(self, study: Study, runs: Sequence[Run], comm: MPI.Comm) -> None:
+        """Say what is about to be done, and with what."""
+        size = min(study.ranks_per_run, comm.size)
+        groups, idle = divmod(comm.size, size)
+        self.title(study.title or study.name)
+        shape = f"{groups} group{'s' * (groups > 1)} of {size} rank{'s' * (size > 1)}"
+        remark = f", {idle} idle" if idle else ""
+        if size < study.ranks_per_run:
+            remark += f" (ranks_per_run = {study.ranks_per_run} wants more)"
+        self.line(f"{len(runs)} runs, {shape}{remark}")
 
-def plan(runs: Sequence[Run], folder: StudyFolder) -> None:
-    """List the runs with the values in which they differ, their estimated sizes and where they stand."""
-    parameters = [run.parameters for run in runs]
-    varied = [key for key in parameters[0] if len({str(values[key]) for values in parameters}) > 1]
-    for run, values in zip(runs, parameters, strict=True):
-        differences = "  ".join(f"{key.removeprefix('solve.')} = {values[key]}" for key in varied)
-        status = folder.status(run).value
-        console.print(f"{status:<7} {run.name}  ≈ {run.cells:8.2g} cells  {differences}", markup=False)
-    console.print(f"≈ {sum(run.cells for run in runs):.2g} cells in all")
+    def plan(self, runs: Sequence[Run], folder: StudyFolder) -> None:
+        """List the runs with the values in which they differ, their estimated sizes and where they stand."""
+        parameters = [run.parameters for run in runs]
+        varied = [key for key in parameters[0] if len({str(values[key]) for values in parameters}) > 1]
+        for run, values in zip(runs, parameters, strict=True):
+            differences = "  ".join(f"{key.removeprefix('solve.')} = {values[key]}" for key in varied)
+            status = folder.status(run).value
+            self.line(f"{status:<7} {run.name}  ≈ {run.cells:8.2g} cells  {differences}")
+        self.line(f"≈ {sum(run.cells for run in runs):.2g} cells in all")
 
 
 class Progress:
@@ -43,18 +45,19 @@ class Progress:
     is printed for each finished run, as soon as this rank comes to know of it.
     """
 
-    def __init__(self, runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm):
+    def __init__(self, runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm, report: Report):
         """Look where the runs stand (rank 0)."""
+        self._report = report
         self._runs, self._folder, self._speaks = runs, folder, comm.rank == 0
         self._began = time.perf_counter()
         self._earlier = {run.name for run in self._finished()} if self._speaks else set()
         self._said = set(self._earlier)
-        self._live = Live(console=console, get_renderable=self._view, refresh_per_second=2, transient=True)
+        self._live = Live(console=report.console, get_renderable=self._view, refresh_per_second=2, transient=True)
 
     def __enter__(self) -> Self:
         if self._speaks and self._earlier:
-            console.print(f"{len(self._earlier)} runs were finished before")
-        if self._speaks and console.is_terminal:
+            self._report.line(f"{len(self._earlier)} runs were finished before")
+        if self._speaks and self._report.console.is_terminal:
             self._live.start()
         return self
 
@@ -70,9 +73,7 @@ class Progress:
             if run.name not in self._said:
                 self._said.add(run.name)
                 record = self._folder.record(run)
-                console.print(
-                    f"{record.status.value:<7} {run.name}  {record.seconds:.1f} s  {record.reason}", markup=False
-                )
+                self._report.line(f"{record.status.value:<7} {run.name}  {record.seconds:.1f} s  {record.reason}")
 
     def _finished(self) -> list[Run]:
         return [run for run in self._runs if self._folder.status(run) in (Status.DONE, Status.FAILED)]
@@ -89,8 +90,3 @@ class Progress:
         remaining = f"about {elapsed * left / new:.0f} s left" if new else "time left unknown yet"
         running = [run.name for run, state in zip(self._runs, states, strict=True) if state is Status.RUNNING]
         return "\n".join([f"{counts}  {elapsed:.0f} s, {remaining}", *(f"  {name}" for name in running)])
-
-
-def ended(folder: StudyFolder) -> None:
-    """Say where the results are."""
-    console.print(f"{'results':<10} {folder.path}", markup=False)

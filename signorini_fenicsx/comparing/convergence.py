@@ -3,17 +3,16 @@
 import csv
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
 from signorini_fenicsx.base.shipped import data_folder
@@ -24,8 +23,6 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solution import Solution
-
-type Array = npt.NDArray[np.float64]
 
 ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
 ASYMPTOTIC_EPS = 1e-2
@@ -201,7 +198,7 @@ def convergence_study(
         InputError: If a mesh cannot be made, or ε is to vary for an algorithm without penalty.
         NumericalFailure: If a run fails.
     """
-    if vary is not Vary.H and not METHODS[case.solve.algorithm].has_eps:
+    if vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
     domain = mesh_case(case, comm) if vary is Vary.EPS else None
@@ -293,11 +290,3 @@ def fitted_slopes(rows: list[ErrorRow], vary: Vary) -> dict[str, float]:
             base = 10 if vary is Vary.EPS else 2
             slopes[name] = -float(np.polyfit([row.level for row in rows], np.log(values) / np.log(base), 1)[0])
     return slopes
-
-
-def write_table(path: Path, rows: list[ErrorRow]) -> None:
-    """Write the rows as CSV (rank 0)."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(ErrorRow)])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)

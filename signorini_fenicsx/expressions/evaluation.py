@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import intervals
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.functions import FUNCTIONS
-from signorini_fenicsx.expressions.intervals import Array, Elementary, FromNumPy, Interval, Mask, Truth, enclosing
+from signorini_fenicsx.expressions.intervals import Elementary, FromNumPy, Interval, Truth, enclosing
 from signorini_fenicsx.expressions.tree import Number, Tree, evaluate
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {

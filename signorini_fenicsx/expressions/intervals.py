@@ -15,10 +15,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-type Array = npt.NDArray[np.float64]
-type Mask = npt.NDArray[np.bool_]
+from signorini_fenicsx.base.arrays import Array, Mask
 
 ULPS = 8
 """NumPy's vectorised functions keep to 4 units in the last place."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.expressions.evaluation import values
 from signorini_fenicsx.expressions.tree import Tree
-
-type Array = npt.NDArray[np.float64]
 
 INSIDE = 0.75
 """Nodes of an interpolant are so much nearer to the centroid than those of P2."""

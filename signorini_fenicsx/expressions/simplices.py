@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals
-from signorini_fenicsx.expressions.intervals import Array, Elementary, Interval, Mask, Truth, enclosing
+from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, enclosing
 from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 

@@ -8,12 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
 
 FLAT = 1e-14
 """A cell whose volume is less than this part of diameter^dim is degenerate."""
@@ -267,7 +264,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     _check_components(mesh, everything, first[fixed])
 
 
-def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: npt.NDArray[np.bool_]) -> None:
+def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) -> None:
     """Refuse facets of the boundary that are inside the domain: only a crack with both sides in parts is meant."""
     from signorini_fenicsx.meshes.seams import seams
 

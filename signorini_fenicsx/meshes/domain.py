@@ -9,11 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import scatter_rows
-
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
 
 AXES = "xyz"
 
@@ -93,7 +91,7 @@ class Marks:
     """
 
     facets: Mapping[str, Indices]
-    cells: npt.NDArray[np.bool_] | None
+    cells: Mask | None
     regions: tuple[str, ...]
 
 
@@ -173,7 +171,7 @@ def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> In
     return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
 
 
-def membership(domain: Domain) -> npt.NDArray[np.bool_]:
+def membership(domain: Domain) -> Mask:
     """Which owned cells are in which region, shape (cells, regions)."""
     size = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
     table = np.zeros((size, len(domain.regions)), dtype=bool)

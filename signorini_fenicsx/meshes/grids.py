@@ -5,10 +5,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+
 type Simplices = tuple[Array, Indices]
 """Points of shape (points, dim) and cells of shape (cells, dim + 1)."""
 
@@ -33,7 +32,7 @@ def lprism_grid(h: float, _diagonal: str) -> Simplices:
     return _tetrahedron_grid(h, side=2, keep=_outside_notch)
 
 
-def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
+def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array], Mask]) -> Simplices:
     """Squares of a grid on (0, side)², each cut into two triangles (left, right) or four (crossed)."""
     per_unit = math.ceil((1.0 if diagonal == "crossed" else math.sqrt(2)) / h * (1 - 1e-12))
     n = side * per_unit
@@ -56,7 +55,7 @@ def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array]
     return points[used], cells
 
 
-def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], npt.NDArray[np.bool_]]) -> Simplices:
+def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], Mask]) -> Simplices:
     """Cubes of a grid on (0, side)² × (0, 1), each cut into six tetrahedra along the same space diagonal (Kuhn)."""
     per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
     n = side * per_unit
@@ -72,9 +71,9 @@ def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], npt.NDArra
     return points[used], cells
 
 
-def _everywhere(x: Array) -> npt.NDArray[np.bool_]:
+def _everywhere(x: Array) -> Mask:
     return np.full(x.shape[1], True)
 
 
-def _outside_notch(x: Array) -> npt.NDArray[np.bool_]:
+def _outside_notch(x: Array) -> Mask:
     return (x[0] < 1) | (x[1] < 1)

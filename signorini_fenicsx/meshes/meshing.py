@@ -10,15 +10,14 @@ import gmsh
 import numpy as np
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.signals import listen_again
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters
 from signorini_fenicsx.meshes.domain import (
     AXES,
-    Array,
     Domain,
-    Indices,
     Marks,
     axis_part,
     distribute,

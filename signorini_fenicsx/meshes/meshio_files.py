@@ -12,11 +12,10 @@ import meshio
 import numpy as np
 import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.checks import SIMPLICES, Contents, check_widths, rows_of
 from signorini_fenicsx.meshes.references import check_references
-
-type Indices = npt.NDArray[np.int64]
 
 
 def read_with_meshio(path: Path) -> Contents:

@@ -6,11 +6,10 @@ import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, marked_domain, membership
-
-type Array = npt.NDArray[np.float64]
 
 SAME = 1e-6
 """Indicators that differ by less than this, relatively, are refined together: rounding must not choose among them."""

@@ -8,10 +8,8 @@ depends on the unit of length, and flat cells do not count as cracks.
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 
 NEAR = 1e-5
 """Two facets nearer than this part of the heights of their cells lie on one another; single precision is that exact."""
@@ -24,7 +22,7 @@ PAIRS = 10**6
 """Pairs of facets and points looked at in one go."""
 
 
-def seams(corners: Array, apexes: Array) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def seams(corners: Array, apexes: Array) -> tuple[Mask, Mask]:
     """Which facets of the boundary lie on others.
 
     Args:
@@ -67,7 +65,7 @@ def _normals(edges: Array) -> Array:
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def _is_inside(edges: Array, offset: Array) -> npt.NDArray[np.bool_]:
+def _is_inside(edges: Array, offset: Array) -> Mask:
     """Whether points of facets' planes, from the first corner, are inside of the facets."""
     scale = np.abs(edges).max(axis=(1, 2), keepdims=True)
     edges, offset = edges / scale, offset / scale[:, :, 0]

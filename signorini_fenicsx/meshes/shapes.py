@@ -6,14 +6,12 @@ from dataclasses import dataclass, field
 
 import gmsh
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.meshes.domain import Part
 from signorini_fenicsx.meshes.grids import Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
 
 TINY = np.finfo(np.float64).tiny
-
-type Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class NamedPart(Part):
         contains: Tells for points of shape (3, n) which lie on the part.
     """
 
-    contains: Callable[[Array], npt.NDArray[np.bool_]] = field(kw_only=True)
+    contains: Callable[[Array], Mask] = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def _plane(axis: int, value: float) -> NamedPart:
 def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
     """A circle by its angle from the positive x axis: −π to 0 on the lower half, else −π to π."""
 
-    def contains(x: Array) -> npt.NDArray[np.bool_]:
+    def contains(x: Array) -> Mask:
         on = np.isclose(np.hypot(x[0], x[1]), radius)
         return on & (x[1] < radius * 1e-9) if lower_half else on
 
@@ -71,7 +69,7 @@ def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
 def _hemisphere(sign: int) -> NamedPart:
     """The half of the unit sphere with sign·z ≥ 0."""
 
-    def contains(x: Array) -> npt.NDArray[np.bool_]:
+    def contains(x: Array) -> Mask:
         return np.isclose(np.linalg.norm(x, axis=0), 1.0) & (sign * x[2] > -1e-9)
 
     return NamedPart(lambda x: x[2], "z", lambda x: x / np.maximum(np.linalg.norm(x, axis=0), TINY), contains=contains)

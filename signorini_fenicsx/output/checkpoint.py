@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import on_root, scatter_rows
@@ -285,7 +285,7 @@ def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]
     return sigma, u
 
 
-def _rows(known: npt.NDArray[np.int64], wanted: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _rows(known: Indices, wanted: Indices) -> Indices:
     """Row of each facet in the file, found by its vertices."""
     row = {tuple(vertices): index for index, vertices in enumerate(known.tolist())}
     return np.array([row[tuple(vertices)] for vertices in wanted.tolist()], dtype=np.int64)

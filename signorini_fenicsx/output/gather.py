@@ -8,12 +8,11 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
 from signorini_fenicsx.meshes.domain import Domain, Marks, facet_vertices, membership
 from signorini_fenicsx.solving.solution import Solution
-
-type Array = npt.NDArray[np.float64]
 
 TINY = np.finfo(np.float64).tiny
 
@@ -36,7 +35,7 @@ class FacetTable:
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
-    part: npt.NDArray[np.int64]
+    part: Indices
     x: Array
     along: Array
     measure: Array
@@ -46,7 +45,7 @@ class FacetTable:
     psi: Array
     q_S: Array
     condition: npt.NDArray[np.int64]
-    vertices: npt.NDArray[np.int64]
+    vertices: Indices
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Boundary:
 
     kind: npt.NDArray[np.int64]
     u: Array
-    vertices: npt.NDArray[np.int64]
+    vertices: Indices
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Fields:
     """
 
     points: Array
-    cells: npt.NDArray[np.int64]
+    cells: Indices
     u: Array
     sigma: Array
     divergence: Array
@@ -166,7 +165,7 @@ def gather_marks(domain: Domain) -> Marks:
     return Marks(facets, cells, tuple(domain.regions))
 
 
-def _sorted(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _sorted(rows: Indices) -> Indices:
     return rows[np.lexsort(rows.T[::-1])]
 
 

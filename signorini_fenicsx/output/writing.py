@@ -1,32 +1,27 @@
 """Writes a solution: summary and tables as text, fields for ParaView."""
 
 import csv
-import json
-import math
 import os
-import platform
 import shlex
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, fields
-from importlib.metadata import version
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import dolfinx
 import ufl
 from dolfinx import fem, io
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import Stopwatch, on_root
+from signorini_fenicsx.base.text import json_text, write_table
+from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes, write_table
+from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
@@ -93,7 +88,7 @@ def write_solution(
                         pictures.draw_all(folder, scene)
                     if html:
                         pictures.write_page(folder / "solution.html", scene)
-            write_history(folder / "history.csv", solution.outcome.history)
+            write_table(folder / "history.csv", Step, solution.outcome.history)
 
         comm = solution.spaces.mesh.comm
         on_root(comm, write)
@@ -111,7 +106,7 @@ def write_convergence(
     def write() -> None:
         from signorini_fenicsx.output import pictures
 
-        write_table(folder / "convergence.csv", rows)
+        write_table(folder / "convergence.csv", ErrorRow, rows)
         against = {
             Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
             Vary.EPS: "alg1 on the same mesh",
@@ -139,10 +134,7 @@ def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
     def write() -> None:
         from signorini_fenicsx.output import pictures
 
-        with (folder / "adapt.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [field.name for field in fields(AdaptRow)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        write_table(folder / "adapt.csv", AdaptRow, rows)
         pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.name)
         if table is not None and cells is not None and boundary is not None:
             pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
@@ -154,41 +146,6 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """Write `summary.json`, with versions and the command (rank 0)."""
     summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
-
-
-def json_text(values: Mapping[str, Any]) -> str:
-    """Values as JSON, with null for a number that is not finite."""
-    return json.dumps(_without_nan(values), indent=2, allow_nan=False)
-
-
-def _without_nan(value: Any) -> Any:
-    """Replace numbers that JSON does not know by null, at any depth: a failed state may hold them."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that can change a result."""
-    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
-    return {
-        "signorini_fenicsx": __version__,
-        "dolfinx": dolfinx.__version__,
-        "petsc": petsc,
-        "gmsh": version("gmsh"),
-        "mpi": MPI.Get_library_version().splitlines()[0].strip("\0 "),
-        "python": platform.python_version(),
-    }
-
-
-def write_history(path: Path, history: list[Step]) -> None:
-    """Write one row per iteration (rank 0)."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Step)])
-        writer.writeheader()
-        writer.writerows(asdict(step) for step in history)
 
 
 def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> None:

@@ -1,17 +1,15 @@
 """Fluxes that balance the load of every cell exactly: what rounding and quadrature left is led out along a tree."""
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval
 
-type Indices = npt.NDArray[np.int64]
 
-
-def balanced(facets: Indices, outlets: npt.NDArray[np.bool_], fluxes: Interval, load: Interval) -> Interval:
+def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -> Interval:
     """The fluxes plus a correction with Σ_i Φ_i = −∫_T f in every cell T, as real numbers.
 
     The correction is 0 but on the facets of a tree that joins every cell with an outlet. What a cell and those behind
@@ -54,7 +52,7 @@ def balanced(facets: Indices, outlets: npt.NDArray[np.bool_], fluxes: Interval, 
     return Interval(lo, hi)
 
 
-def _add(lo: npt.NDArray[np.float64], hi: npt.NDArray[np.float64], index: tuple[Indices, ...], more: Interval) -> None:
+def _add(lo: Array, hi: Array, index: tuple[Indices, ...], more: Interval) -> None:
     """Add to the entries of an interval in place; no entry may be named twice."""
     found = Interval(lo[index], hi[index]) + more
     lo[index], hi[index] = found.lo, found.hi
@@ -70,7 +68,7 @@ def _rank_among_equals(values: Indices) -> Indices:
     return rank
 
 
-def _tree(facets: Indices, outlets: npt.NDArray[np.bool_]) -> tuple[Indices, Indices, Indices]:
+def _tree(facets: Indices, outlets: Mask) -> tuple[Indices, Indices, Indices]:
     """Cells in breadth-first order from the outside, which is node number `cells`; parents, and the facet towards them.
 
     Raises:

@@ -10,14 +10,13 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.expressions.intervals import Array, Interval
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.rigorous.simplices import EDGES, facet_measures
 from signorini_fenicsx.solving.solution import Solution
-
-type Indices = npt.NDArray[np.int64]
 
 INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 """Kinds of facets."""
@@ -43,7 +42,7 @@ class Discrete:
     kinds: npt.NDArray[np.int8]
     fluxes: Array
     v: Array
-    regions: tuple[tuple[str, ...], npt.NDArray[np.bool_]]
+    regions: tuple[tuple[str, ...], Mask]
 
     @property
     def dim(self) -> int:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from flint import arb
 
-from signorini_fenicsx.expressions.intervals import Array
+from signorini_fenicsx.base.arrays import Array
 
 _FUNCTIONS = {
     "exp": arb.exp,

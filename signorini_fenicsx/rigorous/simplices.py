@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
 
 EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
 """Vertices of each edge of an interval, a triangle and a tetrahedron, as Basix numbers them."""
@@ -83,7 +83,7 @@ class Simplices:
         """The dimension d."""
         return self.vertices.shape[2]
 
-    def some(self, which: npt.NDArray[np.int64]) -> Simplices:
+    def some(self, which: Indices) -> Simplices:
         """Some of the cells."""
         return Simplices(self.vertices[which], at(self.measure, which), at(self.gradients, which))
 
@@ -170,7 +170,7 @@ def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
     return stacked(found, axis=1)
 
 
-def _mass(dim: int) -> npt.NDArray[np.float64]:
+def _mass(dim: int) -> Array:
     """∫φ_iφ_j/|T| of P2 times 180 (d = 2) or 420 (d = 3): integers."""
     edges = EDGES[dim]
     nodes = dim + 1 + len(edges)

@@ -22,8 +22,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.rigorous.balance import balanced
@@ -120,7 +120,7 @@ def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval,
 
 def _boundary_fluxes(
     discrete: Discrete, cells: Simplices, kappa: Conductivity, given: Given
-) -> tuple[Interval, Interval, npt.NDArray[np.bool_], Interval]:
+) -> tuple[Interval, Interval, Mask, Interval]:
     """Fluxes that suit g_N and q_S; ∫q_S on the facets of Γ_S, and where r = 0; the oscillation per cell.
 
     The flux is the integral of g_N on Γ_N; on Γ_S it stays where it is at least the integral of q_S, else it is that.
@@ -154,7 +154,7 @@ def _boundary_fluxes(
     return Interval(lo, hi), least, pressed, enclosing(oscillation)
 
 
-def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> npt.NDArray[np.bool_]:
+def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> Mask:
     """Facets that what is left over may leave through: Γ_D, or else those of Γ_S where much more flows than need be."""
     outlets = discrete.kinds == DIRICHLET
     if not outlets.any() and len(least.lo):

@@ -20,11 +20,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import values
-from signorini_fenicsx.expressions.intervals import Array, Interval, enclosing, larger
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, larger
 from signorini_fenicsx.expressions.tree import Binary
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
 from signorini_fenicsx.rigorous.discrete import (
@@ -32,7 +32,6 @@ from signorini_fenicsx.rigorous.discrete import (
     SIGNORINI,
     Discrete,
     Facets,
-    Indices,
     alike_in_nodes,
     boundary,
     pairs,
@@ -51,8 +50,6 @@ from signorini_fenicsx.rigorous.simplices import (
     total,
     with_midpoints,
 )
-
-type Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

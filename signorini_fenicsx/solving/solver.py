@@ -60,8 +60,8 @@ def solve(
         NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
             last state.
     """
-    options, watch = options or Options(), watch or Stopwatch()
-    method, comm = options.method, domain.mesh.comm
+    options, watch, comm = options or Options(), watch or Stopwatch(), domain.mesh.comm
+    method = options.method
     with watch.phase("assembly"):
         check_parts(domain, boundary)
         spaces, data = _discretised(domain, boundary, problem)
@@ -87,9 +87,9 @@ def solve(
         outcome = _run(task, options)
     with watch.phase("kkt"):
         kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
+        outcome = outcome.ended(_failure(outcome, kkt))
         outcome.iterate.u.x.array[:] += constant
         PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
-    failure = _failure(outcome, kkt)
     solution = Solution(
         name=name,
         title=title,
@@ -100,13 +100,13 @@ def solve(
         spaces=spaces,
         data=data,
         p=spaces.multiplier(outcome.iterate.p + data.psi_h),
-        outcome=outcome.ended(failure),
+        outcome=outcome,
         kkt=kkt,
         timings=watch.longest(comm),
         peak_memory=peak_memory(comm),
     )
-    if failure is not None:
-        raise NumericalFailure(failure, solution)
+    if not outcome.converged:
+        raise NumericalFailure(outcome.reason, solution)
     return solution
 
 

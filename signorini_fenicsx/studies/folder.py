@@ -18,7 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import PARTIAL, clear, failed_place, repair
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.signals import Interruption
-from signorini_fenicsx.output.writing import versions
+from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.studies.study import Run, flattened
 
 LOCK = ".lock"

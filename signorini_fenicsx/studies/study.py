@@ -202,7 +202,7 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     path = folder / name
     case = load_case(path if name.endswith(".toml") else name).with_values(values)
     task = study.convergence
-    if task is not None and task.vary is not Vary.H and not METHODS[case.solve.algorithm].has_eps:
+    if task is not None and task.vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
     if task is not None:
@@ -224,15 +224,20 @@ def _file_digest(path: str) -> str:
 
 
 def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
-    """A run, named by what it is."""
-    values = case.model_dump(mode="json")
+    """A run, named by what it is.
+
+    Keys at their default do not enter the name, so that runs made before there was a key stay valid.
+    """
+    values = flattened(case.model_dump(mode="json", exclude_defaults=True))
     if case.geometry.file is not None:
-        values["geometry"]["file"] = _file_digest(case.geometry.file)
+        values["geometry.file"] = _file_digest(case.geometry.file)
+    if case.file_h is not None:  # without h, a `.geo` file has sizes of its own
+        values["solve.h"] = case.file_h
     content = {
         "version": __version__,
         "case": case.name,
         "values": values,
-        "convergence": None if task is None else task.model_dump(mode="json"),
+        "convergence": None if task is None else task.model_dump(mode="json", exclude_defaults=True),
         "fields": fields,
         "plot": plot,
     }

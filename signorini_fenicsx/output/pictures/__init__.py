@@ -4,9 +4,8 @@ import math
 from pathlib import Path
 
 import matplotlib as mpl
-import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
@@ -23,7 +22,7 @@ def scene_of(
     fields: Fields,
     facets: FacetTable,
     boundary: Boundary,
-    regions: npt.NDArray[np.bool_] | None = None,
+    regions: Mask | None = None,
     certificate: Certificate | None = None,
 ) -> Scene:
     """What pictures need of a solution and its gathered arrays (rank 0)."""

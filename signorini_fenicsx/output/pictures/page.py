@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import plotly.graph_objects as go
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.spaces import SIGNORINI
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, creases, thinned
-
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
 
 MOST_TRIANGLES = 40_000
 """Of a surface: a megabyte or two."""

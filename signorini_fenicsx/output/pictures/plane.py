@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -16,13 +15,12 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.streams import streamlines
 from signorini_fenicsx.output.pictures.water import Water
-
-type Array = npt.NDArray[np.float64]
 
 MOST_TRIANGLES = 30_000
 """Of a map: one is then a few pixels large."""
@@ -60,7 +58,7 @@ class Plane:
         return Water.of(self.scene)
 
     @cached_property
-    def triangulation(self) -> tuple[Triangulation, npt.NDArray[np.int64]]:
+    def triangulation(self) -> tuple[Triangulation, Indices]:
         """What is painted, and the cells that it is made of."""
         fields = self.scene.fields
         triangles, rows = thinned(fields.points, fields.cells, MOST_TRIANGLES)

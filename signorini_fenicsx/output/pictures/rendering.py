@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-type Array = npt.NDArray[np.float64]
+from signorini_fenicsx.base.arrays import Array
 
 
 @contextmanager

@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
-
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class Scene:
     fields: Fields
     facets: FacetTable
     boundary: Boundary
-    regions: npt.NDArray[np.bool_] | None
+    regions: Mask | None
     labels: dict[str, str]
     contact: Condition
     history: list[Step]
@@ -46,7 +43,7 @@ class Scene:
         return int(self.fields.points.shape[1])
 
     @property
-    def touching(self) -> npt.NDArray[np.bool_]:
+    def touching(self) -> Mask:
         """Which facets of Γ_S are in contact."""
         return self.facets.condition == self.contact
 

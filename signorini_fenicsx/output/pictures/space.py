@@ -14,13 +14,12 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.spaces import SIGNORINI
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.plane import log_norm
 from signorini_fenicsx.output.pictures.rendering import cropped, offscreen, screen, triad
 from signorini_fenicsx.output.pictures.scene import Scene, creases
-
-type Array = npt.NDArray[np.float64]
 
 PIXELS = 700
 STREAMLINES = 70
@@ -222,7 +221,7 @@ class Space:
         listed = [(touching.any(), "contact", style.CONTACT), (not touching.all(), "no contact", style.FREE)]
         return [Patch(color=color, label=rf"$\Gamma_S$, {label}") for there, label, color in listed if there]
 
-    def _triangles(self, vertices: npt.NDArray[np.int64]) -> pyvista.PolyData:
+    def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
 
     def _edges(self) -> dict[str, Any]:
@@ -291,7 +290,7 @@ class Space:
         return cropped(image)
 
 
-def _lines(points: Array, edges: npt.NDArray[np.int64]) -> pyvista.PolyData:
+def _lines(points: Array, edges: Indices) -> pyvista.PolyData:
     if not len(edges):
         return pyvista.PolyData()
     return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())

@@ -1,12 +1,10 @@
 """Streamlines of σ_h in the plane."""
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.output.gather import Fields
-
-type Array = npt.NDArray[np.float64]
 
 GRID = 110
 """Points of the grid along the longer side of the domain."""

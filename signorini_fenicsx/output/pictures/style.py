@@ -4,12 +4,11 @@ import math
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure, SubFigure
 
-type Array = npt.NDArray[np.float64]
+from signorini_fenicsx.base.arrays import Array
 
 STYLE = {
     "font.family": "STIXGeneral",

@@ -4,16 +4,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains
-
-type Array = npt.NDArray[np.float64]
-type Indices = npt.NDArray[np.int64]
 
 PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     "u": {

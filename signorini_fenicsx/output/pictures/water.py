@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.spaces import DIRICHLET
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains
-
-type Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

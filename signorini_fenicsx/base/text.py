@@ -1,0 +1,40 @@
+"""Results as text: tables in CSV, summaries in JSON."""
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+def write_table[Row: DataclassInstance](path: Path, kind: type[Row], rows: Iterable[Row]) -> None:
+    """Write dataclasses as CSV, a row each and a column for each field (rank 0).
+
+    Args:
+        path: Where.
+        kind: Their type, whose fields are named even where there are no rows.
+        rows: What to write.
+    """
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(kind)])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+def json_text(values: Mapping[str, Any]) -> str:
+    """Values as JSON, with null for a number that is not finite."""
+    return json.dumps(_without_nan(values), indent=2, allow_nan=False)
+
+
+def _without_nan(value: Any) -> Any:
+    """Replace numbers that JSON does not know by null, at any depth: a failed state may hold them."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

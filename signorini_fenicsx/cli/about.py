@@ -1,0 +1,89 @@
+"""Commands that tell without solving: info, check, methods, version."""
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.cli.common import chosen_case
+from signorini_fenicsx.cli.options import (
+    AlgorithmName,
+    BackendName,
+    CaseName,
+    Epsilon,
+    Json,
+    MeshSize,
+    Quiet,
+    Rho,
+    Settings,
+)
+from signorini_fenicsx.cli.report import Report
+
+
+def info(
+    case: CaseName,
+    algorithm: AlgorithmName = None,
+    h: MeshSize = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    as_json: Json = False,
+) -> None:
+    r"""Show the sizes and boundary parts of a case, and about how much memory and time a run takes; solve nothing.
+
+    \b
+    Examples:
+      signorini info dam
+      mpirun -n 4 signorini info cube --h 2^-6
+    """
+    from signorini_fenicsx.cases.inspection import expected
+    from signorini_fenicsx.cli.case_report import CaseReport
+
+    comm, report = MPI.COMM_WORLD, CaseReport(as_json=as_json)
+    problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, backend=backend)
+    estimate = on_root(comm, lambda: expected(problem, comm.size))
+    report.heading(problem, comm)
+    report.expected(problem, estimate)
+    report.json({"case": problem.name, "title": problem.title, "ranks": comm.size} | vars(estimate))
+
+
+def check(
+    case: CaseName,
+    algorithm: AlgorithmName = None,
+    h: MeshSize = None,
+    rho: Rho = None,
+    eps: Epsilon = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    quiet: Quiet = False,
+) -> None:
+    r"""Do all that a run does before it solves: read the case, make or read its mesh, find its parts, take its data.
+
+    \b
+    Examples:
+      signorini check my-case.toml
+      signorini check dam --set 'boundary.signorini=["face", "top"]'
+    """
+    from signorini_fenicsx.cases import inspection
+    from signorini_fenicsx.cli.case_report import CaseReport
+
+    comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet)
+    problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    report.heading(problem, comm)
+    report.checked(inspection.check(problem, comm))
+
+
+def methods() -> None:
+    """List all algorithms: name, what it solves, where it comes from."""
+    from signorini_fenicsx.methods.registry import METHODS
+
+    report = Report()
+    names, titles = max(map(len, METHODS)), max(len(algorithm.title) for algorithm in METHODS.values())
+    for name, algorithm in METHODS.items():
+        report.line(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}")
+
+
+def version(as_json: Json = False) -> None:
+    """Show the versions of this program and of all that can change a result."""
+    from signorini_fenicsx.base.versions import versions
+
+    report, found = Report(as_json=as_json), versions()
+    report.entries(found, width=max(map(len, found)) + 1)
+    report.json(found)

@@ -1,0 +1,16 @@
+"""The commands of `signorini`, in the order in which its help lists them."""
+
+import typer
+
+from signorini_fenicsx.cli.about import check, info, methods, version
+from signorini_fenicsx.cli.comparisons import compare, convergence
+from signorini_fenicsx.cli.solutions import adapt, export, solve
+from signorini_fenicsx.cli.studies import study
+
+app = typer.Typer(
+    help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+for command in (solve, adapt, export, compare, convergence, study, methods, info, check, version):
+    app.command()(command)

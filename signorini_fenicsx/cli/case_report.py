@@ -1,0 +1,46 @@
+"""What is said of a case: what it is, what it will take, whether it can be solved."""
+
+from collections.abc import Mapping
+
+from mpi4py import MPI
+
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.inspection import Expected, is_typical
+from signorini_fenicsx.cli.report import Report
+from signorini_fenicsx.solving.solution import Solution
+
+
+class CaseReport(Report):
+    """What commands print of a case, before or instead of solving it."""
+
+    def heading(self, about: Case | Solution, comm: MPI.Comm) -> None:
+        """Say what is about to be solved or was, and how."""
+        self.title(about.title or about.name)
+        ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
+        self.line(f"{about.method.title}, {ranks}")
+
+    def expected(self, case: Case, estimate: Expected) -> None:
+        """Show the sizes of a case and what a run should take."""
+        about = "" if estimate.exact else "≈ "
+        mesh = case.fineness.removeprefix("mesh ")
+        self.entry("mesh", f"{mesh}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns")
+        for name, part in estimate.parts.items():
+            size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
+            self.entry("part", f"{name}: {part['condition']}{size}")
+        for name, cells in estimate.regions.items():
+            self.entry("region", f"{name}: {cells} cells")
+        usual = (
+            "" if is_typical(case) else "; these are rates of alg1 to alg4 with the hybrid backend, others take more"
+        )
+        self.entry("memory", f"≈ {estimate.memory / 2**20:.0f} MiB (an estimate{usual})")
+        self.entry(
+            "seconds",
+            f"≈ {estimate.solver_seconds:.1f} to solve, {estimate.run_seconds:.0f} in all, without Gmsh's "
+            f"(an estimate, for free cores{usual})",
+        )
+
+    def checked(self, counts: Mapping[str, int]) -> None:
+        """Say that a case can be solved, and how large it is."""
+        kinds = ("signorini", "neumann", "dirichlet")
+        facets = ", ".join(f"{counts[f'{kind}_facets']} on Γ_{kind[0].upper()}" for kind in kinds)
+        self.entry("ready", f"{counts['cells']} cells; facets: {facets}")

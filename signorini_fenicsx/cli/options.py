@@ -1,0 +1,88 @@
+"""Arguments and options that several commands have, and what their texts mean."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.shipped import case_names
+
+
+def _names_of_algorithms() -> list[str]:
+    from signorini_fenicsx.methods.registry import METHODS
+
+    return list(METHODS)
+
+
+CaseName = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a shipped case (example1 … example6) or path of a .toml file.", autocompletion=case_names
+    ),
+]
+AlgorithmName = Annotated[
+    str | None,
+    typer.Option(
+        "--algorithm", help="One of those that `signorini methods` lists.", autocompletion=_names_of_algorithms
+    ),
+]
+MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
+Rho = Annotated[str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
+Epsilon = Annotated[str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.")]
+BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; of alg1 to alg4 only.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the summary, and nothing else.")]
+Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse turns.")]
+OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
+
+
+def overrides(settings: list[str] | None, **options: object) -> dict[str, object]:
+    """New values of keys of a case.
+
+    Args:
+        settings: Those of `--set`, as KEY=VALUE.
+        options: Those of [solve] that have options of their own; None where it is not given.
+
+    Raises:
+        InputError: If a setting is not KEY=VALUE.
+    """
+    values: dict[str, object] = {}
+    for setting in settings or []:
+        key, separator, value = setting.partition("=")
+        if not separator or not key:
+            raise InputError(f"--set {setting}: must be KEY=VALUE, such as geometry.mesh=structured")
+        values[key] = _toml_value(value)
+    return values | {f"solve.{name}": value for name, value in options.items() if value is not None}
+
+
+def _toml_value(text: str) -> object:
+    """A value as TOML writes it, such as ["top", "left"], or else the text itself."""
+    try:
+        tree = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return tree["value"] if len(tree) == 1 else text
+
+
+def positive(option: str, text: str) -> float:
+    """The number that an option gives.
+
+    Raises:
+        InputError: If it is not a positive one.
+    """
+    from signorini_fenicsx.expressions import parse_number
+
+    try:
+        value = parse_number(text)
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+    if not 0 < value < math.inf:
+        raise InputError(f"{option} {text}: must be greater than 0")
+    return value

@@ -1,0 +1,99 @@
+"""What is said of a run: its iterations, its solution, the bound of its error."""
+
+import math
+from decimal import ROUND_CEILING, Context, Decimal
+
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.cli.case_report import CaseReport
+from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.rigorous.proof import Proof
+from signorini_fenicsx.rigorous.theorem import Proven
+from signorini_fenicsx.solving.solution import Solution
+
+VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
+DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
+
+
+class SolutionReport(CaseReport):
+    """What `signorini solve` prints."""
+
+    def columns(self, case: Case) -> None:
+        """Say what the run is about and name the columns of the iterations."""
+        penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
+        self.line(f"{case.fineness}{penalty}")
+        counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
+        self.line(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
+
+    def step(self, row: Step) -> None:
+        """Show an iteration as soon as it is done; of more than 20 only those with a number such as 30 or 400."""
+        if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
+            return
+        counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
+        changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
+        self.line(f"{row.iteration:4d}{counts} {changes}")
+
+    def solution(self, result: Solution, certificate: Certificate, proof: Proof | None = None) -> None:
+        """Show the summary of a finished run (collective)."""
+        summary = result.summary()
+        rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
+        lines = {
+            "converged": f"{summary['reason']} after {summary['iterations']} iterations{rough}",
+            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
+            "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
+            "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
+            "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
+            "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
+        }
+        if "errors" in summary:
+            lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
+        if "violation" in summary:
+            left = "  ".join(f"{VIOLATIONS[name]} {value:.3e}" for name, value in summary["violation"].items())
+            lines["ε"] = f"{summary['eps']:g} leaves {left}"
+        if "own_residual" in summary:
+            lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
+        if summary["details"]:
+            lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
+        lines["certified"] = bound(certificate)
+        if proof is not None and proof.proven is not None:
+            lines["proved"] = proved(proof.proven, proof.seconds)
+        lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
+        memory = summary["peak_memory"]
+        lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
+        self.entries(lines)
+
+
+def bound(certificate: Certificate) -> str:
+    """The error bound in words, and why it is not guaranteed if it is not."""
+    if not math.isfinite(certificate.bound):
+        return "no error bound: u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
+    parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
+    return (
+        f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts}){_reservation(certificate)}"
+    )
+
+
+def _reservation(certificate: Certificate) -> str:
+    if certificate.unresolved:
+        name, place = certificate.unresolved[0]
+        where = ", ".join(f"{x:.4g}" for x in place)
+        return f"; not guaranteed: {name} is not resolved near ({where})"
+    if certificate.by_quadrature:
+        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature"
+    return ""
+
+
+def proved(bounds: Proven, seconds: float) -> str:
+    """The proven error bound in words, all numbers rounded up."""
+    parts = ", ".join(f"{name} {above(getattr(bounds, name), 2)}" for name in ("gap", "oscillation", "remainder"))
+    return (
+        f"energy error ≤ {above(bounds.bound, 5)}; ‖σ − σ_h‖ ≤ {above(bounds.sigma_bound, 5)} "
+        f"({parts}; {seconds:.1f} s)"
+    )
+
+
+def above(value: float, digits: int) -> str:
+    """A number of so many digits that is not less than the float."""
+    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal(Decimal(value))
+    return f"{float(rounded):.{digits - 1}e}"

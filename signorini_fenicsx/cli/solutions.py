@@ -1,0 +1,226 @@
+"""Commands that make solutions or write them again: solve, adapt, export."""
+
+import os
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.results import ResultsFolder
+from signorini_fenicsx.base.signals import end_if_told
+from signorini_fenicsx.cli.common import chosen_case, failure_kept, results_place
+from signorini_fenicsx.cli.options import (
+    AlgorithmName,
+    BackendName,
+    CaseName,
+    Epsilon,
+    Html,
+    Json,
+    MeshSize,
+    OutputFolder,
+    Quiet,
+    Rho,
+    Settings,
+    overrides,
+    positive,
+)
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.methods.history import Step
+
+MIN_THETA = 1e-3
+
+
+def solve(
+    case: CaseName,
+    algorithm: AlgorithmName = None,
+    h: MeshSize = None,
+    rho: Rho = None,
+    eps: Epsilon = None,
+    backend: BackendName = None,
+    predict: Annotated[bool, typer.Option(help="Start large problems from a coarser mesh's sets.")] = True,
+    settings: Settings = None,
+    start_from: Annotated[
+        Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
+    ] = None,
+    rigorous: Annotated[
+        bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
+    ] = False,
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    html: Html = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    r"""Solve a case and write its results, by default into results/<case>/.
+
+    \b
+    Examples:
+      signorini solve example1 --plot
+      signorini solve dam --algorithm alg2 --output results/seepage
+      signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
+      mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
+    """
+    from signorini_fenicsx.cases.domains import rough_cells
+    from signorini_fenicsx.cases.solving import shared_domain, solve_case
+    from signorini_fenicsx.certificate.certify import certify
+    from signorini_fenicsx.cli.solution_report import SolutionReport
+    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.writing import write_solution
+    from signorini_fenicsx.rigorous.proof import check_size, proof_of
+
+    comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
+
+    def on_step(row: "Step") -> None:
+        report.step(row)
+        end_if_told(comm)
+
+    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
+    problem = chosen_case(comm, case, settings, **options, predict=None if predict else False)
+    if rigorous:
+        on_root(comm, lambda: check_size(rough_cells(problem)))
+    with ResultsFolder(comm, results_place(output, problem.name)) as folder:
+        report.heading(problem, comm)
+        report.columns(problem)
+        with failure_kept(folder, plot=plot, html=html):
+            start = None if start_from is None else load_solution(start_from, comm)
+            domain = None if start is None else shared_domain(start, problem)
+            solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
+        certificate = certify(solution)
+        proof = proof_of(solution, certificate.v) if rigorous else None
+        write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
+        folder.publish()
+        report.solution(solution, certificate, proof)
+        report.results(folder.target)
+        report.summary(folder.target)
+        if proof is not None and proof.proven is None:
+            raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def adapt(
+    case: CaseName,
+    target: Annotated[
+        str | None, typer.Option("--target", help="Relative certified error to reach, such as 1e-2.")
+    ] = None,
+    max_cells: Annotated[int | None, typer.Option("--max-cells", help="Largest mesh, 10^6 cells by default.")] = None,
+    theta: Annotated[str, typer.Option("--theta", help="Part of the squared error to refine; 1 is uniform.")] = "0.5",
+    uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
+    algorithm: AlgorithmName = None,
+    h: Annotated[str | None, typer.Option("--h", help="h of the first mesh; an eighth of a shape's diameter.")] = None,
+    rho: Rho = None,
+    eps: Epsilon = None,
+    backend: BackendName = None,
+    settings: Settings = None,
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures of the last solution (PNG).")] = False,
+    html: Html = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    r"""Refine where the certified error is large until it is small; into results/<case>-adapt/.
+
+    \b
+    Examples:
+      signorini adapt example5 --target 1e-2
+      signorini adapt lprism --max-cells 50000 --uniform
+    """
+    from signorini_fenicsx.cases.solving import adapt_case
+    from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, AdaptRow
+    from signorini_fenicsx.cli.adapt_report import AdaptReport
+    from signorini_fenicsx.output.writing import write_adapt, write_solution
+
+    comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
+    wanted, part = _checked(target, max_cells, theta)
+    most = max_cells or DEFAULT_MAX_CELLS
+    values = overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    problem = on_root(comm, lambda: _on_first_mesh(case, values))
+    rows: list[AdaptRow] = []
+
+    def on_row(row: AdaptRow) -> None:
+        rows.append(row)
+        report.row(row)
+
+    def on_step(row: "Step") -> None:
+        end_if_told(comm)
+
+    refined = partial(adapt_case, problem, comm, target=wanted, max_cells=most, on_row=on_row, on_step=on_step)
+    with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
+        report.heading(problem, comm)
+        report.columns(wanted, most)
+        with failure_kept(folder, plot=plot, html=html):
+            solution, certificate = refined(theta=part)
+            if uniform:
+                refined(theta=1.0)
+        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
+        write_adapt(solution, rows, folder.path)
+        if wanted is not None and not certificate.relative <= wanted:
+            kept = folder.keep_failed()
+            raise NumericalFailure(
+                f"relative error ≤ {certificate.relative:.3g}, not {wanted:g}, with the largest mesh of at most {most} "
+                f"cells; the last state is in {kept}"
+            )
+        folder.publish()
+        report.adapted(rows, solution.spaces.mesh.topology.dim, certificate)
+        report.results(folder.target)
+        report.summary(folder.target)
+
+
+def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[float | None, float]:
+    """The relative error to reach and the part of the error to refine.
+
+    Raises:
+        InputError: If one of the options of `adapt` is not valid, or nothing says where it ends.
+    """
+    if target is None and max_cells is None:
+        raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
+    wanted = None if target is None else positive("--target", target)
+    part = positive("--theta", theta)
+    if not MIN_THETA <= part <= 1:
+        raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
+    if max_cells is not None and max_cells < 1:
+        raise InputError(f"--max-cells {max_cells}: must be at least 1")
+    return wanted, part
+
+
+def _on_first_mesh(name: str, values: dict[str, object]) -> "Case":
+    """A case with these values, on a named shape with h of the first mesh unless that is one of them (rank 0)."""
+    from signorini_fenicsx.cases.case import load_case
+    from signorini_fenicsx.certificate.adaptive import FIRST_MESH
+    from signorini_fenicsx.meshes.shapes import SHAPES
+
+    case = load_case(name)
+    shape = case.with_values(values).geometry.shape
+    first = {} if shape is None else {"solve.h": SHAPES[shape].diameter / FIRST_MESH}
+    return case.with_values(first | values)
+
+
+def export(
+    results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
+    output: OutputFolder = None,
+    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    html: Html = False,
+) -> None:
+    r"""Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
+
+    \b
+    Example:
+      mpirun -n 2 signorini export results/example2 --plot
+    """
+    from signorini_fenicsx.certificate.certify import certify
+    from signorini_fenicsx.cli.case_report import CaseReport
+    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.writing import write_solution
+
+    comm, report = MPI.COMM_WORLD, CaseReport()
+    solution = load_solution(results, comm)
+    with ResultsFolder(comm, output or results) as folder:
+        report.heading(solution, comm)
+        certificate = certify(solution) if solution.converged else None
+        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
+        folder.publish(add=folder.target == Path(os.path.realpath(results)))
+        report.results(folder.target)

@@ -1,0 +1,47 @@
+"""The command for studies."""
+
+from typing import Annotated
+
+import typer
+from mpi4py import MPI
+
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.shipped import study_names
+from signorini_fenicsx.cli.common import results_place
+from signorini_fenicsx.cli.options import OutputFolder
+
+
+def study(
+    study: Annotated[
+        str, typer.Argument(help="Name of a shipped study or path of a .toml file.", autocompletion=study_names)
+    ],
+    output: OutputFolder = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and their sizes; run nothing.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again.")] = False,
+) -> None:
+    r"""Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
+
+    \b
+    Examples:
+      signorini study my-study.toml --dry-run
+      mpirun -n 4 signorini study my-study.toml
+    """
+    from signorini_fenicsx.cli.study_report import Progress, StudyReport
+    from signorini_fenicsx.studies.folder import StudyFolder
+    from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
+    from signorini_fenicsx.studies.study import load_study
+
+    comm, report = MPI.COMM_WORLD, StudyReport()
+    declared, runs = on_root(comm, lambda: load_study(study))
+    folder = StudyFolder(comm, results_place(output, f"{declared.name}-study"))
+    report.heading(declared, runs, comm)
+    if dry_run:
+        report.plan(runs, folder)
+        return
+    with folder:
+        if retry_failed:
+            on_root(comm, lambda: folder.forget_failures(runs))
+        with Progress(runs, folder, comm, report) as progress:
+            run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
+        report.results(folder.path)
+        check_all_succeeded(runs, folder, comm)

@@ -1,0 +1,143 @@
+"""Bad input on the command line: one sentence, exit status 2, nothing touched."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from test_cli import signorini
+
+from signorini_fenicsx.cli.main import main
+
+BAD_INPUT = [
+    (["solve", "example7"], "unknown case 'example7'"),
+    (["solve", "missing.toml"], "no such file"),
+    (["solve", "example1", "--algorithm", "alg9"], "unknown algorithm 'alg9'"),
+    (["solve", "example1", "--backend", "magic"], "backend"),
+    (["solve", "example1", "--h", "0"], "greater than 0"),
+    (["solve", "example1", "--h=-1"], "greater than 0"),
+    (["solve", "example1", "--h", "nan"], "not a number"),
+    (["solve", "example1", "--h", "5"], "larger than the domain"),
+    (["solve", "example1", "--h", "1e-6"], "asks for about"),
+    (["solve", "example1", "--rho", "0"], "greater than 0"),
+    (["solve", "example1", "--set", "problem.f=__import__('os')"], "__import__"),
+    (["solve", "example1", "--set", "problem.g=1"], "unknown key 'g'"),
+    (["solve", "example1", "--set", "nonsense"], "KEY=VALUE"),
+    (["solve", "example1", "--output", "file"], "is a file"),
+    (["solve", "example1", "--output", "file/below"], "cannot be written"),
+    (["solve", "example1", "--output", "full"], "is not empty"),
+    (["solve", "example1", "--output", "/proc/signorini"], "cannot be written"),
+    (["solve", "example1", "--output", "/"], "mount point"),
+    (["solve", "example1", "--output", "."], "is not empty"),
+    (["solve", "example1", "--output", "loop"], "loop"),
+    (["solve", "full.toml"], "is a folder"),
+    (["solve", "example1", "--set", "solve=1"], "must be a section"),
+    (["solve", "example1", "--set", "solve.h.x=1"], "no such key"),
+    (["solve", "example1", "--set", "solve.h=true"], "must be a number"),
+    (["solve", "example1", "--set", "name=x"], "unknown key 'name'"),
+    (["solve", "example1", "--set", r"a\[/b]=1"], "unknown key"),
+    (["solve", "example1", "--set", "solve.max_iterations=99999999999"], "between 1 and"),
+    (["solve", "example1", "--set", "problem.f=min(x, 1e999)"], "not finite"),
+    (["solve", "example1", "--set", "problem.f=" + "+".join(["x*y"] * 400)], "nested too deeply"),
+    (["solve", "example1", "--set", "problem.f=1e200*x"], "outside 1e-100"),
+    (["solve", "example1", "--set", "problem.f=1e-200*x"], "outside 1e-100"),
+    (["solve", "example1", "--set", "problem.f=sqrt(x - 0.5)"], "not finite"),
+    (["solve", "example1", "--h", "1/4", "--", "-ksp_type", "nonsense"], "PETSc"),
+    (["solve", "example1", "--h", "1/4", "--", "-mat_type", "nonsense"], "PETSc options: Unknown type"),
+    (["solve", "example1", "--h", "1/4", "--", "-pc_factor_mat_solver_type", "nonsense"], "PETSc options: Could not"),
+    (["solve", "example1", "--", "-options_file", "nowhere"], "PETSc cannot start with its options: Unable to open"),
+    (["solve", "example1", "--h", "2^-1000"], "must be between 1e-90 and 1e+90"),
+    (["info", "example1", "--h", "1e-300"], "must be between 1e-90 and 1e+90"),
+    (["info", "cube", "--set", "solve.h=1e-90"], "asks for about"),
+    (["check", "example1", "--set", "solve.max_iterations=" + "9" * 5000], "is not a number"),
+    (["check", "example1", "--set", "solve.max_iterations=0x" + "f" * 400], "at most 1000 bits"),
+    (["check", "example1", "--set", "problem.f=0x" + "f" * 5000], "at most 1000 bits"),
+    (["check", "example1", "--set", "boundary.signorini=[0x" + "f" * 5000 + "]"], "not this int"),
+    (["adapt", "example1", "--max-cells", "99", "--theta", "0x" + "f" * 400], "--theta: '0xfff"),
+    (["study", "a\0.toml"], "no such file"),
+    (["study", "/dev/zero"], "no such file"),
+    (["check", "x" * 5000 + ".toml"], "File name too long"),
+    (["export", "x" * 300], "File name too long"),
+    (["solve", "example1", "--output", "x" * 300], "File name too long"),
+    (["check", "x" * 5000], "x … "),
+    (["solve", "example1", "--colour"], "No such option"),
+    (["export", "/"], "holds no checkpoint.npz"),
+    (["compare", "full", "file", "--output", "full/../file"], "is one of the runs"),
+    (["adapt", "example2"], "give --target"),
+    (["adapt", "example2", "--target", "0"], "must be greater than 0"),
+    (["adapt", "example2", "--target", "small"], "is not a number"),
+    (["adapt", "example2", "--max-cells", "0"], "at least 1"),
+    (["adapt", "example2", "--max-cells", "1000", "--theta", "1.5"], "between 0.001"),
+    (["adapt", "example2", "--max-cells", "1000", "--theta", "1e-300"], "between 0.001"),
+    (["adapt", "example2", "--max-cells", "10"], "more than the 10 allowed"),
+    (["convergence", "example1", "--levels", "5:2"], "FIRST:LAST"),
+    (["convergence", "example1", "--levels", "a:b"], "--levels a:b: must be"),
+    (["convergence", "example1", "--levels", "2:4", "--reference", "4"], "finer"),
+    (["convergence", "example1", "--vary", "rho"], "must be one of"),
+    (["convergence", "example1", "--levels", "2:" + "9" * 5000], "FIRST:LAST"),
+    (["convergence", "example1", "--reference", "9" * 400], "finer"),
+    (["convergence", "example1", "--vary", "eps"], "alg1 has no penalty"),
+    (["solve", "example4", "--eps", "0"], "greater than"),
+    (["solve", "example4", "--eps", "nan"], "not a number"),
+    (["solve", "example4", "--eps", "1e-15"], "must be between 1e-14 and 1e+06"),
+    (["solve", "example4", "--eps", "1e7"], "must be between 1e-14 and 1e+06"),
+]
+
+
+def untouchable(folder: Path) -> list[Path]:
+    """Files and folders that stand in the way of a command, and that it must leave alone."""
+    (folder / "file").write_text("mine")
+    (folder / "full").mkdir()
+    (folder / "full" / "mine").write_text("mine")
+    (folder / "full.toml").mkdir()
+    (folder / "loop").symlink_to("loop")
+    return sorted(folder.rglob("*"))
+
+
+AS_TYPED = (
+    *("unknown case 'example7'", "No such option", "mount point", "is a file", "PETSc", "give --target"),
+    *("PETSc options: Unknown type", "PETSc options: Could not", "PETSc cannot start with its options: Unable to open"),
+)
+
+
+@pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in AS_TYPED])
+def test_bad_input_as_typed(tmp_path: Path, arguments: list[str], message: str):
+    """One sentence, exit status 2, no traceback, nothing written."""
+    before = untouchable(tmp_path)
+    done = signorini(tmp_path, *arguments)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] not in AS_TYPED])
+def test_bad_input(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+):
+    """The same in this process, which is faster."""
+    before = untouchable(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["signorini", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    words = " ".join(capsys.readouterr().err.split())
+    assert message in words
+    assert len(words) < 1200
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+IN_PARALLEL = ("unknown case 'example7'", "asks for about", "is a file", "PETSc", "outside 1e-100")
+
+
+@pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in IN_PARALLEL])
+def test_bad_input_in_parallel_is_said_once(tmp_path: Path, arguments: list[str], message: str):
+    (tmp_path / "file").write_text("mine")
+    done = signorini(tmp_path, *arguments, ranks=2)
+    assert done.returncode == 2
+    assert done.stderr.count(message) == 1
+    assert "Traceback" not in done.stderr
