@@ -11,14 +11,15 @@ from conftest import make_case
 from dolfinx import fem
 from exact import F, exact_sigma, exact_u
 from mpi4py import MPI
-from signorini_fenicsx.methods.classical.saddle_point import SaddlePoint
 
+from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.comparing.method_comparison import compare_methods, distance, mass_imbalance
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm
@@ -221,11 +222,11 @@ def test_range_is_that_of_all_eigenvalues(by_flux: bool):
     """2/λ_max from power iterations is that of the whole matrix of the Dirichlet-to-Neumann map or its inverse."""
     solution = solve_case(example("example5", h=1 / 4, algorithm="mixed-uzawa1" if by_flux else "mixed-uzawa2"))
     spaces = solution.spaces
-    system = SaddlePoint(spaces, solution.data)
-    system.give_flux(np.full(len(spaces.facets), by_flux))
+    system = MixedBackend(spaces, solution.data)
+    given = SiteConditions.everywhere(Condition.NO_FLUX if by_flux else Condition.ZERO_TRACE, len(spaces.facets))
     columns = []
     for unit in np.eye(len(spaces.facets)):
-        response = system.respond(flux=unit, trace=unit, loaded=False)
+        response = system.respond(given, flux=unit, trace=unit, loaded=False)
         columns.append(response.p if by_flux else response.flux)
     root = np.sqrt(spaces.facet_measure)
     matrix = root[:, None] * np.array(columns).T / root

@@ -60,13 +60,12 @@ def solve(
         NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
             last state.
     """
-    options, watch, comm = options or Options(), watch or Stopwatch(), domain.mesh.comm
-    method = options.method
+    options, watch = options or Options(), watch or Stopwatch()
+    method, comm = options.method, domain.mesh.comm
     with watch.phase("assembly"):
         check_parts(domain, boundary)
         spaces, data = _discretised(domain, boundary, problem)
-        check_solvability(spaces, data)
-        _check_method(options, spaces, start)
+        _check(options, spaces, data, start)
         # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
         constant = 0.0 if method.stabilised else data.common_constant(spaces)
         task = Task(
@@ -87,7 +86,6 @@ def solve(
         outcome = _run(task, options)
     with watch.phase("kkt"):
         kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
-        outcome = outcome.ended(_failure(outcome, kkt))
         outcome.iterate.u.x.array[:] += constant
         PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
     solution = Solution(
@@ -100,14 +98,14 @@ def solve(
         spaces=spaces,
         data=data,
         p=spaces.multiplier(outcome.iterate.p + data.psi_h),
-        outcome=outcome,
+        outcome=outcome.ended(_failure(outcome, kkt)),
         kkt=kkt,
         timings=watch.longest(comm),
         peak_memory=peak_memory(comm),
     )
-    if not outcome.converged:
-        raise NumericalFailure(outcome.reason, solution)
-    return solution
+    if solution.converged:
+        return solution
+    raise NumericalFailure(solution.outcome.reason, solution)
 
 
 def _run(task: Task, options: Options) -> Outcome:
@@ -160,12 +158,13 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
         )
 
 
-def _check_method(options: Options, spaces: Spaces, start: Solution | None) -> None:
-    """Make sure that the method can solve this problem and go on from this start (collective).
+def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None) -> None:
+    """Make sure that there is a solution, and that the method can find it and go on from this start (collective).
 
     Raises:
-        InputError: If it cannot.
+        InputError: If not.
     """
+    check_solvability(spaces, data)
     method = options.method
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
