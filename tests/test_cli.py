@@ -3,8 +3,6 @@
 import csv
 import json
 import math
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,32 +11,11 @@ import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
 import meshio
 import numpy as np
 import pytest
+from commands import launched, run, signorini
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import refuse_lone_copies
-from signorini_fenicsx.cli.main import main
-
-
-def signorini(folder: Path, *arguments: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
-    """Run `signorini` in a folder."""
-    return run(folder, "signorini", *arguments, ranks=ranks)
-
-
-def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder with a plain environment, as a shell would."""
-    hidden = ("PMI", "HYDI", "MPI", "_PYTEST")  # a test may itself run under an mpiexec
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(hidden)}
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
-    return subprocess.run(
-        [*launcher, *command],
-        cwd=folder,
-        env=environment | {"OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +24,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     folders = {}
     for ranks in (1, 2):
         folder = tmp_path_factory.mktemp(f"ranks{ranks}")
-        done = signorini(folder, "solve", "example2", "--h", "1/8", "--plot", ranks=ranks)
+        done = launched(folder, "solve", "example2", "--h", "1/8", "--plot", ranks=ranks)
         assert done.returncode == 0, done.stderr
         assert "the facet sets repeat" in done.stdout
         assert done.stderr == ""
@@ -238,16 +215,17 @@ def untouchable(folder: Path) -> list[Path]:
 
 
 AS_TYPED = (
-    *("unknown case 'example7'", "No such option", "mount point", "is a file", "PETSc", "give --target"),
+    *("unknown case 'example7'", "No such option", "PETSc"),
     *("PETSc options: Unknown type", "PETSc options: Could not", "PETSc cannot start with its options: Unable to open"),
 )
+IN_PARALLEL = ("asks for about", "is a file", "mount point", "outside 1e-100", "give --target")
 
 
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in AS_TYPED])
 def test_bad_input_as_typed(tmp_path: Path, arguments: list[str], message: str):
     """One sentence, exit status 2, no traceback, nothing written."""
     before = untouchable(tmp_path)
-    done = signorini(tmp_path, *arguments)
+    done = launched(tmp_path, *arguments)
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
     assert "Traceback" not in done.stderr
@@ -255,30 +233,42 @@ def test_bad_input_as_typed(tmp_path: Path, arguments: list[str], message: str):
 
 
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] not in AS_TYPED])
-def test_bad_input(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
-):
-    """The same in this process, which is faster."""
+def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
+    """The same in this process."""
     before = untouchable(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["signorini", *arguments])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
-    words = " ".join(capsys.readouterr().err.split())
+    done = signorini(tmp_path, *arguments)
+    assert done.returncode == 2
+    words = " ".join(done.stderr.split())
     assert message in words
     assert len(words) < 1200
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parallel(2)
+@pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in IN_PARALLEL])
+def test_bad_input_in_parallel(folder: Path, arguments: list[str], message: str):
+    """All ranks end with the status, whichever of them has met the reason."""
+    if MPI.COMM_WORLD.rank == 0:
+        untouchable(folder)
+    done = signorini(folder, *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), [row for row in BAD_INPUT if row[1] in ("unknown case 'example7'", "PETSc")]
+)
+def test_bad_input_in_parallel_is_said_once(tmp_path: Path, arguments: list[str], message: str):
+    done = launched(tmp_path, *arguments, ranks=2)
+    assert done.returncode == 2
+    assert done.stderr.count(message) == 1
+    assert "Traceback" not in done.stderr
+
+
 def test_copies_of_another_mpirun_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """They would overwrite each other's results; one task of a launcher is nothing special."""
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/4")
+    done = launched(tmp_path, "solve", "example1", "--h", "1/4")
     assert done.returncode == 2, done.stderr
     assert "OMPI_COMM_WORLD_SIZE = 2 says that this is one of 2 processes" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -295,31 +285,19 @@ def test_a_mesh_without_a_free_vertex_on_the_contact_part(tmp_path: Path):
     assert done.returncode == 0, done.stderr
 
 
-IN_PARALLEL = ("unknown case 'example7'", "asks for about", "is a file", "PETSc", "outside 1e-100")
-
-
-@pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in IN_PARALLEL])
-def test_bad_input_in_parallel_is_said_once(tmp_path: Path, arguments: list[str], message: str):
-    (tmp_path / "file").write_text("mine")
-    done = signorini(tmp_path, *arguments, ranks=2)
-    assert done.returncode == 2
-    assert done.stderr.count(message) == 1
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_failed_run_keeps_its_state_and_earlier_results(tmp_path: Path, ranks: int):
-    good = signorini(tmp_path, "solve", "example1", "--h", "1/4", ranks=ranks)
+@pytest.mark.parallel([1, 2])
+def test_failed_run_keeps_its_state_and_earlier_results(folder: Path):
+    good = signorini(folder, "solve", "example1", "--h", "1/4")
     assert good.returncode == 0, good.stderr
-    before = (tmp_path / "results" / "example1" / "summary.json").read_text()
-    bad = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--set", "solve.max_iterations=1", ranks=ranks)
+    before = (folder / "results" / "example1" / "summary.json").read_text()
+    bad = signorini(folder, "solve", "example1", "--h", "1/8", "--set", "solve.max_iterations=1")
     assert bad.returncode == 1
     assert bad.stderr.count("facets still change after 1 iterations") == 1
-    assert (tmp_path / "results" / "example1" / "summary.json").read_text() == before
-    failed = json.loads((tmp_path / "results" / "example1.failed" / "summary.json").read_text())
+    assert (folder / "results" / "example1" / "summary.json").read_text() == before
+    failed = json.loads((folder / "results" / "example1.failed" / "summary.json").read_text())
     assert failed["converged"] is False
     assert "facets still change" in failed["reason"]
-    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == ["example1", "example1.failed"]
+    assert sorted(path.name for path in (folder / "results").iterdir()) == ["example1", "example1.failed"]
 
 
 def test_rerun_replaces_results_and_keeps_foreign_files(tmp_path: Path):
@@ -371,7 +349,7 @@ def test_lists_can_be_set(tmp_path: Path):
 def test_state_with_nan_is_kept(tmp_path: Path):
     """A solver that blows up leaves its state behind, with null where a number is not finite."""
     options = ["-snes_type", "nrichardson", "-snes_max_it", "2000", "-snes_linesearch_type", "basic"]
-    done = signorini(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1", "--", *options)
+    done = launched(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1", "--", *options)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     failed = json.loads((tmp_path / "results" / "example4.failed" / "summary.json").read_text())
@@ -403,28 +381,30 @@ def test_3d_pictures_of_a_penalty_run(tmp_path: Path):
 
 
 def test_petsc_options_reach_petsc(tmp_path: Path):
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
+    done = launched(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
     assert done.returncode == 0
     assert "KSP Object" in done.stdout
     failing = ["-ksp_type", "gmres", "-pc_type", "none", "-ksp_max_it", "2"]
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b", "--", *failing)
+    done = launched(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b", "--", *failing)
     assert done.returncode == 1
     assert "linear solver gmres+none stopped" in done.stderr
 
 
-def test_convergence(tmp_path: Path):
-    done = signorini(tmp_path, "convergence", "example1", "--levels", "2:3", "--reference", "5", ranks=2)
+@pytest.mark.parallel(2)
+def test_convergence(folder: Path):
+    done = signorini(folder, "convergence", "example1", "--levels", "2:3", "--reference", "5")
     assert done.returncode == 0, done.stderr
-    rows = read_rows(tmp_path / "results" / "example1-convergence" / "convergence.csv")
+    rows = read_rows(folder / "results" / "example1-convergence" / "convergence.csv")
     assert [row["level"] for row in rows] == ["2", "3"]
     assert float(rows[0]["slides_sigma_V"]) == 1.65
     for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
-    assert (tmp_path / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
+    assert (folder / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
 
 
-def test_methods_are_listed(tmp_path: Path):
-    done = signorini(tmp_path, "methods", ranks=2)
+@pytest.mark.parallel(2)
+def test_methods_are_listed(folder: Path):
+    done = signorini(folder, "methods")
     assert done.returncode == 0, done.stderr
     names = [line.split()[0] for line in done.stdout.splitlines()]
     assert names == list(dict.fromkeys(names))
@@ -433,19 +413,19 @@ def test_methods_are_listed(tmp_path: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_classical_method(tmp_path: Path, ranks: int):
+@pytest.mark.parallel([1, 2])
+def test_classical_method(folder: Path):
     arguments = ["solve", "example1", "--h", "1/4", "--algorithm"]
-    done = signorini(tmp_path, *arguments, "uzawa", "--plot", ranks=ranks)
+    done = signorini(folder, *arguments, "uzawa", "--plot")
     assert done.returncode == 0, done.stderr
     assert "converges for ρ <" in done.stdout
-    results = tmp_path / "results" / "example1"
+    results = folder / "results" / "example1"
     summary = json.loads((results / "summary.json").read_text())
     assert summary["details"]["rho"] < summary["details"]["rho_limit"]
     assert summary["own_residual"] < 1e-8 < summary["kkt"]["mass_balance"]
     assert len(read_rows(results / "history.csv")) == summary["iterations"] > 20
     assert done.stdout.count("\n") < 45
     assert (results / "iterations.png").stat().st_size > 10_000
-    done = signorini(tmp_path, *arguments, "mixed-uzawa2", "--rho", "10", ranks=ranks)
+    done = signorini(folder, *arguments, "mixed-uzawa2", "--rho", "10")
     assert done.returncode == 1
     assert "the iteration diverges; ρ = 10 is outside of its range (0, 0.1" in done.stderr
