@@ -1,6 +1,7 @@
 """The command line in tests: in the processes of the test, which saves their start, or as a shell starts it."""
 
 import contextlib
+import csv
 import io
 import os
 import subprocess
@@ -57,3 +58,9 @@ def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> Ended:
         timeout=timeout,
         check=False,
     )
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))

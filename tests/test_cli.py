@@ -1,6 +1,5 @@
 """The command line as a user types it, serial and under mpirun."""
 
-import csv
 import json
 import math
 import sys
@@ -11,7 +10,7 @@ import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
 import meshio
 import numpy as np
 import pytest
-from commands import launched, run, signorini
+from commands import launched, read_rows, run, signorini
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -30,11 +29,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
         assert done.stderr == ""
         folders[ranks] = folder / "results" / "example2"
     return folders
-
-
-def read_rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def test_summary(runs: dict[int, Path]):
