@@ -1,12 +1,10 @@
 """Bad input on the command line: one sentence, exit status 2, nothing touched."""
 
-import sys
 from pathlib import Path
 
 import pytest
-from test_cli import signorini
-
-from signorini_fenicsx.cli.main import main
+from commands import launched, signorini
+from mpi4py import MPI
 
 BAD_INPUT = [
     (["solve", "example7"], "unknown case 'example7'"),
@@ -94,16 +92,17 @@ def untouchable(folder: Path) -> list[Path]:
 
 
 AS_TYPED = (
-    *("unknown case 'example7'", "No such option", "mount point", "is a file", "PETSc", "give --target"),
+    *("unknown case 'example7'", "No such option", "PETSc"),
     *("PETSc options: Unknown type", "PETSc options: Could not", "PETSc cannot start with its options: Unable to open"),
 )
+IN_PARALLEL = ("asks for about", "is a file", "mount point", "outside 1e-100", "give --target")
 
 
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in AS_TYPED])
 def test_bad_input_as_typed(tmp_path: Path, arguments: list[str], message: str):
     """One sentence, exit status 2, no traceback, nothing written."""
     before = untouchable(tmp_path)
-    done = signorini(tmp_path, *arguments)
+    done = launched(tmp_path, *arguments)
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
     assert "Traceback" not in done.stderr
@@ -111,33 +110,33 @@ def test_bad_input_as_typed(tmp_path: Path, arguments: list[str], message: str):
 
 
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] not in AS_TYPED])
-def test_bad_input(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
-):
-    """The same in this process, which is faster."""
+def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
+    """The same in this process."""
     before = untouchable(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["signorini", *arguments])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
-    words = " ".join(capsys.readouterr().err.split())
+    done = signorini(tmp_path, *arguments)
+    assert done.returncode == 2
+    words = " ".join(done.stderr.split())
     assert message in words
     assert len(words) < 1200
     assert sorted(tmp_path.rglob("*")) == before
 
 
-IN_PARALLEL = ("unknown case 'example7'", "asks for about", "is a file", "PETSc", "outside 1e-100")
-
-
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in IN_PARALLEL])
+def test_bad_input_in_parallel(folder: Path, arguments: list[str], message: str):
+    """All ranks end with the status, whichever of them has met the reason."""
+    if MPI.COMM_WORLD.rank == 0:
+        untouchable(folder)
+    done = signorini(folder, *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), [row for row in BAD_INPUT if row[1] in ("unknown case 'example7'", "PETSc")]
+)
 def test_bad_input_in_parallel_is_said_once(tmp_path: Path, arguments: list[str], message: str):
-    (tmp_path / "file").write_text("mine")
-    done = signorini(tmp_path, *arguments, ranks=2)
+    done = launched(tmp_path, *arguments, ranks=2)
     assert done.returncode == 2
     assert done.stderr.count(message) == 1
     assert "Traceback" not in done.stderr

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import signorini
 from mpi4py import MPI
-from test_cli import signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
@@ -81,29 +81,28 @@ def test_start_from_another_solution(folder: Path):
         solve_case(cold_case.with_values({"solve.algorithm": "vi", "solve.h": 0.25}), COMM, start=start)
 
 
-def test_a_failed_run_is_continued_and_exported(tmp_path: Path):
+@pytest.mark.parallel(2)
+def test_a_failed_run_is_continued_and_exported(folder: Path):
     few = ["solve", "example2", "--h", "1/16", "--output", "r"]
-    assert signorini(tmp_path, *few, "--set", "solve.max_iterations=1").returncode == 1
-    done = signorini(tmp_path, *few, "--start-from", "r.failed", ranks=2)
+    assert signorini(folder, *few, "--set", "solve.max_iterations=1").returncode == 1
+    done = signorini(folder, *few, "--start-from", "r.failed")
     assert done.returncode == 0, done.stderr
-    summary = json.loads((tmp_path / "r" / "summary.json").read_text())
+    summary = json.loads((folder / "r" / "summary.json").read_text())
     assert summary["iterations"] == 3
-    done = signorini(tmp_path, "export", "r", "--output", "out")
+    done = signorini(folder, "export", "r", "--output", "out")
     assert done.returncode == 0, done.stderr
-    assert {"solution.bp", "multiplier.bp", "facets.csv", "history.csv"} <= {
-        p.name for p in (tmp_path / "out").iterdir()
-    }
-    exported = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {"solution.bp", "multiplier.bp", "facets.csv", "history.csv"} <= {p.name for p in (folder / "out").iterdir()}
+    exported = json.loads((folder / "out" / "summary.json").read_text())
     assert exported["norms"] == pytest.approx(summary["norms"], rel=1e-12)
     assert exported["iterations"] == 3
 
 
-@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_nothing_to_start_from(tmp_path: Path, ranks: int):
-    (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "checkpoint.npz").write_bytes(b"PK\x03\x04 no more")
-    for folder, message in [("none", "holds no checkpoint.npz"), ("broken", "not a readable solution")]:
-        done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--start-from", folder, ranks=ranks)
+@pytest.mark.parallel([1, 2])
+def test_nothing_to_start_from(folder: Path):
+    if COMM.rank == 0:
+        (folder / "broken").mkdir()
+        (folder / "broken" / "checkpoint.npz").write_bytes(b"PK\x03\x04 no more")
+    for start, message in [("none", "holds no checkpoint.npz"), ("broken", "not a readable solution")]:
+        done = signorini(folder, "solve", "example1", "--h", "1/4", "--start-from", start)
         assert (done.returncode, done.stderr.count(message)) == (2, 1), done.stderr
-        assert "Traceback" not in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["broken"]
+    assert [path.name for path in folder.iterdir()] == ["broken"]

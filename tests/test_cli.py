@@ -1,10 +1,7 @@
 """The command line as a user types it, serial and under mpirun."""
 
-import csv
 import json
 import math
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,31 +10,11 @@ import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
 import meshio
 import numpy as np
 import pytest
+from commands import launched, read_rows, run, signorini
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import refuse_lone_copies
-
-
-def signorini(folder: Path, *arguments: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
-    """Run `signorini` in a folder."""
-    return run(folder, "signorini", *arguments, ranks=ranks)
-
-
-def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder with a plain environment, as a shell would."""
-    hidden = ("PMI", "HYDI", "MPI", "_PYTEST")  # a test may itself run under an mpiexec
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(hidden)}
-    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
-    return subprocess.run(
-        [*launcher, *command],
-        cwd=folder,
-        env=environment | {"OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +23,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     folders = {}
     for ranks in (1, 2):
         folder = tmp_path_factory.mktemp(f"ranks{ranks}")
-        done = signorini(folder, "solve", "example2", "--h", "1/8", "--plot", ranks=ranks)
+        done = launched(folder, "solve", "example2", "--h", "1/8", "--plot", ranks=ranks)
         assert done.returncode == 0, done.stderr
         assert "the facet sets repeat" in done.stdout
         assert done.stderr == ""
         folders[ranks] = folder / "results" / "example2"
     return folders
-
-
-def read_rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def test_summary(runs: dict[int, Path]):
@@ -154,7 +126,7 @@ def test_pictures_are_drawn(runs: dict[int, Path], ranks: int):
 def test_copies_of_another_mpirun_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """They would overwrite each other's results; one task of a launcher is nothing special."""
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/4")
+    done = launched(tmp_path, "solve", "example1", "--h", "1/4")
     assert done.returncode == 2, done.stderr
     assert "OMPI_COMM_WORLD_SIZE = 2 says that this is one of 2 processes" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -171,19 +143,19 @@ def test_a_mesh_without_a_free_vertex_on_the_contact_part(tmp_path: Path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_failed_run_keeps_its_state_and_earlier_results(tmp_path: Path, ranks: int):
-    good = signorini(tmp_path, "solve", "example1", "--h", "1/4", ranks=ranks)
+@pytest.mark.parallel([1, 2])
+def test_failed_run_keeps_its_state_and_earlier_results(folder: Path):
+    good = signorini(folder, "solve", "example1", "--h", "1/4")
     assert good.returncode == 0, good.stderr
-    before = (tmp_path / "results" / "example1" / "summary.json").read_text()
-    bad = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--set", "solve.max_iterations=1", ranks=ranks)
+    before = (folder / "results" / "example1" / "summary.json").read_text()
+    bad = signorini(folder, "solve", "example1", "--h", "1/8", "--set", "solve.max_iterations=1")
     assert bad.returncode == 1
     assert bad.stderr.count("facets still change after 1 iterations") == 1
-    assert (tmp_path / "results" / "example1" / "summary.json").read_text() == before
-    failed = json.loads((tmp_path / "results" / "example1.failed" / "summary.json").read_text())
+    assert (folder / "results" / "example1" / "summary.json").read_text() == before
+    failed = json.loads((folder / "results" / "example1.failed" / "summary.json").read_text())
     assert failed["converged"] is False
     assert "facets still change" in failed["reason"]
-    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == ["example1", "example1.failed"]
+    assert sorted(path.name for path in (folder / "results").iterdir()) == ["example1", "example1.failed"]
 
 
 def test_rerun_replaces_results_and_keeps_foreign_files(tmp_path: Path):
@@ -235,7 +207,7 @@ def test_lists_can_be_set(tmp_path: Path):
 def test_state_with_nan_is_kept(tmp_path: Path):
     """A solver that blows up leaves its state behind, with null where a number is not finite."""
     options = ["-snes_type", "nrichardson", "-snes_max_it", "2000", "-snes_linesearch_type", "basic"]
-    done = signorini(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1", "--", *options)
+    done = launched(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1", "--", *options)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     failed = json.loads((tmp_path / "results" / "example4.failed" / "summary.json").read_text())
@@ -267,28 +239,30 @@ def test_3d_pictures_of_a_penalty_run(tmp_path: Path):
 
 
 def test_petsc_options_reach_petsc(tmp_path: Path):
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
+    done = launched(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
     assert done.returncode == 0
     assert "KSP Object" in done.stdout
     failing = ["-ksp_type", "gmres", "-pc_type", "none", "-ksp_max_it", "2"]
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b", "--", *failing)
+    done = launched(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b", "--", *failing)
     assert done.returncode == 1
     assert "linear solver gmres+none stopped" in done.stderr
 
 
-def test_convergence(tmp_path: Path):
-    done = signorini(tmp_path, "convergence", "example1", "--levels", "2:3", "--reference", "5", ranks=2)
+@pytest.mark.parallel(2)
+def test_convergence(folder: Path):
+    done = signorini(folder, "convergence", "example1", "--levels", "2:3", "--reference", "5")
     assert done.returncode == 0, done.stderr
-    rows = read_rows(tmp_path / "results" / "example1-convergence" / "convergence.csv")
+    rows = read_rows(folder / "results" / "example1-convergence" / "convergence.csv")
     assert [row["level"] for row in rows] == ["2", "3"]
     assert float(rows[0]["slides_sigma_V"]) == 1.65
     for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
-    assert (tmp_path / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
+    assert (folder / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
 
 
-def test_methods_are_listed(tmp_path: Path):
-    done = signorini(tmp_path, "methods", ranks=2)
+@pytest.mark.parallel(2)
+def test_methods_are_listed(folder: Path):
+    done = signorini(folder, "methods")
     assert done.returncode == 0, done.stderr
     names = [line.split()[0] for line in done.stdout.splitlines()]
     assert names == list(dict.fromkeys(names))
@@ -297,19 +271,19 @@ def test_methods_are_listed(tmp_path: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_classical_method(tmp_path: Path, ranks: int):
+@pytest.mark.parallel([1, 2])
+def test_classical_method(folder: Path):
     arguments = ["solve", "example1", "--h", "1/4", "--algorithm"]
-    done = signorini(tmp_path, *arguments, "uzawa", "--plot", ranks=ranks)
+    done = signorini(folder, *arguments, "uzawa", "--plot")
     assert done.returncode == 0, done.stderr
     assert "converges for ρ <" in done.stdout
-    results = tmp_path / "results" / "example1"
+    results = folder / "results" / "example1"
     summary = json.loads((results / "summary.json").read_text())
     assert summary["details"]["rho"] < summary["details"]["rho_limit"]
     assert summary["own_residual"] < 1e-8 < summary["kkt"]["mass_balance"]
     assert len(read_rows(results / "history.csv")) == summary["iterations"] > 20
     assert done.stdout.count("\n") < 45
     assert (results / "iterations.png").stat().st_size > 10_000
-    done = signorini(tmp_path, *arguments, "mixed-uzawa2", "--rho", "10", ranks=ranks)
+    done = signorini(folder, *arguments, "mixed-uzawa2", "--rho", "10")
     assert done.returncode == 1
     assert "the iteration diverges; ρ = 10 is outside of its range (0, 0.1" in done.stderr

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import signorini
 from mpi4py import MPI
-from test_cli import signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
@@ -81,17 +81,15 @@ def test_position_of_the_exact_contact_set():
         assert errors["contact_hausdorff"] < 1.5 * h
 
 
-@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_command_line(tmp_path: Path, ranks: int):
+@pytest.mark.parallel([1, 2])
+def test_command_line(folder: Path):
     for h in ("1/4", "1/8"):
-        done = signorini(tmp_path, "solve", "example3", "--h", h, "--output", h[-1])
+        done = signorini(folder, "solve", "example3", "--h", h, "--output", h[-1])
         assert done.returncode == 0, done.stderr
-    done = signorini(tmp_path, "compare", "4", "8", "--output", "out", ranks=ranks)
+    done = signorini(folder, "compare", "4", "8", "--output", "out")
     assert done.returncode == 0, done.stderr
     assert "Jaccard" in done.stdout
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    summary = json.loads((folder / "out" / "summary.json").read_text())
     assert 0.8 < summary["jaccard"] <= 1
     assert np.isfinite(summary["hausdorff"])
-    bad = signorini(tmp_path, "compare", "4", "missing")
-    assert bad.returncode == 2
-    assert "Traceback" not in bad.stderr
+    assert signorini(folder, "compare", "4", "missing").returncode == 2

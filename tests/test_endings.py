@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from test_cli import run, signorini
+from commands import run, signorini
 
 from signorini_fenicsx.base.signals import Interruption, listening
 from signorini_fenicsx.cli.main import main

@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import run
 from fuzzing.broken import Broken
 from fuzzing.judge import BAD, Ending, judged, put_files_of_the_user, snapshot
-from test_cli import run
 
 SCRIPT = str(Path(__file__).parents[1] / "scripts" / "fuzz.py")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from broken_input import write_broken_case
+from commands import launched, signorini
 from mpi4py import MPI
-from test_cli import signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
@@ -56,15 +56,15 @@ def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_output_for_programs(tmp_path: Path, ranks: int):
     """--json: one object on standard output, the summary; --quiet: nothing. Neither has colours or goes with errors."""
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--json", ranks=ranks)
+    done = launched(tmp_path, "solve", "example1", "--h", "1/4", "--json", ranks=ranks)
     assert (done.returncode, done.stderr) == (0, "")
     summary = json.loads(done.stdout)
     assert summary == json.loads((tmp_path / "results" / "example1" / "summary.json").read_text())
-    done = signorini(tmp_path, "solve", "example1", "--h", "1/5", "--quiet", "--output", "other", ranks=ranks)
+    done = launched(tmp_path, "solve", "example1", "--h", "1/5", "--quiet", "--output", "other", ranks=ranks)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    done = signorini(tmp_path, "compare", "results/example1", "other", "--json", ranks=ranks)
+    done = signorini(tmp_path, "compare", "results/example1", "other", "--json")
     assert 0 < json.loads(done.stdout)["jaccard"] <= 1
-    done = signorini(tmp_path, "solve", "example7", "--quiet", "--json", ranks=ranks)
+    done = signorini(tmp_path, "solve", "example7", "--quiet", "--json")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: unknown case")
 
@@ -76,18 +76,19 @@ def test_adapt_as_json(tmp_path: Path):
     assert json.loads(done.stdout)["case"] == "dam"
 
 
-def test_info_check_and_version(tmp_path: Path):
-    done = signorini(tmp_path, "info", "dam", ranks=2)
+@pytest.mark.parallel(2)
+def test_info_check_and_version(folder: Path):
+    done = signorini(folder, "info", "dam")
     assert "face: signorini, 24 facets" in done.stdout
     assert "an estimate" in done.stdout
-    assert json.loads(signorini(tmp_path, "info", "lprism", "--json").stdout)["dim"] == 3
-    assert "ready" in signorini(tmp_path, "check", "dam", ranks=2).stdout
-    bad = signorini(tmp_path, "check", "dam", "--set", 'boundary.signorini=["crest"]', ranks=2)
+    assert json.loads(signorini(folder, "info", "lprism", "--json").stdout)["dim"] == 3
+    assert "ready" in signorini(folder, "check", "dam").stdout
+    bad = signorini(folder, "check", "dam", "--set", 'boundary.signorini=["crest"]')
     assert bad.returncode == 2
     assert bad.stderr.count("unknown part 'crest'") == 1
-    assert json.loads(signorini(tmp_path, "version", "--json").stdout).keys() >= {"dolfinx", "petsc", "mpi", "python"}
+    assert json.loads(signorini(folder, "version", "--json").stdout).keys() >= {"dolfinx", "petsc", "mpi", "python"}
     assert "\x1b" not in done.stdout + bad.stderr
-    assert list(tmp_path.iterdir()) == []
+    assert list(folder.iterdir()) == []
 
 
 @pytest.mark.parametrize(("words", "expected"), [("solve exam", "example4"), ("solve dam --algorithm al", "alg2")])

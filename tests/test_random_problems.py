@@ -4,8 +4,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import run
 from random_problems import examine
-from test_cli import run
 
 MANY_RUNS = """
 from mpi4py import MPI

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from test_cli import read_rows, run
+from commands import read_rows, run
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 

@@ -10,8 +10,8 @@ import basix
 import flint
 import numpy as np
 import pytest
+from commands import signorini
 from mpi4py import MPI
-from test_cli import signorini
 from test_sharp_bounds import make, rotated
 
 from signorini_fenicsx.base.errors import InputError

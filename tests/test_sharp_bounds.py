@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
+from random_bounds import examine
 
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -75,6 +76,11 @@ def test_without_dirichlet_part():
     size = math.sqrt(solution.spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx)))
     assert 0.5e-3 * size < other.remainder < 3e-3 * size
     assert other.sigma_bound == pytest.approx(exact.sigma_bound + other.remainder, rel=0.05)
+
+
+def test_jumps_on_bad_cells():
+    """κ jumps by 1e6 on sheared cells, and nothing holds u but contact: a good v takes CG hundreds of steps."""
+    assert 1 < examine(25, "aligned", COMM).ratio < 5  # was 47
 
 
 def hertz(x, lib, *, radius: float = 0.3):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pyarrow.parquet as parquet
 import pytest
+from commands import launched, read_rows, run, signorini
 from mpi4py import MPI
-from test_cli import read_rows, run, signorini
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.farm import hand_out
@@ -166,13 +166,18 @@ def test_table(finished: Path):
     assert [float(row["seconds"]) > 0 for row in read_rows(finished / "timings.csv")] == [True] * 8
 
 
-def test_dry_run_writes_nothing(tmp_path: Path):
-    write(tmp_path, STUDY)
-    done = signorini(tmp_path, "study", "study.toml", "--dry-run", ranks=2)
+@pytest.mark.parallel(2)
+def test_nothing_is_written(folder: Path):
+    """By a dry run, or where it cannot be; said once."""
+    if MPI.COMM_WORLD.rank == 0:
+        write(folder, STUDY)
+    done = signorini(folder, "study", "study.toml", "--dry-run")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("to do ") == 8
     assert "algorithm = alg4  h = 0.125" in done.stdout
-    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
+    done = signorini(folder, "study", "study.toml", "--output", "/proc/mine")
+    assert (done.returncode, done.stderr.count("cannot be written")) == (2, 1)
+    assert [path.name for path in folder.iterdir()] == ["study.toml"]
 
 
 def stamps(results: Path) -> dict[str, tuple[int, int]]:
@@ -211,7 +216,7 @@ def test_killed_and_continued(tmp_path: Path, finished: Path):
         assert known.items() <= now.items()
         known = now
     (results / "runs" / f".{next(iter(known))}.left.partial").mkdir()
-    done = signorini(tmp_path, "study", "study.toml", ranks=2)
+    done = launched(tmp_path, "study", "study.toml", ranks=2)
     assert done.returncode == 0, done.stderr
     assert "runs were finished before" in done.stdout
     assert known.items() <= stamps(results).items()
@@ -230,13 +235,15 @@ algorithm = ["alg1", "alg2"]
 """
 
 
-def test_failed_runs_are_recorded_and_do_not_stop_the_others(tmp_path: Path):
+@pytest.mark.parallel(2)
+def test_failed_runs_are_recorded_and_do_not_stop_the_others(folder: Path):
     """Failures are told in the table and by the exit status, and repeated only when asked for."""
-    write(tmp_path, FAILING)
-    results = tmp_path / "results" / "study-study"
+    if MPI.COMM_WORLD.rank == 0:
+        write(folder, FAILING)
+    results = folder / "results" / "study-study"
     for arguments, again in [([], True), ([], False), (["--retry-failed"], True)]:
         before = stamps(results)
-        done = signorini(tmp_path, "study", "study.toml", *arguments, ranks=2)
+        done = signorini(folder, "study", "study.toml", *arguments)
         assert done.returncode == 1
         assert done.stderr.count("2 of 4 runs") == 1
         assert "facets still change after 1 iterations" in done.stderr
@@ -303,8 +310,6 @@ def test_one_launch_at_a_time_and_only_in_its_own_folder(tmp_path: Path):
     (tmp_path / "full" / "mine").write_text("mine")
     done = signorini(tmp_path, "study", "study.toml", "--output", "full")
     assert (done.returncode, "is not empty and not the folder of a study" in done.stderr) == (2, True)
-    done = signorini(tmp_path, "study", "study.toml", "--output", "/proc/mine", ranks=2)
-    assert (done.returncode, done.stderr.count("cannot be written")) == (2, 1)
     for place, name in (("one", "runs"), ("two", ".claims")):
         (tmp_path / place).mkdir()
         for file in {".lock", name}:

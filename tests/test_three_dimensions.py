@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import signorini
 from mpi4py import MPI
 from test_backends import assert_same_iterates
-from test_cli import signorini
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case

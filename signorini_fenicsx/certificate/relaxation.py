@@ -25,10 +25,13 @@ from signorini_fenicsx.forms.mixed import flux_product
 type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
-STEPS, MOST_STEPS = 5, 80
-"""Of CG in the first round and in the last one; each has twice as many as that before."""
+STEPS, MOST_STEPS = 5, 320
+"""Of CG in the first round, and at most; each has twice as many as that before. κ that jumps by 1e6 on bad cells needs
+hundreds, others end in the first rounds."""
+ROUNDS = 16
 WORTH = 0.05
-"""There is a further round if it may gain this part of the gap: by steps like the last one, or what projection took."""
+"""There is a further round if it may gain this part of the gap: by steps like the last one, what projection took, or
+nodes that leave their bound."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +104,11 @@ def relax(
     best = w.x.array.copy()
     present, descent = gap.at(w)
     lowest, steps = present, STEPS
-    while steps <= MOST_STEPS:
-        size = len(descent)
-        free = (w.x.array > obstacle.lower(w.x.array))[:size] | (descent > 0)
-        free[fixed[fixed < size]] = False
+    size = len(descent)
+    loose = np.ones(size, dtype=bool)
+    loose[fixed[fixed < size]] = False
+    for _ in range(ROUNDS):
+        free = loose & ((w.x.array > obstacle.lower(w.x.array))[:size] | (descent > 0))
         change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
         w.x.array[:size] += change
         w.x.scatter_forward()
@@ -113,8 +117,8 @@ def relax(
         if present < lowest:
             best[:], lowest = w.x.array, present
         taken_back = present - (before - gained)
-        steps *= 2
-        if taken_back + steps * last < WORTH * present:
+        steps = min(2 * steps, MOST_STEPS)
+        if taken_back + steps * last + gap.alone(descent, loose & ~free) < WORTH * present:
             break
     w.x.array[:] = best
     gap.destroy()
@@ -142,6 +146,11 @@ class _Gap:
         stiff = self._times(v)
         value = self._comm.allreduce(v @ (stiff / 2 - self._flux) + self._excess @ above)
         return value + self._constant, self._flux - self._excess - stiff
+
+    def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
+        """By how much nodes can lower the gap that move upwards each by itself (collective)."""
+        upwards = np.where(nodes, np.maximum(descent, 0.0), 0.0)
+        return float(self._comm.allreduce(upwards @ (upwards / self._diagonal.array_r)) / 2)
 
     def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> tuple[Array, float, float]:
         """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).

@@ -1,0 +1,66 @@
+"""The command line in tests: in the processes of the test, which saves their start, or as a shell starts it."""
+
+import contextlib
+import csv
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx.cli.main import main
+
+COMM = MPI.COMM_WORLD
+
+type Ended = subprocess.CompletedProcess[str]
+
+
+def signorini(folder: Path, *arguments: str) -> Ended:
+    """Run `signorini` on the ranks of the test, as if in a folder; not with options of PETSc, which has its own by now.
+
+    Collective; what rank 0 has said is returned on all ranks.
+    """
+    out, err = io.StringIO(), io.StringIO()
+    COMM.Barrier()
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        mock.patch.object(sys, "argv", ["signorini", *arguments]),
+        pytest.raises(SystemExit) as end,
+    ):
+        main()
+    (status,) = set(COMM.allgather(end.value.code))
+    assert isinstance(status, int)
+    return subprocess.CompletedProcess(arguments, status, *COMM.bcast((out.getvalue(), err.getvalue())))
+
+
+def launched(folder: Path, *arguments: str, ranks: int = 1) -> Ended:
+    """Run `signorini` in processes of its own."""
+    return run(folder, "signorini", *arguments, ranks=ranks)
+
+
+def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> Ended:
+    """Run a command in a folder with a plain environment, as a shell would."""
+    hidden = ("PMI", "HYDI", "MPI", "_PYTEST")  # a test may itself run under an mpiexec
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(hidden)}
+    launcher = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
+    return subprocess.run(
+        [*launcher, *command],
+        cwd=folder,
+        env=environment | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
