@@ -26,5 +26,5 @@ def own_domain(
     topology.create_connectivity(dim - 1, dim)
     boundary = dolfinx.mesh.exterior_facet_indices(topology)
     inside = signorini(dolfinx.mesh.compute_midpoints(mesh, dim - 1, boundary).T)
-    bend = 1 / float(np.ptp(points, axis=0).max())
-    return Domain(mesh, largest_diameter(mesh), {"bottom": axis_part("x")}, {"bottom": boundary[inside]}, {}, bend)
+    curvature = 1 / float(np.ptp(points, axis=0).max())
+    return Domain(mesh, largest_diameter(mesh), {"bottom": axis_part("x")}, {"bottom": boundary[inside]}, {}, curvature)

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, half_norm
+from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, slobodeckij_norm
 from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
@@ -210,5 +210,5 @@ def test_half_norm():
     solution = solve_case(load_case("example1").with_values({"boundary.signorini": ["top"], "solve.h": 1 / 64}), COMM)
     x = solution.spaces.Lambda.tabulate_dof_coordinates()[: len(solution.spaces.facets), 0]
     facet = solution.spaces.facet_measure.max(initial=0.0)
-    assert half_norm(solution, np.ones_like(x)) == pytest.approx(1.0)
-    assert half_norm(solution, x) ** 2 == pytest.approx(4 / 3 - COMM.allreduce(facet, MPI.MAX), rel=1e-3)
+    assert slobodeckij_norm(solution, np.ones_like(x)) == pytest.approx(1.0)
+    assert slobodeckij_norm(solution, x) ** 2 == pytest.approx(4 / 3 - COMM.allreduce(facet, MPI.MAX), rel=1e-3)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from test_cli import signorini
+from commands import launched
 
 from signorini_fenicsx.base import parallel
 from signorini_fenicsx.base.parallel import Stopwatch
@@ -23,7 +23,7 @@ def test_a_phase_interrupts_the_one_around_it(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_log_view_reads_like_the_program(tmp_path: Path, ranks: int):
-    done = signorini(tmp_path, "solve", "example2", "--h", "1/4", "--", "-log_view", ":log", ranks=ranks)
+    done = launched(tmp_path, "solve", "example2", "--h", "1/4", "--", "-log_view", ":log", ranks=ranks)
     assert done.returncode == 0, done.stderr
     table = (tmp_path / "log").read_text().partition("Summary of Stages:")[2].partition("\n---")[0]
     stages = [line.split(":")[1].strip() for line in table.splitlines() if line[:2].strip().isdigit()]

@@ -22,7 +22,7 @@ class AuxiliarySpace:
 
     def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
         """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective)."""
-        self._spaces, self._weak = spaces, data.stiffness
+        self._spaces, self._weak = spaces, data.conductance
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
         self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)

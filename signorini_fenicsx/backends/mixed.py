@@ -107,7 +107,7 @@ class MixedBackend(FacetBackend):
             residual.array_w[:] -= self._load
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         sigma, u = self._fields(x)
-        p, normal_flux = conditions.clean(p, spaces.normal_flux(sigma), self.data.stiffness)
+        p, normal_flux = conditions.clean(p, spaces.normal_flux(sigma), self.data.conductance)
         if loaded:
             sigma.x.array[:] += self.data.sigma_lift.x.array
         return Iterate(

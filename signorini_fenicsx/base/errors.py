@@ -20,4 +20,4 @@ class NumericalFailure(Exception):
 
 
 class WriteFailure(Exception):
-    """A library could not write on this rank; others may wait for it for ever: exit status 1."""
+    """A library could not write on this rank; the others may never stop waiting for it: exit status 1."""

@@ -46,7 +46,7 @@ class Differences:
         sigma_V: ‖σ − σ'‖_V.
         u_Q: ‖u − u'‖_Q.
         p_Lambda: ‖p − p'‖_Λ.
-        p_half: ‖p − p'‖ in a discrete H^{1/2}(Γ_S), see `half_norm`.
+        p_half: ‖p − p'‖ in a discrete H^{1/2}(Γ_S), see `slobodeckij_norm`.
         flux_Lambda: ‖σ·n − σ'·n‖_Λ.
     """
 
@@ -128,11 +128,11 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
     sigma_V, u_Q, p_Lambda, flux_Lambda = np.sqrt(mesh.comm.allreduce(local)).tolist()
     size = len(fine.spaces.facets)
     return Differences(
-        sigma_V, u_Q, p_Lambda, half_norm(fine, fine.p.x.array[:size] - p_middle.x.array[:size]), flux_Lambda
+        sigma_V, u_Q, p_Lambda, slobodeckij_norm(fine, fine.p.x.array[:size] - p_middle.x.array[:size]), flux_Lambda
     )
 
 
-def half_norm(solution: Solution, values: Array) -> float:
+def slobodeckij_norm(solution: Solution, values: Array) -> float:
     """Discrete H^{1/2}(Γ_S) norm of one value per Γ_S facet (collective; quadratic in the number of facets).
 
     The Sobolev-Slobodeckij double integral with each pair of different facets taken at its midpoints:

@@ -62,13 +62,13 @@ class SiteConditions:
         """The same condition on all sites of this rank."""
         return cls(np.full(sites, kind, dtype=np.int8), beta)
 
-    def clean(self, p: Array, flux: Array, stiffness: float) -> tuple[Array, Array]:
+    def clean(self, p: Array, flux: Array, conductance: float) -> tuple[Array, Array]:
         """Replace what the conditions prescribe by its exact value, so that no rule decides on the solver's error.
 
         Args:
             p: Trace per site.
             flux: σ·n per site.
-            stiffness: `Data.stiffness`, what β is large or small beside.
+            conductance: `Data.conductance`, what β is large or small beside.
 
         Returns:
             Trace and flux; one of them is exactly 0 on each NO_FLUX or ZERO_TRACE site, and on ROBIN sites the smaller
@@ -77,7 +77,7 @@ class SiteConditions:
         robin = self.kind == Condition.ROBIN
         p = np.where(self.kind == Condition.ZERO_TRACE, 0.0, p)
         flux = np.where(self.kind == Condition.NO_FLUX, 0.0, flux)
-        if self.beta > stiffness:
+        if self.beta > conductance:
             return np.where(robin, -flux / self.beta, p), flux
         return p, np.where(robin, -self.beta * p, flux)
 

@@ -48,7 +48,7 @@ class Data:
             others.
         psi_h: Mean of ψ per Γ_S facet of this rank.
         q_Sh: Mean of q_S per Γ_S facet of this rank.
-        stiffness: Mean of κ over L, so the σ·n that goes with p = 1.
+        conductance: Mean of κ over L, so the σ·n that goes with p = 1.
         total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
         exact: u itself, where it is known.
         trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
@@ -67,7 +67,7 @@ class Data:
     sigma_lift: fem.Function
     psi_h: Array
     q_Sh: Array
-    stiffness: float
+    conductance: float
     total_load: float
     exact: Expr | None
     trees: Mapping[str, Tree | Rows]
@@ -159,7 +159,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         sigma_lift=sigma_lift,
         psi_h=psi_h,
         q_Sh=q_Sh,
-        stiffness=mean_conductivity(spaces, kappa_h) / spaces.length(),
+        conductance=mean_conductivity(spaces, kappa_h) / spaces.length(),
         total_load=total(np.concatenate(loads), spaces.mesh.comm),
         exact=_exact(spaces, problem.exact),
         trees=_trees(problem),

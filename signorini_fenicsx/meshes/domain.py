@@ -41,7 +41,7 @@ class Domain:
         parts: Boundary parts, in the order of the shape or file.
         facets: For each part its facets of this rank, ascending. Parts from a file may overlap or leave facets.
         regions: For each region of a file its cells of this rank, ascending; none for named shapes.
-        bend: Two meshes of the domain with edges ≤ h are nowhere further apart than bend·h².
+        curvature: Two meshes of the domain with edges ≤ h are nowhere further apart than curvature·h².
         name: Of the shape or the file.
         is_shape: Whether it is one of the named shapes.
     """
@@ -51,7 +51,7 @@ class Domain:
     parts: Mapping[str, Part]
     facets: Mapping[str, npt.NDArray[np.int32]]
     regions: Mapping[str, npt.NDArray[np.int32]]
-    bend: float
+    curvature: float
     name: str = "mesh"
     is_shape: bool = False
 
@@ -134,7 +134,7 @@ def marked_domain(
     parts: Mapping[str, Part],
     marks: Marks,
     *,
-    bend: float,
+    curvature: float,
     name: str,
     is_shape: bool = False,
 ) -> Domain:
@@ -148,7 +148,7 @@ def marked_domain(
         for column, name in enumerate(marks.regions)
         if inside is not None
     }
-    return Domain(mesh, largest_diameter(mesh), parts, _found(mesh, marks.facets), regions, bend, name, is_shape)
+    return Domain(mesh, largest_diameter(mesh), parts, _found(mesh, marks.facets), regions, curvature, name, is_shape)
 
 
 def _found(mesh: dolfinx.mesh.Mesh, marked: Mapping[str, Indices]) -> dict[str, npt.NDArray[np.int32]]:

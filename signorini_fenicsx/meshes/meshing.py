@@ -28,9 +28,9 @@ from signorini_fenicsx.meshes.files import MAX_CELLS, read_mesh_file
 from signorini_fenicsx.meshes.grids import Simplices
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
 
-BEND = 1.0
+CURVATURE = 1.0
 """No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
-OWN_BEND = 8.0
+OWN_CURVATURE = 8.0
 """The same for a domain from a file of size 1, taken to have no radius below 1/64."""
 
 
@@ -92,7 +92,7 @@ def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str) -> Domain:
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
     }
-    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, BEND, shape_name, is_shape=True)
+    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, CURVATURE, shape_name, is_shape=True)
 
 
 def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
@@ -117,9 +117,9 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
             raise InputError(f"mesh {path}: {error}") from None
         read.append(mesh)
         labels = {name: AXES[_longest_axis(mesh.points[facets])] for name, facets in mesh.parts.items()}
-        return mesh.dim, labels, tuple(mesh.regions), OWN_BEND / float(np.ptp(mesh.points, axis=0).max())
+        return mesh.dim, labels, tuple(mesh.regions), OWN_CURVATURE / float(np.ptp(mesh.points, axis=0).max())
 
-    dim, labels, regions, bend = on_root(comm, about)
+    dim, labels, regions, curvature = on_root(comm, about)
     points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
     facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
     inside = None
@@ -130,7 +130,7 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
             inside[chosen, column] = True
     parts = {name: axis_part(label) for name, label in labels.items()}
     mesh, marks = distribute(comm, points, cells, dim), Marks(facets, inside, regions)
-    return marked_domain(mesh, parts, marks, bend=bend, name=Path(path).name)
+    return marked_domain(mesh, parts, marks, curvature=curvature, name=Path(path).name)
 
 
 @functools.cache

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import AXES, Boundary, Domain, axis_part, bounding_box, largest_diameter
-from signorini_fenicsx.meshes.meshing import OWN_BEND
+from signorini_fenicsx.meshes.meshing import OWN_CURVATURE
 
 type Entities = npt.NDArray[np.int32]
 
@@ -43,8 +43,8 @@ def domain_of(
     facets = {part: np.unique(chosen).astype(np.int32) for part, chosen in parts.items()}
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
-    bend = OWN_BEND / float((box[1] - box[0]).max())
-    return Domain(mesh, largest_diameter(mesh), labels, facets, regions or {}, bend, name)
+    curvature = OWN_CURVATURE / float((box[1] - box[0]).max())
+    return Domain(mesh, largest_diameter(mesh), labels, facets, regions or {}, curvature, name)
 
 
 def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:

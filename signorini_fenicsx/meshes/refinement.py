@@ -85,7 +85,9 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         tuple(domain.regions),
     )
     distributed = distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim)
-    return marked_domain(distributed, domain.parts, marks, bend=domain.bend, name=domain.name, is_shape=domain.is_shape)
+    return marked_domain(
+        distributed, domain.parts, marks, curvature=domain.curvature, name=domain.name, is_shape=domain.is_shape
+    )
 
 
 def _bisected(

@@ -18,7 +18,7 @@ QUADRATURE_DEGREE = 2
 
 def curve_gap(domain: Domain) -> float:
     """A length above the gap between this mesh and a finer one of the same domain with a curved boundary."""
-    return domain.bend * domain.h**2
+    return domain.curvature * domain.h**2
 
 
 @contextlib.contextmanager
@@ -28,7 +28,7 @@ def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[float]:
     Yields:
         The factor, a power of 2, so that nothing is rounded; 1 for named shapes.
     """
-    factor = 2.0 ** round(math.log2(domain.bend))
+    factor = 2.0 ** round(math.log2(domain.curvature))
     for mesh in meshes:
         mesh.geometry.x[:] *= factor
     try:

@@ -68,7 +68,7 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         "part_names": solution.spaces.part_names,
         "parts": {name: part.label for name, part in solution.spaces.domain.parts.items()},
         "regions": marks.regions,
-        "bend": solution.spaces.domain.bend,
+        "bend": solution.spaces.domain.curvature,
         "history": [asdict(step) for step in solution.outcome.history],
         "beta": solution.outcome.conditions.beta,
         "kkt": vars(solution.kkt),
@@ -155,7 +155,7 @@ def load_solution(
     cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
     mesh = distribute(comm, points, cells, dim)
     marks, is_shape = _marks(about, arrays, dim), found.shape is not None
-    domain = marked_domain(mesh, _parts(found), marks, bend=about.bend, name=found.domain, is_shape=is_shape)
+    domain = marked_domain(mesh, _parts(found), marks, curvature=about.bend, name=found.domain, is_shape=is_shape)
     spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)

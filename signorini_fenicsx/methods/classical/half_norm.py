@@ -18,7 +18,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.classical.on_root import RootRows
+from signorini_fenicsx.methods.classical.gathered import RootRows
 
 type Array = npt.NDArray[np.float64]
 

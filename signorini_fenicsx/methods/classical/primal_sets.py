@@ -56,7 +56,7 @@ class VertexBackend:
         """
         self.system = P1System(task.spaces, task.data)
         self.comm, self.sites, self.dofs = task.spaces.mesh.comm, len(self.system.signorini), self.system.dofs
-        self._contact, self._stiffness = contact, task.data.stiffness
+        self._contact, self._conductance = contact, task.data.conductance
         self.u: Array = np.zeros_like(self.system.load)
 
     def solver(self) -> str:
@@ -78,7 +78,7 @@ class VertexBackend:
         self.u = system.solve(b)
         self.u[fixed] = 0.0
         reaction = (system.times(self.u) - system.load)[system.signorini] / system.weights
-        p, flux = conditions.clean(self.u[system.signorini], reaction, self._stiffness)
+        p, flux = conditions.clean(self.u[system.signorini], reaction, self._conductance)
         return VertexPairs(p=p, flux=flux, linear_iterations=1, u=self.u)
 
     def without_flux(self, iterate: VertexPairs, where: Mask) -> VertexPairs:

@@ -21,7 +21,7 @@ from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
-from signorini_fenicsx.methods.classical.on_root import RootRows, matrix_on_root
+from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.history import Outcome, Recorder
 from signorini_fenicsx.methods.task import Task, nothing_yet
 
