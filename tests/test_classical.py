@@ -204,7 +204,7 @@ def test_no_load():
 def test_range_of_rho(method: str, outside: float):
     """Inside of the reported range it converges to the same solution, far enough outside it does not and says why.
 
-    In σ·n and λ the eigenvector of λ_max is smooth and not wholly in the contact set, so that a larger ρ still converges.
+    In σ·n and λ the eigenvector of λ_max is smooth and not wholly in the contact set: a larger ρ still converges.
     """
     case = example("example1", algorithm=method)
     automatic = solve_case(case)

@@ -76,7 +76,7 @@ class FacetSystem:
         spaces = self.spaces
         sigma, u = self._recovery.fields(self.x)
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
-        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.stiffness)
+        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.conductance)
         sigma.x.array[spaces.flux_dofs] = (flux + self._data.q_Sh) * spaces.facet_measure / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
@@ -85,7 +85,7 @@ class FacetSystem:
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """What `recover` would give per Γ_S facet for this x, which need not be a solution (collective)."""
         flux = self._recovery.normal_flux(x) - self._data.q_Sh
-        return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.stiffness)
+        return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.conductance)
 
 
 class _Recovery:

@@ -164,7 +164,7 @@ class PenaltyNewton:
         sigma.x.array[:] += self._data.sigma_lift.x.array
         linear_iterations = self._snes.getKSP().getIterationNumber()
         raw = Iterate(p=trace, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
-        p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux, self._data.stiffness)
+        p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux, self._data.conductance)
         return replace(raw, p=p_clean, flux=flux_clean)
 
     def _conditions(self, iterate: Iterate) -> SiteConditions:
