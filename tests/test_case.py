@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, case_names, load_case
+from signorini_fenicsx.base.shipped import case_names
+from signorini_fenicsx.cases.case import Case, load_case
 
 GOOD = """
 title = "Good"

@@ -4,6 +4,7 @@ import json
 import os
 import random
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.inspection import check, expected
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cli.main import main
 
 
 def test_sizes_are_those_of_the_mesh():
@@ -100,3 +102,19 @@ def test_shell_completion(words: str, expected: str):
     }
     done = subprocess.run(["signorini"], env=os.environ | environment, capture_output=True, text=True, check=False)
     assert expected in done.stdout.split()
+
+
+def test_quiet_is_of_one_command_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """What one command is told is not for the next one in the same process."""
+    said = []
+    for words in (["check", "dam", "-q"], ["methods"], ["version", "--json"], ["methods"]):
+        monkeypatch.setattr(sys, "argv", ["signorini", *words])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 0
+        said.append(capsys.readouterr().out)
+    quiet, methods, as_json, again = said
+    assert quiet == ""
+    assert methods == again
+    assert methods.startswith("alg1")
+    assert json.loads(as_json).keys() >= {"dolfinx"}

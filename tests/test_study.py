@@ -15,10 +15,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.farm import hand_out
-from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.base.shipped import data_folder, study_names
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.studies.folder import StudyFolder
-from signorini_fenicsx.studies.study import Convergence, load_study, make_run, study_names
+from signorini_fenicsx.studies.study import Convergence, load_study, make_run
 
 STUDY = """
 title = "A small study"

@@ -3,6 +3,8 @@
 import sysconfig
 from pathlib import Path
 
+from signorini_fenicsx.base.errors import InputError
+
 
 def data_folder(kind: str) -> Path:
     """Folder of the shipped data (`cases`, `tables`): the checkout's, or that of the installed package."""
@@ -18,3 +20,22 @@ def case_names() -> list[str]:
 def study_names() -> list[str]:
     """Names of the shipped studies."""
     return sorted(path.stem for path in data_folder("studies").glob("*.toml"))
+
+
+def file_of(kind: str, name_or_path: str | Path) -> Path:
+    """The file of a case or study: a shipped one by its name, any by its path.
+
+    Args:
+        kind: "case" or "study".
+        name_or_path: What the user calls it; a path ends in `.toml` or has a slash.
+
+    Raises:
+        InputError: If a name is not that of a shipped one.
+    """
+    text = str(name_or_path)
+    if text.endswith(".toml") or "/" in text:
+        return Path(text)
+    folder, names = {"case": ("cases", case_names()), "study": ("studies", study_names())}[kind]
+    if text not in names:
+        raise InputError(f"unknown {kind} '{text}'; use one of {', '.join(names)} or the path of a .toml file")
+    return data_folder(folder) / f"{text}.toml"

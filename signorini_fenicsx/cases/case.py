@@ -7,17 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import basix.ufl
 import ufl
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.shipped import case_names, data_folder
+from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
 from signorini_fenicsx.discrete.problem import Given, Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
+from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
 from signorini_fenicsx.methods.registry import METHODS, Method
@@ -258,8 +258,7 @@ class Case(_Section):
 
 def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
     """Coordinate of a domain that has a dimension but no mesh yet."""
-    cell = {2: "triangle", 3: "tetrahedron"}[dim]
-    return ufl.SpatialCoordinate(ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(dim,))))
+    return ufl.SpatialCoordinate(ufl.Mesh(coordinate_element(dim)))
 
 
 def load_case(name_or_path: str | Path) -> Case:
@@ -268,13 +267,7 @@ def load_case(name_or_path: str | Path) -> Case:
     Raises:
         InputError: If there is no such case, or it is malformed; the message names file, key and reason.
     """
-    text = str(name_or_path)
-    if text.endswith(".toml") or "/" in text:
-        path = Path(text)
-    else:
-        path = data_folder("cases") / f"{text}.toml"
-        if text not in case_names():
-            raise InputError(f"unknown case '{text}'; use one of {', '.join(case_names())} or the path of a .toml file")
+    path = file_of("case", name_or_path)
     tree = read_toml(path)
     geometry = tree.get("geometry")
     if isinstance(geometry, dict) and isinstance(file := geometry.get("file"), str):

@@ -8,6 +8,7 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
+from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -108,6 +109,11 @@ def axis_part(label: str) -> Part:
     return Part(lambda x: x[axis], label)
 
 
+def coordinate_element(dim: int) -> AbstractFiniteElement:
+    """Element of the coordinates of triangles or tetrahedra with straight edges."""
+    return basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
+
+
 def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int) -> dolfinx.mesh.Mesh:
     """Make a distributed mesh without ghost cells (collective).
 
@@ -117,9 +123,7 @@ def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int) -> dolfi
         cells: Some cells on each rank, of those numbers.
         dim: Dimension.
     """
-    cell = {2: "triangle", 3: "tetrahedron"}[dim]
-    element = basix.ufl.element("Lagrange", cell, 1, shape=(dim,))
-    return dolfinx.mesh.create_mesh(comm, cells, element, points)
+    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points)
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.shipped import data_folder, study_names
+from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.case import Case, Solve, load_case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.domains import rough_cells
@@ -117,13 +117,7 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
     Raises:
         InputError: If there is no such study, it is malformed, or one of its cases is.
     """
-    text = str(name_or_path)
-    if text.endswith(".toml") or "/" in text:
-        path = Path(text)
-    elif text in study_names():
-        path = data_folder("studies") / f"{text}.toml"
-    else:
-        raise InputError(f"unknown study '{text}'; use one of {', '.join(study_names())} or the path of a .toml file")
+    path = file_of("study", name_or_path)
     tree = read_toml(path)
     if "name" in tree:
         raise InputError(f"{path}: unknown key 'name'; a study is called as its file")

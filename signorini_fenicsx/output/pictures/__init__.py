@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from types import ModuleType
 
 import matplotlib as mpl
 
@@ -64,12 +65,7 @@ def method(solution: Solution) -> str:
 @mpl.rc_context(style.STYLE)
 def draw_all(folder: Path, scene: Scene) -> None:
     """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and, with one, `certificate.png`."""
-    if scene.dim == 2:
-        plane_files.draw_files(folder, scene)
-    else:
-        from signorini_fenicsx.output.pictures import space_files  # takes VTK
-
-        space_files.draw_files(folder, scene)
+    _files_of(scene).draw_files(folder, scene)
     draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
 
 
@@ -83,9 +79,13 @@ def write_page(path: Path, scene: Scene) -> None:
 @mpl.rc_context(style.STYLE)
 def draw_mesh(path: Path, scene: Scene) -> None:
     """Draw the mesh with Γ_S, in contact and not in contact, in colours (rank 0)."""
-    if scene.dim == 2:
-        plane_files.draw_mesh_file(path, scene)
-    else:
-        from signorini_fenicsx.output.pictures import space_files
+    _files_of(scene).draw_mesh_file(path, scene)
 
-        space_files.draw_mesh_file(path, scene)
+
+def _files_of(scene: Scene) -> ModuleType:
+    """What draws the files of a scene: each kind of scene has a module, with the same functions."""
+    if scene.dim == 2:
+        return plane_files
+    from signorini_fenicsx.output.pictures import space_files  # takes VTK
+
+    return space_files
