@@ -36,8 +36,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Plan one launch for each number of ranks."""
+    """Plan one launch for each number of ranks; modules that stay need not be looked at between tests."""
     session.stash[LAUNCHES] = Launches(session.items)
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

@@ -6,11 +6,13 @@ import time
 from pathlib import Path
 
 import dolfinx.mesh
+import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base import compiling
 from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left, compiled
 
 COMM = MPI.COMM_WORLD
@@ -30,12 +32,13 @@ def as_killed(cache: Path, age: float) -> Path:
 
 
 @pytest.mark.parallel([1, 2])
-def test_a_form_left_by_a_killed_process_is_compiled_again(folder: Path):
+def test_a_form_left_by_a_killed_process_is_compiled_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
     form = small_form(COMM)
     compiled(COMM, form, jit_options={"cache_dir": folder})
     COMM.Barrier()
     if COMM.rank == 0:
         as_killed(folder, 2 * QUIET)
+    monkeypatch.setattr(compiling, "LOADED", {})  # as in another process
     assert compiled(COMM, form, jit_options={"cache_dir": folder})[0] is not None
     assert len(list(folder.glob("*.c.cached"))) == 1
 
@@ -52,6 +55,23 @@ def test_a_form_that_may_be_alive_is_left_alone(tmp_path: Path):
     assert form.exists()
     assert clear_if_left(form)
     assert not form.exists()
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_form_is_loaded_once(folder: Path):
+    """Also if only some of the ranks have it already, and not for other options."""
+    if COMM.rank == 0:
+        compiled(MPI.COMM_SELF, small_form(MPI.COMM_SELF), jit_options={"cache_dir": folder})
+    COMM.Barrier()
+    first = compiled(COMM, small_form(COMM), jit_options={"cache_dir": folder})
+    COMM.Barrier()
+    if COMM.rank == 0:
+        for file in folder.iterdir():
+            file.unlink()
+    COMM.Barrier()
+    assert compiled(COMM, small_form(COMM), jit_options={"cache_dir": folder}) is first
+    assert not list(folder.glob("*.c"))
+    assert compiled(COMM, small_form(COMM), {"scalar_type": np.float32}, {"cache_dir": folder}) is not first
 
 
 @pytest.mark.parallel([1, 2])

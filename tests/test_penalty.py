@@ -140,7 +140,7 @@ def test_stretched_mesh():
         assert distance(one, two) < 1e-9
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([2, 4])
 def test_ranks_do_not_matter():
     for name, algorithm in itertools.product(("example4", "example5"), ("alg3", "alg4", "snes1", "snes2")):
         case = penalised(name, algorithm, 1e-6, h=1 / 8)

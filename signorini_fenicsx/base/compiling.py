@@ -5,6 +5,9 @@ that is killed in between leaves the first one, and all later runs wait for the 
 that compiles holds a shared lock on a file of the cache, which the system lifts when the process dies, for all nodes
 that see the cache. A file that has not changed for a while is taken for left behind, and removed, only while nobody
 holds that lock; the while is for programs that do not know of it, and for a compiler that has survived its parent.
+
+DOLFINx looks for each form in its cache again, also for one that the process has, and lists the whole cache for that,
+which takes most of the time of a small solve. Here a process keeps what it has loaded.
 """
 
 import contextlib
@@ -20,6 +23,7 @@ from typing import Any
 
 import cffi
 import dolfinx.jit
+import ffcx.naming
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
@@ -30,6 +34,9 @@ QUIET = 30.0
 PATIENCE = 600.0
 """Seconds to wait for somebody else's compiler."""
 PAUSE = 0.1
+
+LOADED: dict[str, Any] = {}
+"""What this process has loaded or compiled, by signatures of forms and options."""
 
 _compile_here: Callable[..., Any] = dolfinx.jit.ffcx_jit.__wrapped__  # without its own broadcasts, which lose the error
 
@@ -52,7 +59,8 @@ def compiled(
             does not end.
     """
     options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
-    work = partial(_compile_here, ufl_object, form_compiler_options, options)
+    signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
+    work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
     cache = options["cache_dir"]
     found: list[Any] = []
     on_root(comm, lambda: found.append(_patiently(work, cache, compiling=True)))
@@ -79,6 +87,13 @@ def clear_if_left(form: Path) -> bool:
             return False
         form.unlink(missing_ok=True)
         return True
+
+
+def _kept(signature: str, work: Callable[[], Any]) -> Any:
+    """What this process has, or else what work gives; other processes may have other forms."""
+    if signature not in LOADED:
+        LOADED[signature] = work()
+    return LOADED[signature]
 
 
 def _patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
