@@ -150,3 +150,27 @@ def test_user_options_choose_the_solver():
     finally:
         for name in (*chosen, "ksp_max_it"):
             options.delValue(name)
+
+
+def test_an_option_with_a_prefix_is_for_some_solvers_and_nothing_stays():
+    """A bare option is for all solvers, one with a prefix wins; PETSc's database is the user's afterwards."""
+    options = PETSc.Options()
+    case = load_case("example1").with_values({"solve.h": 1 / 8})
+    chosen = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": "1e-13", "mixed_ksp_type": "preonly"}
+    chosen |= {"mixed_pc_type": "lu", "vi_ksp_type": "preonly", "vi_pc_type": "cholesky", "snes_max_it": "40"}
+    for name, value in chosen.items():
+        options[name] = value
+    before = dict(options.getAll())
+    try:
+        facet, mixed, vi, primal = (
+            solve_case(case.with_values({f"solve.{key}": value})).outcome.linear_solver
+            for key, value in (("backend", "hybrid"), ("backend", "mixed"), ("algorithm", "vi"), ("algorithm", "uzawa"))
+        )
+        assert (facet, primal) == ("cg+gamg", "cg+gamg")
+        assert mixed.startswith("preonly+lu")
+        assert vi.startswith("vinewtonrsls+preonly+cholesky")
+        assert options.getAll() == before
+    finally:
+        for name in chosen:
+            options.delValue(name)
+    assert not {name for name in options.getAll() if name.startswith(("mat_mumps", "snes_vi"))}
