@@ -44,6 +44,7 @@ def distance(coarse: Solution, fine: Solution) -> float:
         (0.2, {"kappa": "1 - .99*exp(-((x-.515)/.01)^2)"}, "kappa"),
         (0.2, {"u_D": "0.1 + 5*exp(-1e5*((x-1)^2+(y-.54)^2))"}, "u_D"),
         (0.2, {"q_S": "1000 if (x-.515)^2 < 1e-5 else 0"}, "q_S"),
+        (0.2, {"psi": "1/(x - 0.3)"}, "psi"),
     ],
 )
 def test_what_is_not_resolved_is_never_guaranteed(h: float, data: dict[str, object], name: str):
@@ -52,6 +53,25 @@ def test_what_is_not_resolved_is_never_guaranteed(h: float, data: dict[str, obje
     assert name in certificate.unresolved[0][0]
     assert certificate.summary()["unresolved"][0]["data"] == certificate.unresolved[0][0]
     assert f"not guaranteed: {certificate.unresolved[0][0]} is not resolved near (" in bound(certificate)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "place"),
+    [
+        ("f", "1/((x - 0.3)^2 + (y - 0.41)^2)", [0.3, 0.41]),
+        ("g_N", "1/(y - 0.3)", [1, 0.3]),
+    ],
+)
+def test_where_data_are_not_bounded_is_said(name: str, value: str, place: list[float]):
+    case = problem(0.2, **{name: value}).with_values({"boundary.neumann": ["right"]})
+    with np.errstate(all="ignore"):
+        certificate = certify(solve(case, COMM))
+    assert certificate.bound == np.inf
+    assert not certificate.guaranteed
+    assert {data for data, _ in certificate.unresolved} == {name}
+    assert min(np.linalg.norm(np.array(x) - place) for _, x in certificate.unresolved) < 0.1
+    assert bound(certificate).startswith("no error bound: ")
+    assert f"{name} is not resolved near (" in bound(certificate)
 
 
 @pytest.mark.parametrize("f", [DISC, "1e5*exp(-2e5*((x-.515)^2+(y-.54)^2))"])

@@ -11,7 +11,7 @@ from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.problem import Problem
@@ -21,6 +21,7 @@ from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 SET_ALGORITHMS = ("alg1", "alg2", "alg3", "alg4")
@@ -154,7 +155,8 @@ def test_units_do_not_matter(algorithm: str, backend: str):
         case = problem(algorithm=algorithm, backend=backend)
         solver = case.solve.model_copy(update={"eps": 1e-6 * (L / K if algorithm in ("alg3", "snes1") else K / L)})
         case = case.model_copy(update={"solve": solver})  # a case file has no ε of such size
-        return solve_case(case, domain=square(COMM, 7, "right", scale=L), problem=data)
+        domain = square(COMM, 7, "right", scale=L)
+        return solve(domain, boundary_of(case), data, options_of(case))
 
     expected = scaled(1.0, 1.0, 1.0)
     assert 0 < expected.contact()[0] < 7

@@ -12,13 +12,14 @@ from random_bounds import examine
 
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.oscillation import water_filled
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 EVERYWHERE = ["bottom", "top", "left", "right"]
@@ -104,7 +105,7 @@ def test_contact_disc():
         u_D=lambda x: hertz(x, np),
         psi=lambda x: 0.3**2 - ((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2) / 2,
     )
-    solution = solve_case(case, domain=domain, problem=problem)
+    solution = solve(domain, boundary_of(case), problem, options_of(case))
     difference = ufl.grad(hertz(ufl.SpatialCoordinate(domain.mesh), ufl)) - solution.sigma
     dx = ufl.Measure("dx", domain=domain.mesh, metadata={"quadrature_degree": 4})
     error = math.sqrt(solution.spaces.integrate(ufl.inner(difference, difference) * dx))

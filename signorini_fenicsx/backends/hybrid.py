@@ -56,10 +56,10 @@ class HybridBackend(FacetBackend):
         self._ksp = self._solver.ksp
         self._auxiliary = self._set_up_solver(multigrid=multigrid or self._system.large)
         self._early_stop = _EarlyStop()
-        if self._ksp.getType() == "preonly":
-            self.precise = partial(MixedBackend, spaces, data)
-        else:
+        if self.inexact is not None:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
+        elif self._ksp.getPC().getType() in ("cholesky", "lu"):
+            self.precise = partial(MixedBackend, spaces, data)
         self._applied: SiteConditions | None = None
         self._iterations = 0
 

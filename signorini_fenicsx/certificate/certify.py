@@ -149,7 +149,10 @@ def _certificate(solution: Solution) -> Certificate:
         total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    unresolved = resolution.account((np.sqrt(missed) + left) / bound if 0 < bound < np.inf else 0.0)
+    enclosed = np.sqrt(missed) + left
+    if np.isfinite(enclosed):
+        enclosed = enclosed / bound if 0 < bound < np.inf else 0.0
+    unresolved = resolution.account(enclosed)
     PETSc.garbage_cleanup(comm)
     return Certificate(
         bound=float(bound),

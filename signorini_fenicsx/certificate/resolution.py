@@ -310,6 +310,7 @@ class Resolution:
             self._forget()
         if not share <= MUCH:
             size = self.missed + np.maximum(np.abs(self.load.lo), np.abs(self.load.hi))
+            size[np.isnan(size)] = np.inf
             worst = size >= comm.allreduce(size.max(initial=0.0), MPI.MAX) / 4
             names = ", ".join(name for name in LOADS if self.encloses(name)) or "u_D"
             self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))

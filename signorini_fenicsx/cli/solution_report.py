@@ -66,7 +66,8 @@ class SolutionReport(CaseReport):
 def bound(certificate: Certificate) -> str:
     """The error bound in words, and why it is not guaranteed if it is not."""
     if not math.isfinite(certificate.bound):
-        return "no error bound: u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
+        reasons = "u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
+        return f"no error bound: {reasons}{_reservation(certificate)}"
     parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
     return (
         f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
