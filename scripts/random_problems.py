@@ -21,13 +21,14 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.discrete.kkt import TOLERANCE
+from signorini_fenicsx.cases.solving import boundary_of, options_of
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.solving.solver import solve
 
 type Array = npt.NDArray[np.float64]
 
@@ -56,7 +57,7 @@ class Result:
     @property
     def good(self) -> bool:
         """Whether it is a solution, and that of the reference where there is one."""
-        return self.ending.startswith("the facet sets repeat") and self.kkt <= TOLERANCE and not self.difference > AGREE
+        return self.ending.startswith("the facet sets repeat") and self.kkt <= KKT and not self.difference > AGREE
 
 
 @dataclass(frozen=True)
@@ -149,17 +150,17 @@ def examine(seed: int) -> Result:
     """Solve the problem of a seed with its algorithm and with the reference."""
     case, domain, problem, words = random_problem(seed)
     try:
-        found = solve_case(case, domain=domain, problem=problem)
+        found = solve(domain, boundary_of(case), problem, options_of(case))
     except NumericalFailure as failure:
         return Result(words, str(failure), np.inf, np.nan)
     reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
     try:
-        expected = solve_case(reference, domain=domain, problem=problem)
+        expected = solve(domain, boundary_of(case), problem, options_of(reference))
     except NumericalFailure:
         difference = np.nan
     else:
         difference = max(distance(found.sigma, expected.sigma), distance(found.p, expected.p))
-    return Result(words, found.reason, max(vars(found.kkt).values()), difference)
+    return Result(words, found.outcome.reason, max(vars(found.kkt).values()), difference)
 
 
 def distance(found: fem.Function, expected: fem.Function) -> float:

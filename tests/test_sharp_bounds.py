@@ -50,7 +50,8 @@ def spoilt(solution: Solution) -> Solution:
     """The same with a flux that misses the balance by a thousandth."""
     sigma = solution.sigma.copy()
     sigma.x.array[:] *= 1 + 1e-3
-    return dataclasses.replace(solution, sigma=sigma)
+    iterate = dataclasses.replace(solution.outcome.iterate, sigma=sigma)
+    return dataclasses.replace(solution, outcome=dataclasses.replace(solution.outcome, iterate=iterate))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 from signorini_fenicsx.backends.contract import Backend, Iterate
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
-from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
@@ -62,9 +61,9 @@ def _made_precise(
     """The outcome with its KKT residuals; if they say so, that of a precise backend from its sets (collective)."""
     with task.watch.phase("kkt"):
         kkt = task.kkt(outcome.iterate, rule.penalty)
-    if kkt.stationarity <= KKT:
+    if (violation := kkt.violation()) is None:
         return replace(outcome, kkt=kkt)
     again = iterate_sets(precise(), rule, parameters, start=outcome.conditions, on_step=task.on_step)
     steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
-    remark = f"by the saddle point, because the facet system left stationarity {kkt.stationarity:.1e}"
+    remark = f"by the saddle point, because the facet system left {violation}"
     return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
