@@ -82,7 +82,7 @@ def test_a_signal_before_the_loop_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
-    told_to_end(monkeypatch, solver, "discrete_data", 1, signal.SIGTERM)  # after Gmsh, which sets handlers of its own
+    told_to_end(monkeypatch, solver, "project_data", 1, signal.SIGTERM)  # after Gmsh, which sets handlers of its own
     assert ended(monkeypatch, *SOLVE) == 1
     assert capsys.readouterr().err.strip() == "failed: interrupted by SIGTERM"
     assert list(tmp_path.iterdir()) == []
