@@ -65,7 +65,7 @@ def test_what_is_not_resolved_is_never_guaranteed(h: float, data: dict[str, obje
 def test_where_data_are_not_bounded_is_said(name: str, value: str, place: list[float]):
     case = problem(0.2, **{name: value}).with_values({"boundary.neumann": ["right"]})
     with np.errstate(all="ignore"):
-        certificate = certify(solve(case, COMM))
+        certificate = certify(solve_case(case, COMM))
     assert certificate.bound == np.inf
     assert not certificate.guaranteed
     assert {data for data, _ in certificate.unresolved} == {name}

@@ -142,10 +142,11 @@ class Resolution:
         """Root mean square and mean of a load less p; where quadrature sees it, what that says, and 0 (collective)."""
         tree, comm, scale = self._tree(name), self.spaces.mesh.comm, self._scale()
         assert tree is not None
-        first = enclose(tree, vertices, p, tolerance, comm, scale=scale)
+        enough = np.maximum(OVERLOOKED * seen, tolerance)
+        first = enclose(tree, vertices, p, enough, comm, scale=scale)
         means = [mean_above(tree, vertices, p, degree) for degree in (POINTS, 2 * POINTS)]
         agree = np.abs(means[0] - means[1]) <= np.maximum(AGREED * seen, tolerance)
-        hidden = ~((first.norm <= np.maximum(OVERLOOKED * seen, tolerance)) & np.isfinite(first.slope) & agree)
+        hidden = ~((first.norm <= enough) & np.isfinite(first.slope) & agree)
         some = Quadratic(p.value[hidden], p.gradient[hidden], p.hessian[hidden])
         found = self._enclosed(name, tree, vertices[hidden], some, tolerance[hidden], cells[hidden], "mean")
         norm, lo, hi = seen.copy(), np.zeros(len(seen)), np.zeros(len(seen))
