@@ -1,12 +1,83 @@
-"""Fully mixed RT0/P0 methods for the Signorini problem on FEniCSx.
+"""Fully mixed RT0/P0 methods for the Signorini problem on FEniCSx, in parallel.
 
-Start reading at :mod:`signorini_fenicsx.methods.registry` (the set rules) and :mod:`signorini_fenicsx.methods.loop`
-(the one loop they share); the variational forms are in :mod:`signorini_fenicsx.forms`.
+A problem:
+
+- `domain_of(mesh, parts)` is a mesh of one's own as a `Domain`; `Boundary` says which of its parts are Γ_S and Γ_N;
+- `Problem` holds the data f, κ, u_D, g_N, ψ, q_S;
+- `load_case` reads a case file, or a shipped case by its name.
+
+Solving it:
+
+- `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms;
+- `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
+- `compare` sets two solutions side by side;
+- `write_solution` writes what the command line writes, `load_solution` reads it again.
+
+How it is solved, and what one may replace:
+
+- `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
+- `SetRule`, `Method` with `Task`, `Outcome` and `Step`: an algorithm of one's own;
+- `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: a
+  discretisation of one's own.
+
+What cannot be is an `InputError`, a run without a solution a `NumericalFailure`. Examples are in
+`help(signorini_fenicsx.api)`; the command line is `signorini`.
 """
 
-import importlib.util
+from signorini_fenicsx.base.mpi_first import keep_order
 
-if importlib.util.find_spec("dolfinx_solver") is not None:
-    import dolfinx_solver  # noqa: F401 - the wheel must order MPI before DOLFINx; Debian's DOLFINx has no such module
+TYPE_CHECKING = False  # for those who check types it is not; typing's own takes longer to import than all of this
+if TYPE_CHECKING:
+    from signorini_fenicsx.api import *  # noqa: F403 - all of `__all__` but the version
 
 __version__ = "0.2.0"
+
+__all__ = [
+    "METHODS",
+    "Backend",
+    "Boundary",
+    "Condition",
+    "Data",
+    "Domain",
+    "FacetBackend",
+    "InputError",
+    "Iterate",
+    "Method",
+    "NumericalFailure",
+    "Options",
+    "Outcome",
+    "Penalty",
+    "Problem",
+    "SetRule",
+    "SiteConditions",
+    "Solution",
+    "Spaces",
+    "Step",
+    "Task",
+    "__version__",
+    "adapt",
+    "adapt_case",
+    "certify",
+    "compare",
+    "domain_of",
+    "load_case",
+    "load_solution",
+    "solve",
+    "solve_case",
+    "write_solution",
+]
+
+keep_order()
+
+
+def __getattr__(name: str) -> object:
+    """Load the names of `signorini_fenicsx.api` when one is used: DOLFINx takes a second."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from signorini_fenicsx import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

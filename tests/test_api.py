@@ -102,6 +102,39 @@ def test_kinds_of_data(folder: Path):
     assert (folder / "facets.csv").is_file()
 
 
+@pytest.mark.parallel([1, 3])
+def test_functions_of_points_choose_parts_and_ghosts_do_not_matter():
+    """The solution goes back to a mesh with ghosts cell by cell, since these are the same on the same ranks."""
+    mesh, parts = square()
+    walls = {name: WALLS[name] for name in ("bottom", "right")}
+    regions = {"west": lambda x: x[0] < 0.5 + 1e-9, "east": lambda x: x[0] > 0.5 - 1e-9}
+    boundary, problem = Boundary(["bottom"], ["right"]), Problem(f="40*(x - 0.6)", kappa={"west": 1, "east": 3})
+    domain = domain_of(mesh, walls, regions)
+    for name in walls:
+        np.testing.assert_array_equal(domain.facets[name], parts[name])
+    expected = solve(domain, boundary, problem)
+    ghosted = create_unit_square(COMM, 8, 8)
+    ghosted.topology.create_connectivity(1, 2)
+    tags = {name: dolfinx.mesh.locate_entities_boundary(ghosted, 1, where) for name, where in walls.items()}
+    cells = {name: dolfinx.mesh.locate_entities(ghosted, 2, where) for name, where in regions.items()}
+    for given in (domain_of(ghosted, tags, cells), domain_of(ghosted, walls, regions)):
+        solution = solve(given, boundary, problem)
+        assert (given.mesh is ghosted) == (COMM.size == 1)
+        assert solution.norms() == pytest.approx(expected.norms(), rel=1e-10)
+        assert solution.contact() == pytest.approx(expected.contact())
+        certify(solution)
+    own = (given.mesh.topology.original_cell_index - ghosted.topology.index_map(2).local_range[0]).astype(np.int32)
+    if COMM.size == 1:
+        own = np.arange(len(own), dtype=np.int32)
+    sigma = fem.Function(fem.functionspace(ghosted, ("RT", 1)))
+    sigma.interpolate(solution.sigma, cells0=np.arange(len(own), dtype=np.int32), cells1=own)
+    sigma.x.scatter_forward()
+    square_of_norm = COMM.allreduce(fem.assemble_scalar(fem.form(ufl.inner(sigma, sigma) * ufl.dx)))
+    assert np.sqrt(square_of_norm) == pytest.approx(solution.norms()["sigma_L2"], rel=1e-10)
+    jump = ufl.jump(sigma, ufl.FacetNormal(ghosted))  # σ·n is the same from both sides
+    assert COMM.allreduce(fem.assemble_scalar(fem.form(jump**2 * ufl.dS))) < 1e-20
+
+
 class Counting(FacetBackend):
     """A backend of one's own: the hybrid one, counting its solves."""
 
@@ -232,8 +265,21 @@ def test_refusals():
     with pytest.raises(InputError, match="must consist of triangles or tetrahedra"):
         domain_of(quads, parts)
     ghosted, parts = square(ghost_mode=GhostMode.shared_facet)
-    with pytest.raises(InputError, match="has ghost cells"):
-        domain_of(ghosted, parts)
+    if COMM.size > 1:
+        with pytest.raises(InputError, match=r"f: is UFL on another mesh; write it on `domain.mesh`"):
+            solve(domain_of(ghosted, parts), bottom, Problem(f=ufl.SpatialCoordinate(ghosted)[0]))
+    for chosen, message in [
+        ("bottom", r"parts\['low'\]: must be an array of facet numbers, integers, or a function of points"),
+        ([0.5, 1.0], "must be an array of facet numbers"),
+        ([[1], [2, 3]], "must be an array of facet numbers"),
+        (np.ones(8, dtype=bool), "must be an array of facet numbers"),
+        ([10**6], "there is no facet 1000000; a rank has"),
+        ([-1] if COMM.rank == 0 else [], "there is no facet -1"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            domain_of(mesh, {"low": chosen})
+    with pytest.raises(InputError, match=r"regions\['west'\]: must be an array of cell numbers"):
+        domain_of(mesh, {}, {"west": None})
     with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
         Boundary("bottom")
     with pytest.raises(InputError, match="algorithm: unknown name 'alg5'; use one of alg1"):

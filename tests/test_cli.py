@@ -10,6 +10,7 @@ import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
 import meshio
 import numpy as np
 import pytest
+import pyvista
 from commands import launched, read_rows, run, signorini
 from mpi4py import MPI
 
@@ -95,6 +96,11 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
     assert np.sum(mesh.cell_data["indicator"][0] ** 2) == pytest.approx(2 * gap + oscillation**2, rel=1e-10)
     assert np.sqrt(area @ u**2) == pytest.approx(summary["norms"]["u_L2"], rel=1e-10)
     np.testing.assert_allclose(mesh.cell_data["sigma_norm"][0].ravel(), np.linalg.norm(sigma, axis=1), atol=1e-12)
+
+    in_vtk = pyvista.read(runs[ranks] / "solution.xdmf")
+    np.testing.assert_allclose(in_vtk.points[:, :2], mesh.points[:, :2], atol=1e-6)  # VTK reads single precision
+    for name in ("u", "sigma", "sigma_norm", "indicator"):
+        np.testing.assert_allclose(in_vtk.cell_data[name].ravel(), mesh.cell_data[name][0].ravel(), 1e-6, 1e-12)
 
     # DG1 has three nodes per cell; ∫|σ|² of a linear field is |T|/12 (Σ|σ_i|² + |Σσ_i|²).
     points, vtx_u, vtx_sigma, norm = (

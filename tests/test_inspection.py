@@ -13,6 +13,7 @@ from commands import launched, signorini
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.inspection import check, expected
 from signorini_fenicsx.cases.solving import solve_case
@@ -69,6 +70,62 @@ def test_output_for_programs(tmp_path: Path, ranks: int):
     done = signorini(tmp_path, "solve", "example7", "--quiet", "--json")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: unknown case")
+
+
+def test_output_of_other_commands_for_programs(tmp_path: Path):
+    """Those of `export`, `convergence` and `study` are theirs: the summary, the rows with the slopes, the runs."""
+    commands = {
+        "export": ["r", "--output", "out"],
+        "convergence": ["example1", "--levels", "1:2", "--reference", "3", "--output", "out"],
+    }
+    assert signorini(tmp_path, "solve", "example1", "--h", "1/4", "--output", "r", "-q").stdout == ""
+    for command, arguments in commands.items():
+        done = signorini(tmp_path, command, *arguments, "--json")
+        assert (done.returncode, done.stderr) == (0, "")
+        assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "summary.json").read_text()), command
+        assert signorini(tmp_path, command, *arguments, "--quiet").stdout == ""
+    assert {"rows", "slopes"} <= json.loads((tmp_path / "out" / "summary.json").read_text()).keys()
+    (tmp_path / "two.toml").write_text('case = "example1"\nvary.h = ["1/4", "1/2"]\n')
+    planned = json.loads(signorini(tmp_path, "study", "two.toml", "--dry-run", "--json").stdout)
+    done = json.loads(signorini(tmp_path, "study", "two.toml", "--json").stdout)
+    assert [(run["status"], run["parameters"]["solve.h"]) for run in planned["runs"]] == [
+        ("to do", 0.25),
+        ("to do", 0.5),
+    ]
+    assert [run["run"] for run in done["runs"]] == [run["run"] for run in planned["runs"]]
+    assert {run["status"] for run in done["runs"]} == {"done"}
+    assert all(run["seconds"] > 0 and run["reason"] for run in done["runs"])
+    assert signorini(tmp_path, "study", "two.toml", "--quiet").stdout == ""
+
+
+def test_cases_are_listed(tmp_path: Path):
+    lines = signorini(tmp_path, "cases").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == case_names()
+    (dam,) = (line for line in lines if line.startswith("dam "))
+    assert dam.split(maxsplit=2)[1:] == ["dam.msh", load_case("dam").title]
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("solve exampel1", "example1"),
+        ("solve dam --algorithm primal-pdsa", "primal-pdas"),
+        ("study tabels", "tables"),
+        ("covergence dam", "convergence"),
+    ],
+)
+def test_did_you_mean(tmp_path: Path, words: str, meant: str):
+    done = signorini(tmp_path, *words.split())
+    assert done.returncode == 2
+    assert f"id you mean '{meant}'?" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["solve", "adapt", "export", "compare", "convergence", "study", "info", "check"])
+def test_help_has_lines_of_examples(tmp_path: Path, command: str):
+    lines = [line.strip() for line in signorini(tmp_path, command, "--help").stdout.splitlines()]
+    (first,) = (number for number, line in enumerate(lines) if line.startswith("Example"))
+    assert lines[first + 1].startswith(("signorini ", "mpirun "))
+    assert not [line for line in lines if "\\b" in line]
 
 
 @pytest.mark.slow

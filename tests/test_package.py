@@ -1,12 +1,18 @@
 """What is installed, and what is too long to be read."""
 
 import importlib.metadata
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from sizes import too_long
+
+import signorini_fenicsx
+from signorini_fenicsx import api
 
 ROOT = Path(__file__).parents[1]
 
@@ -18,6 +24,44 @@ def test_every_room_is_installed():
     folders = [path.parent.relative_to(ROOT) for path in (ROOT / "signorini_fenicsx").rglob("__init__.py")]
     assert sorted({".".join(folder.parts) for folder in folders} | {"signorini_fenicsx.forms"}) == sorted(packages)
     assert importlib.metadata.distribution("signorini_fenicsx").read_text("top_level.txt") == "signorini_fenicsx\n"
+
+
+def python(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python as one does in a shell."""
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("PMI", "HYDI", "MPI", "PYTHON"))}
+    return subprocess.run(
+        [sys.executable, *arguments], cwd=folder, env=plain | environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("first", ["dolfinx.mesh", "petsc4py.PETSc", "basix", "signorini_fenicsx"])
+def test_what_is_imported_first_does_not_matter(tmp_path: Path, first: str):
+    done = python(tmp_path, "-c", f"import {first}, dolfinx.fem.petsc")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_nothing_is_loaded_before_it_is_used(tmp_path: Path):
+    loaded = "[name for name in ('mpi4py', 'numpy', 'dolfinx') if name in sys.modules]"
+    done = python(tmp_path, "-c", f"import sys, signorini_fenicsx; print({loaded})")
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_names_of_the_package():
+    assert sorted(signorini_fenicsx.__all__) == sorted([*api.__all__, "__version__"])
+    assert all(getattr(signorini_fenicsx, name) is getattr(api, name) for name in api.__all__)
+    assert set(api.__all__) <= set(dir(signorini_fenicsx))
+    assert {name for name in api.__all__ if not re.search(rf"`{name}\b", str(signorini_fenicsx.__doc__))} == set()
+    with pytest.raises(AttributeError, match="has no attribute 'slove'"):
+        signorini_fenicsx.slove  # noqa: B018 - that is the test
+
+
+def test_without_dolfinx(tmp_path: Path):
+    """One sentence, not a traceback; without site-packages there is none."""
+    command = "from signorini_fenicsx.cli.start import main; main()"
+    done = python(tmp_path, "-S", "-c", command, PYTHONPATH=str(ROOT))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: DOLFINx is not installed")
+    assert done.stderr.count("\n") == 1
 
 
 def test_files_that_the_documentation_names():

@@ -4,6 +4,7 @@ import sysconfig
 from pathlib import Path
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
 
 
 def data_folder(kind: str) -> Path:
@@ -37,5 +38,6 @@ def file_of(kind: str, name_or_path: str | Path) -> Path:
         return Path(text)
     folder, names = {"case": ("cases", case_names()), "study": ("studies", study_names())}[kind]
     if text not in names:
-        raise InputError(f"unknown {kind} '{text}'; use one of {', '.join(names)} or the path of a .toml file")
+        meant = did_you_mean(text, names)
+        raise InputError(f"unknown {kind} '{text}'; use one of {', '.join(names)} or the path of a .toml file{meant}")
     return data_folder(folder) / f"{text}.toml"

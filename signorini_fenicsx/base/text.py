@@ -1,6 +1,7 @@
-"""Results as text: tables in CSV, summaries in JSON."""
+"""Results as text: tables in CSV, summaries in JSON; and the name that a wrong one may have meant."""
 
 import csv
+import difflib
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -24,6 +25,12 @@ def write_table[Row: DataclassInstance](path: Path, kind: type[Row], rows: Itera
         writer = csv.DictWriter(file, [field.name for field in fields(kind)])
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
+
+
+def did_you_mean(wrong: str, known: Iterable[str]) -> str:
+    """A question, in brackets and after a space, that names the closest of the known names; empty if none is close."""
+    close = difflib.get_close_matches(wrong, list(known), 1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def json_text(values: Mapping[str, Any]) -> str:

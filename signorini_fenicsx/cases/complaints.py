@@ -1,9 +1,10 @@
 """What pydantic finds wrong with a file, in one sentence that names key and reason."""
 
-import difflib
 from typing import get_args
 
 from pydantic import BaseModel, ValidationError
+
+from signorini_fenicsx.base.text import did_you_mean
 
 
 def complaint(error: ValidationError, root: type[BaseModel]) -> str:
@@ -44,8 +45,7 @@ def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
         kinds = (annotation, *get_args(annotation))  # of a section that may be left out: a union with None
         model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
     known = keys_of(model)
-    close = difflib.get_close_matches(wrong, known, 1)
-    return ", ".join(known) + (f" (did you mean '{close[0]}'?)" if close else "")
+    return ", ".join(known) + did_you_mean(wrong, known)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.expressions import parse_number
 
@@ -39,7 +40,8 @@ def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
 
     def check(value: object) -> object:
         if value not in known:
-            raise ValueError(f"unknown {kind} {shown(value)}; use one of {', '.join(known)}")
+            meant = did_you_mean(value, known) if isinstance(value, str) else ""
+            raise ValueError(f"unknown {kind} {shown(value)}; use one of {', '.join(known)}{meant}")
         return value
 
     return BeforeValidator(check)

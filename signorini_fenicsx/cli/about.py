@@ -1,8 +1,9 @@
-"""Commands that tell without solving: info, check, methods, version."""
+"""Commands that tell without solving: cases, info, check, methods, version."""
 
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cli.common import chosen_case
 from signorini_fenicsx.cli.options import (
     AlgorithmName,
@@ -26,9 +27,8 @@ def info(
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
-    r"""Show the sizes and boundary parts of a case, and about how much memory and time a run takes; solve nothing.
+    """Show the sizes and boundary parts of a case, and about how much memory and time a run takes; solve nothing.
 
-    \b
     Examples:
       signorini info dam
       mpirun -n 4 signorini info cube --h 2^-6
@@ -54,9 +54,8 @@ def check(
     settings: Settings = None,
     quiet: Quiet = False,
 ) -> None:
-    r"""Do all that a run does before it solves: read the case, make or read its mesh, find its parts, take its data.
+    """Do all that a run does before it solves: read the case, make or read its mesh, find its parts, take its data.
 
-    \b
     Examples:
       signorini check my-case.toml
       signorini check dam --set 'boundary.signorini=["face", "top"]'
@@ -68,6 +67,17 @@ def check(
     problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     report.heading(problem, comm)
     report.checked(inspection.check(problem, comm))
+
+
+def cases() -> None:
+    """List the shipped cases: name, shape or mesh file, title."""
+    from signorini_fenicsx.cases.case import load_case
+
+    report = Report()
+    shipped = [load_case(name) for name in case_names()]
+    names, domains = max(len(case.name) for case in shipped), max(len(case.geometry.name) for case in shipped)
+    for case in shipped:
+        report.line(f"{case.name:<{names}}  {case.geometry.name:<{domains}}  {case.title}")
 
 
 def methods() -> None:

@@ -2,7 +2,7 @@
 
 import typer
 
-from signorini_fenicsx.cli.about import check, info, methods, version
+from signorini_fenicsx.cli.about import cases, check, info, methods, version
 from signorini_fenicsx.cli.comparisons import compare, convergence
 from signorini_fenicsx.cli.solutions import adapt, export, solve
 from signorini_fenicsx.cli.studies import study
@@ -12,5 +12,5 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (solve, adapt, export, compare, convergence, study, methods, info, check, version):
+for command in (solve, adapt, export, compare, convergence, study, cases, methods, info, check, version):
     app.command()(command)

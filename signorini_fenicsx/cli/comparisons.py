@@ -34,9 +34,8 @@ def compare(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    r"""Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
+    """Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
 
-    \b
     Example:
       signorini compare results/example5 results/example5-adapt --output results/difference
     """
@@ -73,10 +72,11 @@ def convergence(
     backend: BackendName = None,
     settings: Settings = None,
     output: OutputFolder = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
-    r"""Measure errors against a fine solution, or those of the penalty; into results/<case>-convergence/.
+    """Measure errors against a fine solution, or those of the penalty; into results/<case>-convergence/.
 
-    \b
     Examples:
       signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2
       signorini convergence example4 --algorithm alg3 --vary eps --levels 0:8 --h 2^-8
@@ -85,7 +85,7 @@ def convergence(
     from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
     from signorini_fenicsx.output.writing import write_convergence
 
-    comm, report = MPI.COMM_WORLD, ConvergenceReport()
+    comm, report = MPI.COMM_WORLD, ConvergenceReport(quiet=quiet, as_json=as_json)
     problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     if vary not in (known := [way.value for way in Vary]):
         raise InputError(f"--vary {vary}: must be one of {', '.join(known)}")
@@ -102,6 +102,7 @@ def convergence(
         folder.publish()
         report.slopes(fitted_slopes(rows, way), way, problem.method)
         report.results(folder.target)
+        report.summary(folder.target)
 
 
 def _levels(text: str) -> range:

@@ -57,9 +57,8 @@ def solve(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    r"""Solve a case and write its results, by default into results/<case>/.
+    """Solve a case and write its results, by default into results/<case>/.
 
-    \b
     Examples:
       signorini solve example1 --plot
       signorini solve dam --algorithm alg2 --output results/seepage
@@ -122,9 +121,8 @@ def adapt(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    r"""Refine where the certified error is large until it is small; into results/<case>-adapt/.
+    """Refine where the certified error is large until it is small; into results/<case>-adapt/.
 
-    \b
     Examples:
       signorini adapt example5 --target 1e-2
       signorini adapt lprism --max-cells 50000 --uniform
@@ -204,10 +202,11 @@ def export(
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
-    r"""Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
+    """Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
 
-    \b
     Example:
       mpirun -n 2 signorini export results/example2 --plot
     """
@@ -216,7 +215,7 @@ def export(
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
-    comm, report = MPI.COMM_WORLD, CaseReport()
+    comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
     solution = load_solution(results, comm)
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
@@ -224,3 +223,4 @@ def export(
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=folder.target == Path(os.path.realpath(results)))
         report.results(folder.target)
+        report.summary(folder.target)

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.shipped import study_names
 from signorini_fenicsx.cli.common import results_place
-from signorini_fenicsx.cli.options import OutputFolder
+from signorini_fenicsx.cli.options import Json, OutputFolder, Quiet
 
 
 def study(
@@ -18,25 +18,28 @@ def study(
     output: OutputFolder = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and their sizes; run nothing.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again.")] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
-    r"""Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
+    """Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
 
-    \b
     Examples:
       signorini study my-study.toml --dry-run
       mpirun -n 4 signorini study my-study.toml
     """
-    from signorini_fenicsx.cli.study_report import Progress, StudyReport
+    from signorini_fenicsx.cli.study_report import Progress, StudyReport, listing
     from signorini_fenicsx.studies.folder import StudyFolder
     from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
     from signorini_fenicsx.studies.study import load_study
 
-    comm, report = MPI.COMM_WORLD, StudyReport()
+    comm, report = MPI.COMM_WORLD, StudyReport(quiet=quiet, as_json=as_json)
     declared, runs = on_root(comm, lambda: load_study(study))
     folder = StudyFolder(comm, results_place(output, f"{declared.name}-study"))
     report.heading(declared, runs, comm)
     if dry_run:
         report.plan(runs, folder)
+        if as_json:
+            report.json(on_root(comm, lambda: listing(declared, runs, folder)))
         return
     with folder:
         if retry_failed:
@@ -44,4 +47,6 @@ def study(
         with Progress(runs, folder, comm, report) as progress:
             run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
         report.results(folder.path)
+        if as_json:
+            report.json(on_root(comm, lambda: listing(declared, runs, folder)))
         check_all_succeeded(runs, folder, comm)

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from mpi4py import MPI
 from rich.live import Live
@@ -36,6 +36,23 @@ class StudyReport(Report):
             status = folder.status(run).value
             self.line(f"{status:<7} {run.name}  ≈ {run.cells:8.2g} cells  {differences}")
         self.line(f"≈ {sum(run.cells for run in runs):.2g} cells in all")
+
+
+def listing(study: Study, runs: Sequence[Run], folder: StudyFolder) -> dict[str, Any]:
+    """The runs of a study as the JSON object holds them: where they stand, their parameters, how they ended (rank 0).
+
+    Raises:
+        InputError: If what a finished run has left is damaged.
+    """
+    rows = []
+    for run in runs:
+        status = folder.status(run)
+        row = {"run": run.name, "status": status.value, "cells": run.cells, "parameters": run.parameters}
+        if status in (Status.DONE, Status.FAILED):
+            record = folder.record(run)
+            row |= {"reason": record.reason, "seconds": record.seconds, "ranks": record.ranks}
+        rows.append(row)
+    return {"study": study.name, "title": study.title, "folder": str(folder.path), "runs": rows}
 
 
 class Progress:

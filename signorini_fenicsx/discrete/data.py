@@ -15,6 +15,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
+from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes, extent, total
@@ -228,6 +229,8 @@ def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = T
     x = ufl.SpatialCoordinate(spaces.mesh)
     if isinstance(given, Expr):
         value = given
+        if any(domain != spaces.mesh.ufl_domain() for domain in extract_domains(value)):
+            raise InputError(f"[problem] {name}: is UFL on another mesh; write it on `domain.mesh`")
     elif isinstance(given, TREES):
         value = to_ufl(given, x)
     elif isinstance(given, tuple | list):

@@ -114,7 +114,9 @@ def coordinate_element(dim: int) -> AbstractFiniteElement:
     return basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
 
 
-def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int) -> dolfinx.mesh.Mesh:
+def distribute(
+    comm: MPI.Comm, points: Array, cells: Indices, dim: int, partitioner: Callable | None = None
+) -> dolfinx.mesh.Mesh:
     """Make a distributed mesh without ghost cells (collective).
 
     Args:
@@ -122,8 +124,9 @@ def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int) -> dolfi
         points: Some points on each rank, numbered from rank to rank.
         cells: Some cells on each rank, of those numbers.
         dim: Dimension.
+        partitioner: Says which rank gets a cell, as DOLFINx wants it; DOLFINx's own if there is none.
     """
-    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points)
+    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, partitioner)
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
@@ -152,21 +155,32 @@ def marked_domain(
         for column, name in enumerate(marks.regions)
         if inside is not None
     }
-    return Domain(mesh, largest_diameter(mesh), parts, _found(mesh, marks.facets), regions, curvature, name, is_shape)
+    facets = found(mesh, marks.facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape)
 
 
-def _found(mesh: dolfinx.mesh.Mesh, marked: Mapping[str, Indices]) -> dict[str, npt.NDArray[np.int32]]:
-    """Boundary facets of this rank among those that any rank has marked, by name (collective)."""
-    boundary = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    mine = facet_vertices(mesh, boundary)
+def found(
+    mesh: dolfinx.mesh.Mesh, marked: Mapping[str, Indices], among: npt.NDArray[np.int32]
+) -> dict[str, npt.NDArray[np.int32]]:
+    """Facets of this rank that any rank has marked (collective).
+
+    Args:
+        mesh: The mesh.
+        marked: By name the vertices of facets as `facet_vertices` gives them, of the same names on all ranks.
+        among: Facets of this rank that may be.
+
+    Returns:
+        By name these facets, ascending.
+    """
+    mine = facet_vertices(mesh, among)
     gathered = mesh.comm.allgather(marked)
     wanted = [np.concatenate([one[name] for one in gathered]) for name in marked]
     _, number = np.unique(np.concatenate([mine, *wanted]), axis=0, return_inverse=True)
     facet = np.full(int(number.max(initial=-1)) + 1, -1, dtype=np.int32)
-    facet[number[: len(mine)]] = boundary
+    facet[number[: len(mine)]] = among
     ends = len(mine) + np.cumsum([0, *map(len, wanted)])
     rows = {name: facet[number[a:b]] for name, a, b in zip(marked, ends, ends[1:], strict=False)}
-    return {name: np.sort(facets[facets >= 0]) for name, facets in rows.items()}
+    return {name: np.unique(facets[facets >= 0]) for name, facets in rows.items()}
 
 
 def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Indices:

@@ -1,35 +1,51 @@
 """Domains from meshes of one's own."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
+import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.domain import AXES, Boundary, Domain, axis_part, bounding_box, largest_diameter
+from signorini_fenicsx.meshes.domain import (
+    AXES,
+    Boundary,
+    Domain,
+    axis_part,
+    bounding_box,
+    distribute,
+    found,
+    largest_diameter,
+)
 from signorini_fenicsx.meshes.meshing import OWN_CURVATURE
 
 type Entities = npt.NDArray[np.int32]
+type Chosen = npt.ArrayLike | Callable[[Array], Mask]
+"""Numbers of entities of this rank; or a function of points of shape (3, n) that says which are in, as DOLFINx's locate
+functions take it: an entity is chosen if all its vertices are."""
 
 
 def domain_of(
     mesh: dolfinx.mesh.Mesh,
-    parts: Mapping[str, Entities],
-    regions: Mapping[str, Entities] | None = None,
+    parts: Mapping[str, Chosen],
+    regions: Mapping[str, Chosen] | None = None,
     name: str = "mesh",
 ) -> Domain:
     """A mesh with its parts as the solver wants them (collective).
 
     Args:
-        mesh: Triangles or tetrahedra with straight edges, without ghost cells (`ghost_mode=GhostMode.none`).
-        parts: Boundary facets of this rank by the name of their part.
-        regions: Cells of this rank by the name of their region, for κ by region.
+        mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, the domain has a mesh of its own with
+            the same cells on the same ranks and none of the ghosts: data in UFL are written on `domain.mesh` then, and
+            its cell c is the cell `original_cell_index[c]` of the mesh that was given, numbered over all ranks.
+        parts: Boundary facets by the name of their part, ghosts among them or not; the same names on all ranks.
+        regions: Cells likewise by the name of their region, for κ by region.
         name: What the domain is called.
 
     Raises:
-        InputError: If the mesh cannot be used.
+        InputError: If the mesh cannot be used, or something is neither numbers nor a function.
     """
     topology = mesh.topology
     dim = topology.dim
@@ -37,14 +53,75 @@ def domain_of(
         raise InputError("the mesh must consist of triangles or tetrahedra with straight edges")
     if dim != mesh.geometry.dim:
         raise InputError(f"the mesh is a surface in space: its cells have dimension {dim}, not {mesh.geometry.dim}")
-    if mesh.comm.allreduce(topology.index_map(dim).num_ghosts > 0, MPI.LOR):
-        raise InputError("the mesh has ghost cells; make it with ghost_mode=dolfinx.mesh.GhostMode.none")
     topology.create_connectivity(dim - 1, dim)
-    facets = {part: np.unique(chosen).astype(np.int32) for part, chosen in parts.items()}
+    facets = {part: _entities(mesh, dim - 1, f"parts['{part}']", chosen) for part, chosen in parts.items()}
+    cells = {region: _entities(mesh, dim, f"regions['{region}']", chosen) for region, chosen in (regions or {}).items()}
+    if mesh.comm.allreduce(topology.index_map(dim).num_ghosts > 0, MPI.LOR):
+        mesh, facets, cells = _without_ghosts(mesh, facets, cells)
+    else:
+        owned = topology.index_map(dim - 1).size_local  # the others are inside the domain, and another rank has them
+        facets = {part: numbers[numbers < owned] for part, numbers in facets.items()}
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
     curvature = OWN_CURVATURE / float((box[1] - box[0]).max())
-    return Domain(mesh, largest_diameter(mesh), labels, facets, regions or {}, curvature, name)
+    return Domain(mesh, largest_diameter(mesh), labels, facets, cells, curvature, name)
+
+
+def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> Entities:
+    """Chosen entities of this rank, ascending (collective).
+
+    Raises:
+        InputError: On all ranks, if on one of them they are neither numbers of such entities nor a function.
+    """
+    if callable(chosen):
+        locate = dolfinx.mesh.locate_entities if dim == mesh.topology.dim else dolfinx.mesh.locate_entities_boundary
+        return np.unique(locate(mesh, dim, chosen))
+    index_map = mesh.topology.index_map(dim)
+    size = index_map.size_local + index_map.num_ghosts
+    try:
+        numbers = np.asarray(chosen)
+    except ValueError:  # rows of different lengths
+        numbers = np.empty(1)
+    if numbers.size == 0:
+        numbers = np.empty(0, dtype=np.int32)
+    kind = "facet" if dim < mesh.topology.dim else "cell"
+    wrong = ""
+    if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
+        wrong = f"{key}: must be an array of {kind} numbers, integers, or a function of points that says which are in"
+    elif np.any((numbers < 0) | (numbers >= size)):
+        wrong = f"{key}: there is no {kind} {numbers[(numbers < 0) | (numbers >= size)][0]}; a rank has {size}, from 0"
+    wrong = max(mesh.comm.allgather(wrong))
+    if wrong:
+        raise InputError(wrong)
+    return np.unique(numbers).astype(np.int32)
+
+
+def _without_ghosts(
+    mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
+) -> tuple[dolfinx.mesh.Mesh, dict[str, Entities], dict[str, Entities]]:
+    """The same cells on the same ranks without the ghosts, and their parts and regions (collective)."""
+    dim, comm = mesh.topology.dim, mesh.comm
+    nodes, cell_map = mesh.geometry.index_map(), mesh.topology.index_map(dim)
+    size = cell_map.size_local
+
+    def global_nodes(local: Entities) -> Indices:
+        return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
+
+    def stay(*_: object) -> object:
+        return dolfinx.graph.adjacencylist(np.full((size, 1), comm.rank, dtype=np.int32))._cpp_object
+
+    cells, points = global_nodes(mesh.geometry.dofmap[:size]), mesh.geometry.x[: nodes.size_local, :dim]
+    own = distribute(comm, points, cells, dim, stay)
+    own.topology.create_connectivity(dim - 1, dim)
+    marked = {
+        name: np.sort(global_nodes(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets)), axis=1).reshape(-1, dim)
+        for name, facets in parts.items()
+    }
+    every = np.arange(own.topology.index_map(dim - 1).size_local, dtype=np.int32)
+    number = np.empty(size, dtype=np.int32)
+    number[own.topology.original_cell_index - cell_map.local_range[0]] = np.arange(size)
+    inside = {name: np.sort(number[chosen[chosen < size]]) for name, chosen in regions.items()}
+    return own, found(own, marked, every), inside
 
 
 def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:

@@ -36,6 +36,8 @@ from signorini_fenicsx.output.gather import (
 from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.solving.solution import Solution
 
+XINCLUDE = "http://www.w3.org/2001/XInclude"
+
 
 def write_solution(
     solution: Solution,
@@ -248,13 +250,24 @@ def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> Non
 
 
 def _join_grids(path: Path) -> None:
-    """Move all functions onto the one mesh grid; DOLFINx gives each a grid of its own, which meshio cannot read."""
+    """Make one grid of the mesh and all functions, with a time, for readers of all kinds (rank 0).
+
+    DOLFINx gives each function a grid of its own, which meshio cannot read. PyVista wants a time in the grid, where
+    meshio refuses it; so the grid refers VTK to its own copy with a time, in an element whose children meshio skips.
+    """
     tree = ElementTree.parse(path)
     domain = tree.getroot()[0]
     mesh, *functions = list(domain)
     for grid in functions:
         mesh.extend(grid.iter("Attribute"))
         domain.remove(grid)
+    mesh.set("Reference", "/Xdmf/Domain/Grid/Information/Grid")
+    parts = " or ".join(f"self::{kind}" for kind in ("Topology", "Geometry", "Attribute"))
+    information = ElementTree.SubElement(mesh, "Information", Name="with a time", Value="0")
+    information.text = "<none/>"  # meshio wants XML there
+    timed = ElementTree.SubElement(information, "Grid", Name="mesh", GridType="Uniform")
+    ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
+    ElementTree.SubElement(timed, "Time", Value="0")
     tree.write(path, encoding="utf-8", xml_declaration=True)
 
 

@@ -8,6 +8,7 @@ from signorini_fenicsx.backends.contract import BackendFactory
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
@@ -47,7 +48,8 @@ class Options:
         for key, known in (("algorithm", METHODS), ("backend", BACKENDS)):
             value = getattr(self, key)
             if isinstance(value, str) and value not in known:
-                raise InputError(f"{key}: unknown name '{value}'; use one of {', '.join(known)}")
+                meant = did_you_mean(value, known)
+                raise InputError(f"{key}: unknown name '{value}'; use one of {', '.join(known)}{meant}")
         for key in ("rho", "eps", "max_iterations"):
             value = getattr(self, key)
             if value is not None and not value > 0:

@@ -1,0 +1,29 @@
+"""The order in which the wheel `dolfinx-solver-real` must be imported, kept whoever imports DOLFINx and when.
+
+It needs `dolfinx_solver`, which loads MPI, before DOLFINx, PETSc and Basix. Debian's DOLFINx has no such module.
+"""
+
+import sys
+
+FIRST = "dolfinx_solver"
+LATER = ("basix", "dolfinx", "petsc4py", "slepc4py")
+
+
+class _MpiFirst:
+    """A finder that finds nothing, but imports `dolfinx_solver` when the first of the others is looked for."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
+        """Import what must be first, once."""
+        if name in LATER:
+            sys.meta_path.remove(self)
+            try:
+                __import__(FIRST)
+            except ModuleNotFoundError as error:
+                if error.name != FIRST:
+                    raise
+
+
+def keep_order() -> None:
+    """From now on import `dolfinx_solver` first, if there is one; costs nothing until then."""
+    if FIRST not in sys.modules and not any(isinstance(finder, _MpiFirst) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _MpiFirst())
