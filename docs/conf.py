@@ -1,5 +1,7 @@
 """Sphinx configuration. Build with: uv run --group docs sphinx-build -W docs docs/_build."""
 
+import re
+
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
@@ -23,6 +25,7 @@ nb_merge_streams = True
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
+default_role = "code"
 napoleon_google_docstring = True
 
 html_theme = "furo"
@@ -51,6 +54,15 @@ def display_math(translator: HTML5Translator, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def keep_signs(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """In docstrings |u| and [p]_- are mathematics, not markup; what stands between backticks is code."""
+    for number, line in enumerate(lines):
+        pieces = re.split("(`[^`]*`)", line)
+        pieces[::2] = [re.sub(r"\||(?<=\])_", r"\\\g<0>", piece) for piece in pieces[::2]]
+        lines[number] = "".join(pieces)
+
+
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulae."""
+    """Register the renderer of formulae, and what is done to docstrings before napoleon reads them."""
+    app.connect("autodoc-process-docstring", keep_signs, priority=400)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
