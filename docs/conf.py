@@ -15,7 +15,7 @@ author = "The signorini_fenicsx developers"
 version = release = signorini_fenicsx.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build", "paper.md"]
+exclude_patterns = ["_build", ".jupyter_cache", "jupyter_execute", "paper.md"]  # myst-nb makes two of them here
 myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
