@@ -52,6 +52,7 @@ FROM build AS tests
 RUN uv sync --no-editable
 COPY scripts scripts
 COPY tests tests
+COPY docs docs
 RUN chown -R 1000:1000 /src
 USER 1000:1000
 ENTRYPOINT ["pytest"]

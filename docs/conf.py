@@ -1,5 +1,7 @@
 """Sphinx configuration. Build with: uv run --group docs sphinx-build -W docs docs/_build."""
 
+import re
+
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
@@ -13,7 +15,7 @@ author = "The signorini_fenicsx developers"
 version = release = signorini_fenicsx.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build", "paper.md"]
+exclude_patterns = ["_build", ".jupyter_cache", "jupyter_execute", "paper.md"]  # myst-nb makes two of them here
 myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
@@ -23,7 +25,11 @@ nb_merge_streams = True
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+add_module_names = False
+default_role = "code"
 napoleon_google_docstring = True
+napoleon_use_ivar = True
 
 html_theme = "furo"
 html_static_path = ["static"]
@@ -51,6 +57,15 @@ def display_math(translator: HTML5Translator, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def keep_signs(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """In docstrings |u| and [p]_- are mathematics, not markup; what stands between backticks is code."""
+    for number, line in enumerate(lines):
+        pieces = re.split("(`[^`]*`)", line)
+        pieces[::2] = [re.sub(r"\||(?<=\])_", r"\\\g<0>", piece) for piece in pieces[::2]]
+        lines[number] = "".join(pieces)
+
+
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulae."""
+    """Register the renderer of formulae, and what is done to docstrings before napoleon reads them."""
+    app.connect("autodoc-process-docstring", keep_signs, priority=400)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))

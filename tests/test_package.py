@@ -73,6 +73,29 @@ def test_files_that_the_documentation_names():
         assert {name for name in named if not any(path.match(name) for path in files)} == set(), page
 
 
+def test_fractions_have_braces():
+    r"""Docutils reads 12 in \tfrac12 as one number, and takes the next sign for the denominator."""
+    for page in (ROOT / "docs").rglob("*.md"):
+        assert re.findall(r"frac\d\d", page.read_text(encoding="utf-8")) == [], page
+
+
+def test_gallery_and_pictures():
+    """The gallery has all shipped cases with their titles, and committed pictures are small."""
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    for path in (ROOT / "data" / "cases").glob("*.toml"):
+        title = tomllib.loads(path.read_text(encoding="utf-8"))["title"]
+        assert f"### {path.stem}\n\n{title}" in page
+        assert f"(static/gallery/{path.stem}.png)" in page
+    for path in (ROOT / "docs" / "static").rglob("*.png"):
+        assert path.stat().st_size <= (100_000 if path.parent.name == "gallery" else 300_000), path
+
+
+def test_readme_is_short_and_its_links_lead_somewhere():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert readme.count("\n") <= 120
+    assert [link for link in re.findall(r"\]\((docs/[^)]+)\)", readme) if not (ROOT / link).is_file()] == []
+
+
 @pytest.mark.parametrize(
     ("file", "text", "found"),
     [

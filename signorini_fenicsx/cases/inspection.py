@@ -22,7 +22,7 @@ PROCESS_BYTES = 180 * 2**20
 BYTES_PER_FACET = {2: 830.0, 3: 940.0}
 """Of alg1 to alg4 with the hybrid backend, certificate and output included; measured on 395 000 and more facets."""
 SOLVER_RATE = {2: 177e3, 3: 196e3}
-"""Facets per second and core from the assembled problem to the solution; see the table in the README."""
+"""Facets per second and core from the assembled problem to the solution; see docs/measured/speed.md."""
 RUN_RATE = 5e4
 """Facets per second and core of a whole run, with a structured mesh, the certificate and output."""
 START_SECONDS = 3.0

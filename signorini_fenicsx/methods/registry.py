@@ -157,3 +157,4 @@ METHODS: Mapping[str, Method] = {
         max_iterations=250,
     ),
 }
+"""All methods by their names on the command line."""

@@ -1,0 +1,39 @@
+"""Draw the pictures of docs/gallery.md: u of each shipped case on a coarse mesh, small enough to be committed.
+
+Usage: python scripts/gallery.py [CASE …]
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+
+from signorini_fenicsx.api import load_case, solve_case, write_solution
+from signorini_fenicsx.base.shipped import case_names
+from signorini_fenicsx.meshes.shapes import SHAPES
+
+GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
+CELLS_ACROSS = {2: 64, 3: 16}
+"""The diameter of a shape over h."""
+WIDTH = 900
+
+
+def draw(name: str) -> None:
+    """Solve one case and keep the picture of u."""
+    case = load_case(name)
+    if case.geometry.shape is not None:
+        shape = SHAPES[case.geometry.shape]
+        case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
+    with TemporaryDirectory() as folder:
+        write_solution(solve_case(case), folder, plot=True, fields=False)
+        picture = Image.open(Path(folder) / "u.png").convert("RGB")
+    size = (WIDTH, round(picture.height * WIDTH / picture.width))
+    picture = picture.resize(size, Image.Resampling.LANCZOS)
+    picture = picture.quantize(256, Image.Quantize.MAXCOVERAGE)  # keeps the colours of thin lines
+    picture.save(GALLERY / f"{name}.png", optimize=True)
+
+
+if __name__ == "__main__":
+    for each in sys.argv[1:] or case_names():
+        draw(each)
