@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import basix
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +15,8 @@ type Array = npt.NDArray[np.float64]
 
 POINTS = 8
 """Least degree of the quadratures that see data."""
+BLOCK = 4096
+"""Simplices whose quadrature points are held at a time: some tens of megabytes."""
 
 
 def edge_order(corners: int) -> list[int]:
@@ -47,18 +51,34 @@ def _points(vertices: Array, degree: int) -> tuple[Array, Array, Array]:
 
 def mean_above(tree: Tree, vertices: Array, p: Quadratic, degree: int) -> Array:
     """Mean of e − p by a quadrature of this degree."""
-    x, arms, weights = _points(vertices, degree)
-    found = values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
-    of_p = p.value[:, None] + np.einsum("nqi,ni->nq", arms, p.gradient)
-    return (found - of_p - np.einsum("nqi,nij,nqj->nq", arms, p.hessian, arms) / 2) @ weights
+
+    def mean(vertices: Array, p: Quadratic) -> Array:
+        x, arms, weights = _points(vertices, degree)
+        found = values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+        of_p = p.value[:, None] + np.einsum("nqi,ni->nq", arms, p.gradient)
+        above: Array = (found - of_p - np.einsum("nqi,nij,nqj->nq", arms, p.hessian, arms) / 2) @ weights
+        return above
+
+    return _in_blocks(mean, vertices, p)
 
 
 def seen_slope(tree: Tree, vertices: Array, p: Quadratic) -> Array:
     """Root mean square of |∇(e − p)| over the points of a quadrature."""
-    x, arms, weights = _points(vertices, POINTS)
-    _, slope = values_and_gradient(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
-    slope = slope - p.gradient[:, None] - np.einsum("nij,nqj->nqi", p.hessian, arms)
-    return np.sqrt(np.maximum((slope**2).sum(axis=2) @ weights, 0.0))
+
+    def slope(vertices: Array, p: Quadratic) -> Array:
+        x, arms, weights = _points(vertices, POINTS)
+        _, found = values_and_gradient(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+        found = found - p.gradient[:, None] - np.einsum("nij,nqj->nqi", p.hessian, arms)
+        return np.sqrt(np.maximum((found**2).sum(axis=2) @ weights, 0.0))
+
+    return _in_blocks(slope, vertices, p)
+
+
+def _in_blocks(compute: Callable[[Array, Quadratic], Array], vertices: Array, p: Quadratic) -> Array:
+    """A value per simplex, of so many at once as BLOCK says: a simplex has hundreds of points."""
+    blocks = [slice(begin, begin + BLOCK) for begin in range(0, max(len(vertices), 1), BLOCK)]
+    parts = [compute(vertices[b], Quadratic(p.value[b], p.gradient[b], p.hessian[b])) for b in blocks]
+    return np.concatenate(parts)
 
 
 def bernstein(p: Quadratic, vertices: Array) -> Array:
