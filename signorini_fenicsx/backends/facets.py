@@ -10,7 +10,8 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.contract import Array, Backend, Inexact, Iterate, Mask
+from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces

@@ -6,12 +6,13 @@ from functools import partial
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.auxiliary_space import AuxiliarySpace
-from signorini_fenicsx.backends.contract import Array, Inexact, Iterate, Mask
+from signorini_fenicsx.backends.contract import Inexact, Iterate
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
 from signorini_fenicsx.backends.petsc import LinearSolver, options_of, set_direct
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import SiteConditions

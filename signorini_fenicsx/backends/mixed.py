@@ -6,9 +6,10 @@ from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Array, Iterate
+from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.petsc import direct_solver
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix

@@ -11,7 +11,6 @@ import contextlib
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -25,8 +24,6 @@ from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.solving.solution import Solution
-
-type Array = npt.NDArray[np.float64]
 
 ROUNDING = 1e-9
 """L‖c‖/√κ of less than this part of ‖σ_h‖ is taken for rounding, and added to the bound as it is."""

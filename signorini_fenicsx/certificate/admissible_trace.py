@@ -24,6 +24,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.certificate.samples import CellMetric, cell_values, facet_lattice, quadratic_nodes
 from signorini_fenicsx.discrete.data import Data, is_constant
@@ -31,7 +32,6 @@ from signorini_fenicsx.discrete.spaces import Spaces, assembled, centroids
 from signorini_fenicsx.forms.certificate import cut_off, reconstruction, second_moment
 from signorini_fenicsx.solving.solution import Solution
 
-type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
 FAR_BELOW = 20.0

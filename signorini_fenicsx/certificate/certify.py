@@ -39,6 +39,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
@@ -50,8 +51,6 @@ from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.certificate import flux_gap
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.solving.solution import Solution
-
-type Array = npt.NDArray[np.float64]
 
 FAR, NEAR = 1, 2
 """Cells away from Γ_D and cells that touch it."""

@@ -6,12 +6,10 @@ from collections.abc import Callable
 
 import basix
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.expressions import Tree, values, values_and_gradient
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges, quadratic
-
-type Array = npt.NDArray[np.float64]
 
 POINTS = 8
 """Least degree of the quadratures that see data."""

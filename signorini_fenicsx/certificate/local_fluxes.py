@@ -29,9 +29,8 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.samples import AT_ONCE, CellMetric, FacetPoints, facet_type
-
-type Array = npt.NDArray[np.float64]
 
 OF_LOAD, OF_FLUX = 1, 2
 """Degrees of Π and of all Π_e. Away from Γ_N and Γ_S RT of degree 1 is enough for τ; there it is of degree 2."""

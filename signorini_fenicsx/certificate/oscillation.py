@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
-import numpy.typing as npt
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.local_fluxes import (
     OF_FLUX,
     OF_LOAD,
@@ -43,8 +43,6 @@ from signorini_fenicsx.certificate.samples import (
 )
 from signorini_fenicsx.discrete.data import Data, is_constant, quadrature
 from signorini_fenicsx.discrete.spaces import Spaces
-
-type Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.spaces import assembled
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
 
-type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
 STEPS, MOST_STEPS = 5, 320

@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.enclosures import Enclosure, cell_vertices, enclose, facet_vertices
 from signorini_fenicsx.certificate.interpolants import (
@@ -51,7 +52,6 @@ from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, interpolated
 
-type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
 EXACT = 15

@@ -14,9 +14,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.data import Data, is_constant
-
-type Array = npt.NDArray[np.float64]
 
 AT_ONCE = 20_000
 """Cells whose values are in memory at the same time."""

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-type Array = npt.NDArray[np.float64]
+from signorini_fenicsx.base.arrays import Array
+
 type Kinds = npt.NDArray[np.int8]
 """A `Condition` per site of this rank."""
 

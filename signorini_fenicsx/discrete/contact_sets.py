@@ -10,10 +10,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
-
-type Array = npt.NDArray[np.float64]
 
 OVERLAP_DEGREE = 10
 """Quadrature that finds how much of a facet the other set covers: to about 1/6 of its length."""

@@ -17,13 +17,13 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes, extent, total
 from signorini_fenicsx.discrete.problem import Given, Problem, Rows
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, cells_and_dofs
 from signorini_fenicsx.expressions import TREES, Tree, to_ufl
 
-type Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12
 """Relative size of what is rounding in the symmetry of κ."""
 

@@ -8,10 +8,9 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
-
-type Array = npt.NDArray[np.float64]
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12

@@ -9,10 +9,11 @@ from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data, scalar_conductivity
-from signorini_fenicsx.discrete.spaces import Array, Spaces
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
 from signorini_fenicsx.forms.norms import l2
 

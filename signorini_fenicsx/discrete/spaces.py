@@ -12,10 +12,9 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
 from signorini_fenicsx.meshes.domain import Domain
-
-type Array = npt.NDArray[np.float64]
 
 SIGNORINI = 1
 DIRICHLET = 2

@@ -19,8 +19,9 @@ from functools import partial
 
 import numpy as np
 
-from signorini_fenicsx.backends.contract import Backend, Mask, Pairs
+from signorini_fenicsx.backends.contract import Backend, Pairs
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
+from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.methods.history import History, OnStep, Outcome, reached

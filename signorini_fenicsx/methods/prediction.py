@@ -10,8 +10,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Array, Inexact
+from signorini_fenicsx.backends.contract import Inexact
 from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions

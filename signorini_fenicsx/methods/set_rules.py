@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.backends.contract import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
 
 

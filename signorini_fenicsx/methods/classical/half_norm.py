@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.methods.classical.gathered import RootRows
-
-type Array = npt.NDArray[np.float64]
 
 
 class HalfNorm:

@@ -13,11 +13,11 @@ instead and takes a number of iterations that does not depend on h (see `half_uz
 import math
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.forms.norms import l2
@@ -30,8 +30,6 @@ from signorini_fenicsx.methods.classical.projection import (
 )
 from signorini_fenicsx.methods.history import Outcome, Recorder
 from signorini_fenicsx.methods.task import Task
-
-type Array = npt.NDArray[np.float64]
 
 
 class _Response:

@@ -13,6 +13,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.petsc import LinearSolver, direct_solver
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
@@ -24,7 +25,6 @@ from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.methods.history import History, Outcome, reached
 from signorini_fenicsx.methods.task import Task
 
-type Array = npt.NDArray[np.float64]
 type Indices = npt.NDArray[np.int32]
 
 

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.discrete.spaces import Spaces
-
-type Array = npt.NDArray[np.float64]
 
 POWER_STEPS = 30
 """Power iterations for λ_max. Their error is small beside the distance of RELAXATION from 2."""

@@ -9,7 +9,6 @@ without parallelism.
 """
 
 import numpy as np
-import numpy.typing as npt
 import piqp
 import scipy.sparse
 import ufl
@@ -17,6 +16,7 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import assembled, cell_measures
@@ -24,8 +24,6 @@ from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trac
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.history import Outcome, Recorder
 from signorini_fenicsx.methods.task import Task, nothing_yet
-
-type Array = npt.NDArray[np.float64]
 
 FIXED = 2.0
 """Instead of a sign: the unknown is 0."""
