@@ -10,7 +10,6 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.petsc import direct_solver
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
@@ -36,13 +35,12 @@ class MixedBackend(FacetBackend):
 
     name = "mixed"
 
-    def __init__(self, spaces: Spaces, data: Data, *, tuning: Tuning | None = None, stabilisation: float = 0.0):
+    def __init__(self, spaces: Spaces, data: Data, *, stabilisation: float = 0.0):
         """Assemble (collective).
 
         Args:
             spaces: The discrete spaces.
             data: The data and their means over cells and facets.
-            tuning: Nothing here depends on it.
             stabilisation: ε ≥ 0.
 
         Raises:

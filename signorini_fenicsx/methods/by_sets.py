@@ -23,8 +23,7 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
     with task.watch.phase("assembly"):
         backend = task.backend(task.spaces, task.data)
     parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations)
-    with task.watch.phase("solve"):
-        outcome = _from_best_start(backend, rule, parameters, task)
+    outcome = _from_best_start(backend, rule, parameters, task)
     if backend.precise is None or not outcome.converged:
         return outcome
     return _made_precise(outcome, backend.precise, rule, parameters, task)

@@ -21,7 +21,7 @@ import numpy as np
 
 from signorini_fenicsx.backends.contract import Backend, Pairs
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
-from signorini_fenicsx.base.arrays import Mask
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.methods.history import History, OnStep, Outcome, reached
@@ -147,7 +147,7 @@ class _Safeguard[I: Pairs]:
     clips: bool
     remark: str = ""
     _seen: list[SiteConditions] = field(default_factory=list)
-    _single: bool = False
+    _places: Array | None = None  # from the first single change on
     _fewest: int = 0
     _last: int = 0
 
@@ -155,7 +155,7 @@ class _Safeguard[I: Pairs]:
         """Take note of the conditions of an iteration and of the next ones; how many sites change (collective)."""
         self._seen.append(conditions)
         *earlier, self._last = wanted.changes(self._seen, self.backend.comm).tolist()
-        if self._last > 0 and 0 in earlier and not self._single:
+        if self._last > 0 and 0 in earlier and self._places is None:
             period = len(self._seen) - earlier.index(0)
             cycle = f"from iteration {iterations + 1} on: the sets cycle with period {period}"
             if self.clips:
@@ -163,20 +163,19 @@ class _Safeguard[I: Pairs]:
                 self.clips, self._seen = False, []
             else:
                 self.remark += f", by changing single {self.backend.noun[1]} {cycle}"
-                self._single, self._fewest = True, self._last
+                self._places, self._fewest = self.backend.places(), self._last
         return self._last
 
     def allowed(self, conditions: SiteConditions, wanted: SiteConditions) -> SiteConditions:
         """The next conditions: the wanted ones, or one site of them (collective)."""
-        if not self._single:
+        if self._places is None:
             return wanted
         all_may = self._last < self._fewest
         self._fewest = min(self._fewest, self._last)
-        return wanted if all_may else self._one_changed(conditions, wanted)
+        return wanted if all_may else self._one_changed(conditions, wanted, self._places)
 
-    def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions) -> SiteConditions:
+    def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
         """The conditions with one site as wanted, the last by its place: an order that no partition affects."""
-        places = self.backend.places()
         changing = [(*places[i], i) for i in np.flatnonzero(conditions.kind != wanted.kind)]
         *place, index = max(changing, default=(-1,))
         last = max(self.backend.comm.allgather(place))

@@ -81,9 +81,7 @@ def write_solution(
                 part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
                 write_facets(folder / "facets.csv", solution.spaces.part_names, table)
                 if boundary is not None:
-                    from signorini_fenicsx.output import (
-                        pictures,  # costs a second, which a run without pictures need not wait
-                    )
+                    from signorini_fenicsx.output import pictures  # costs a second, only where it is needed
 
                     scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
                     if plot:

@@ -1,6 +1,6 @@
 """How a problem is solved: algorithm, backend and their parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -13,7 +13,10 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 
-BACKENDS: Mapping[str, type[HybridBackend | MixedBackend]] = {"hybrid": HybridBackend, "mixed": MixedBackend}
+BACKENDS: Mapping[str, Callable[[Tuning], BackendFactory]] = {
+    "hybrid": lambda tuning: partial(HybridBackend, tuning=tuning),
+    "mixed": lambda tuning: MixedBackend,  # has no sizes to change its ways at
+}
 OWN = "own"
 """What results call a method that is not in the registry."""
 
@@ -75,4 +78,4 @@ class Options:
     @property
     def make_backend(self) -> BackendFactory:
         """Makes the backend that these options choose."""
-        return partial(BACKENDS[self.backend], tuning=self.tuning) if isinstance(self.backend, str) else self.backend
+        return BACKENDS[self.backend](self.tuning) if isinstance(self.backend, str) else self.backend
