@@ -69,10 +69,9 @@ def kkt_residuals(
 ) -> KKTResiduals:
     """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
     constant = data.common_constant(spaces)
-    if constant != 0:
-        data, u = data.less(spaces, constant), u.copy()
-        p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
-        u.x.array[:] -= constant
+    data, u = data.less(spaces, constant), u.copy()
+    p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
+    u.x.array[:] -= constant
     length = spaces.length()
     scales = _scales(spaces, sigma, u, data)
     if scales[1] == 0:
@@ -125,8 +124,11 @@ def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
     k, length = scalar_conductivity(data.kappa_h), spaces.length()
     missing = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
     given = ufl.dot(sigma - data.sigma_lift, spaces.n)
-    squares = [l2(missing / w, ufl.dx) + length * l2(given / w, spaces.ds_neumann) for w in (k, 1)]
-    return np.sqrt([spaces.integrate(square) for square in squares])
+    inside, at_neumann = (
+        np.array([spaces.integrate(l2(lacking / w, measure)) for w in (k, 1)])
+        for lacking, measure in ((missing, ufl.dx), (given, spaces.ds_neumann))
+    )
+    return np.sqrt(inside + length * at_neumann)
 
 
 def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:

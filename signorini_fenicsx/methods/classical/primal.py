@@ -9,7 +9,6 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.petsc import LinearSolver, direct_solver
@@ -70,7 +69,8 @@ class P1System:
         self.diagonal = self.matrix.getDiagonal().array_r.copy()
 
         self._x, self._b = create_vector(self.space), create_vector(self.space)
-        u_D, psi = self._values(data.u_D), self._values(data.psi)
+        nodes = self.space.element.interpolation_points
+        u_D, psi = (datum.at_nodes(self.space, nodes).x.array[: self._size] for datum in (data.u_D, data.psi))
         self._data, self._psi = data, self.at_signorini(psi[self.signorini])
         known = self._psi.copy()
         known[self.dirichlet] = u_D[self.dirichlet]
@@ -174,13 +174,6 @@ class P1System:
         self._x.array_w[:] = u
         matrix.mult(self._x, self._b)
         return self._b.array_r.copy()
-
-    def _values(self, given: Expr) -> Array:
-        """Values at the vertices."""
-        function = fem.Function(self.space)
-        zero = fem.Constant(self.space.mesh, 0.0)
-        function.interpolate(fem.Expression(given + zero, self.space.element.interpolation_points))
-        return np.asarray(function.x.array[: self._size], dtype=np.float64)
 
     @cached_property
     def _facet_vertices(self) -> Indices:
