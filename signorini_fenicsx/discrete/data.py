@@ -223,7 +223,7 @@ def is_constant(value: Expr) -> bool:
 
 
 def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Expr:
-    """The given data as UFL. Functions of points become quadratic on cells, from points inside cells if they may jump."""
+    """The given data as UFL. Functions of points become quadratic on cells, from inner points if they may jump."""
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
     x = ufl.SpatialCoordinate(spaces.mesh)
