@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.discrete.data import Data, project_data
@@ -26,6 +26,7 @@ type Remesh = Callable[[float], Domain]
 """From a factor > 1 to a mesh of the domain that is coarser by it (collective). Raises InputError if there is none."""
 
 
+@collector_off()
 def solve(
     domain: Domain,
     boundary: Boundary,
