@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.discrete.data import Data, project_data
@@ -27,6 +27,7 @@ type Remesh = Callable[[float], Domain]
 no such mesh."""
 
 
+@collector_off()
 def solve(
     domain: Domain,
     boundary: Boundary,
