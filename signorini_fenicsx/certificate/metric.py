@@ -1,4 +1,4 @@
-"""The cells as κ measures them."""
+"""Geometry of the cells in the metric of κ."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from signorini_fenicsx.discrete.points import corners, in_cells, in_vertices, ow
 
 @dataclass(frozen=True)
 class CellMetric:
-    """The owned cells as κ measures them.
+    """Geometry of the owned cells in the metric of κ. Arrays have one entry per cell.
 
     Attributes:
-        jacobian: Of the map from the reference cell, shape (cells, dim, dim).
+        jacobian: Jacobian of the map from the reference cell, shape (cells, dim, dim).
         volume: |T|.
         inverse: κ_h⁻¹, shape (cells, dim, dim).
-        diameter: max (x − y)·κ_h⁻¹(x − y) over T, its root: the diameter of T where κ_h is 1 and lengths as here.
+        diameter: Square root of max (x − y)·κ_h⁻¹(x − y) over T: the diameter of T measured in κ_h⁻¹.
         low: The largest number ≤ 1 with κ ≥ low κ_h in the nodes of P2 on T.
         kappa_min: low times the smallest eigenvalue of κ_h.
     """

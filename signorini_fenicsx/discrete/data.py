@@ -1,4 +1,4 @@
-"""The data of a problem, as given and as the discrete problem sees them: means over cells and facets."""
+"""The data of a problem as they are given, and their means over cells and facets for the discrete problem."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from signorini_fenicsx.discrete.spaces import Spaces, cell_measures, cells_and_d
 from signorini_fenicsx.expressions import TREES, Tree
 
 ROUNDING = 1e-12
-"""Relative size of what is rounding in the symmetry of κ."""
+"""Relative asymmetry of κ that counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +40,18 @@ class Data:
         psi: Bound of the trace as given.
         q_S: Bound of the flux as given.
         f_h: P0 projection of f.
-        kappa_h: P0 projection of κ, entry by entry; a `fem.Constant` if κ is a number, which no compiled form knows.
+        kappa_h: P0 projection of κ, entry by entry; a `fem.Constant` if κ is a number, which no form is compiled for.
         u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
             others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
         sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
             others.
         psi_h: Mean of ψ per Γ_S facet of this rank.
         q_Sh: Mean of q_S per Γ_S facet of this rank.
-        conductance: Mean of κ over L, so the σ·n that goes with p = 1.
-        total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
-        exact: u itself, where it is known.
-        trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
-            regions has names such as "kappa.core".
+        conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
+        total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if it is only rounding.
+        exact: The exact u, where it is known.
+        trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
+            of regions has names such as "kappa.core".
     """
 
     f: Datum
@@ -72,18 +72,18 @@ class Data:
     trees: Mapping[str, Tree | Rows]
 
     def conductivities(self, spaces: Spaces) -> Array:
-        """Mean eigenvalue of κ_h on each cell of this rank."""
+        """Mean eigenvalue of κ_h on each owned cell."""
         if self.kappa.number is not None:
             return np.full(spaces.Q.dofmap.index_map.size_local, self.kappa.number)
         shape = self.kappa_h.ufl_shape or (1, 1)
         return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The least and the largest of u_D and ψ, of their means (collective)."""
+        """The smallest and the largest facet mean of u_D and ψ (collective)."""
         return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The same of u_D alone; ∞ and −∞ without Γ_D (collective)."""
+        """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
         return extent(self._dirichlet_means(spaces), spaces.mesh.comm)
 
     def _dirichlet_means(self, spaces: Spaces) -> Array:
@@ -104,18 +104,18 @@ class Data:
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
-    """Take means over cells and facets, by quadrature of the degree UFL estimates, from 8 to 30 (collective).
+    """Take means over cells and facets, by quadrature of the degree that `quadrature_degree` gives (collective).
 
     Raises:
-        InputError: If something is not finite at all quadrature points, or so large or small that squares of the
-            solution leave the range of floating-point numbers; if κ is not symmetric and positive definite, or has no
-            value somewhere.
+        InputError: If a datum is not finite at some quadrature point, or so large or small that squares of the solution
+            leave the range of floating-point numbers; if κ is not symmetric positive definite, or has no value on some
+            cells.
     """
     problem = problem.parsed(spaces.mesh.geometry.dim)
     f = datum_of(spaces, "f", problem.f, continuous=False)
     u_D, g_N, psi, q_S = (datum_of(spaces, name, getattr(problem, name)) for name in ("u_D", "g_N", "psi", "q_S"))
     kappa = conductivity_of(spaces, problem.kappa)
-    # κ_h, f_h, σ_lift, u_lift: in this order everywhere, as a form whose functions are made in another is another form.
+    # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
     kappa_h = _projected_conductivity(spaces, kappa)
     f_h = fem.Function(spaces.Q, name="f_h")
     f_h.x.array[:] = f_means = _cell_means(spaces, f)

@@ -27,7 +27,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 type Entities = npt.NDArray[np.int32]
 
 AT_ONCE = 200_000
-"""Points of cells that are in memory at the same time."""
+"""Number of points in cells that are in memory at the same time."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Points(ABC):
 
     Attributes:
         mesh: The mesh.
-        cells: The cell of each of them.
-        points: In the reference cell or facet, shape (points, its dimension).
-        weights: Of a quadrature there; none for other points.
+        cells: Each of these cells, or the cell behind each facet.
+        points: Points in the reference cell or facet, shape (points, its dimension).
+        weights: Weights of a quadrature there; empty for other points.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -58,7 +58,7 @@ class Points(ABC):
 
     @abstractmethod
     def among(self, cells: Mask) -> Self:
-        """Those that lie in some of the cells of this rank."""
+        """Those that lie in some of the cells; `cells` is a mask."""
 
     @abstractmethod
     def of_ufl(self, value: Expr) -> Array:
@@ -84,7 +84,7 @@ class Points(ABC):
 
     @cached_property
     def scale(self) -> Array:
-        """Measure of each cell or facet over that of the reference one."""
+        """Measure of each cell or facet, divided by that of the reference one."""
         edges = self.vertices[:, 1:] - self.vertices[:, :1]
         return np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1)))
 
@@ -135,7 +135,7 @@ class CellPoints(Points):
         return _barycentric(self.points)[None]
 
     def among(self, cells: Mask) -> Self:
-        """Those in some of the cells of this rank."""
+        """Those in some of the cells; `cells` is a mask."""
         return replace(self, cells=self.cells[cells[self.cells]])
 
     def of_ufl(self, value: Expr) -> Array:
@@ -151,7 +151,7 @@ class FacetPoints(Points):
 
     Attributes:
         facets: Mesh facets.
-        local: Which facet of its cell each is.
+        local: Index of each facet in its cell.
     """
 
     facets: Entities
@@ -201,12 +201,12 @@ class FacetPoints(Points):
         return [dict.fromkeys(found, normal / ufl.sqrt(ufl.inner(normal, normal))) for normal in normals]
 
     def among(self, cells: Mask) -> Self:
-        """Those of the facets that lie in some of the cells of this rank."""
+        """The facets of some of the cells; `cells` is a mask."""
         chosen = cells[self.cells]
         return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
     def per_cell(self, values: Array, number: int) -> Array:
-        """Sums of facet values over the facets of each of the cells."""
+        """Sums of values per facet over the facets of each owned cell; `number` is that of the cells."""
         return np.bincount(self.cells, values, number)[:number]
 
 
