@@ -37,7 +37,7 @@ from signorini_fenicsx.discrete.points import (
     owned_cells,
     quadratic_nodes,
 )
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, centroids
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.certificate import reconstruction, second_moment
 from signorini_fenicsx.solving.solution import Solution
 
@@ -250,7 +250,7 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     spaces, kappa = solution.spaces, solution.data.kappa_h
     mesh = spaces.mesh
     x = ufl.SpatialCoordinate(mesh)
-    centroid = centroids(mesh)
+    centroid = spaces.centroids
     moment = fem.Function(spaces.Q)
     moment.x.array[:] = assembled(second_moment(centroid, x, kappa) * ufl.TestFunction(spaces.Q) * ufl.dx)
     moment.x.array[:] /= metric.volume  # no ghost cells

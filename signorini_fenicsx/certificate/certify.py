@@ -123,7 +123,7 @@ def certify(solution: Solution) -> Certificate:
 def _certificate(solution: Solution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    metric = cell_metric(spaces.mesh, data)
+    metric = cell_metric(spaces, data)
     size = math.sqrt(comm.allreduce(metric.squares(solution.sigma).sum()))
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))

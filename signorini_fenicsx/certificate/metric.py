@@ -13,6 +13,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import corners, in_cells, in_vertices, owned_cells, quadratic_nodes
+from signorini_fenicsx.discrete.spaces import Spaces
 
 
 @dataclass(frozen=True)
@@ -49,13 +50,14 @@ class CellMetric:
         return found
 
 
-def cell_metric(mesh: dolfinx.mesh.Mesh, data: Data) -> CellMetric:
+def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
     """Measure the owned cells (collective)."""
+    mesh = spaces.mesh
     dim = mesh.topology.dim
     number = mesh.topology.index_map(dim).size_local
     x = corners(mesh)[:number]
     jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
-    kappa_h = _matrices(data, number, dim)
+    kappa_h = data.matrices(spaces)
     inverse = np.broadcast_to(np.linalg.inv(kappa_h), (number, dim, dim))
     first, second = np.triu_indices(dim + 1, 1)
     edges = x[:, first] - x[:, second]
@@ -69,14 +71,6 @@ def cell_metric(mesh: dolfinx.mesh.Mesh, data: Data) -> CellMetric:
         low=low,
         kappa_min=low * np.linalg.eigvalsh(kappa_h)[:, 0],
     )
-
-
-def _matrices(data: Data, number: int, dim: int) -> Array:
-    """κ_h as matrices, shape (cells, dim, dim), or (1, dim, dim) if it is a number."""
-    if data.kappa.number is not None:
-        return data.kappa.number * np.eye(dim)[None]
-    entries = data.kappa_h.x.array.reshape(-1, *(data.kappa.shape or (1, 1)))[:number]
-    return entries if data.kappa.shape else entries * np.eye(dim)
 
 
 def _lowest_ratio(mesh: dolfinx.mesh.Mesh, kappa: Datum, inverse: Array) -> Array:

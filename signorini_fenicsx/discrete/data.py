@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -19,7 +17,7 @@ from signorini_fenicsx.discrete.data_values import check_finite, check_means, ch
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, owned_cells
 from signorini_fenicsx.discrete.problem import Given, Problem, Rows
-from signorini_fenicsx.discrete.spaces import Spaces, cell_measures, cells_and_dofs
+from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 from signorini_fenicsx.expressions import TREES, Tree
 
 ROUNDING = 1e-12
@@ -61,7 +59,7 @@ class Data:
     psi: Datum
     q_S: Datum
     f_h: fem.Function
-    kappa_h: Expr
+    kappa_h: fem.Function | fem.Constant
     u_lift: fem.Function
     sigma_lift: fem.Function
     psi_h: Array
@@ -73,10 +71,15 @@ class Data:
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
+        return _mean_eigenvalues(spaces, self.kappa, self.kappa_h)
+
+    def matrices(self, spaces: Spaces) -> Array:
+        """κ_h as a matrix on each owned cell, shape (cells, dim, dim), or (1, dim, dim) if κ is a number."""
+        identity = np.eye(spaces.mesh.geometry.dim)
         if self.kappa.number is not None:
-            return np.full(spaces.Q.dofmap.index_map.size_local, self.kappa.number)
-        shape = self.kappa_h.ufl_shape or (1, 1)
-        return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+            return self.kappa.number * identity[None]
+        entries = self.kappa_h.x.array.reshape(-1, *(self.kappa.shape or (1, 1)))
+        return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D and ψ (collective)."""
@@ -135,13 +138,15 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     sigma_lift = fem.Function(spaces.V, name="sigma_lift")
     sigma_lift.x.array[spaces.neumann_dofs] = neumann_means * spaces.neumann_measure / spaces.neumann_basis_flux
     sigma_lift.x.array[spaces.flux_dofs] = q_Sh * spaces.facet_measure / spaces.basis_flux
-    u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
+    u_lift = fem.Function(spaces.crouzeix_raviart, name="u_lift")
     for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
-    measures = cell_measures(spaces.Q)
-    loads = [measures * f_h.x.array, spaces.neumann_measure * neumann_means, spaces.facet_measure * q_Sh]  # no ghosts
+    measures = spaces.cell_measures, spaces.neumann_measure, spaces.facet_measure
+    loads = [measure * means for measure, means in zip(measures, (f_means, neumann_means, q_Sh), strict=True)]
+    integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
+    conductance = spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
     return Data(
         f=f,
         kappa=kappa,
@@ -155,7 +160,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         sigma_lift=sigma_lift,
         psi_h=psi_h,
         q_Sh=q_Sh,
-        conductance=mean_conductivity(spaces, kappa_h) / spaces.length(),
+        conductance=conductance,
         total_load=total(np.concatenate(loads), spaces.mesh.comm),
         exact=_exact(spaces, problem.exact),
         trees=_trees(problem),
@@ -179,14 +184,12 @@ def _trees(problem: Problem) -> dict[str, Tree | Rows]:
     return {name: value for name, value in given.items() if isinstance(value, TREES | tuple | list)}
 
 
-def scalar_conductivity(kappa: Expr) -> Expr:
-    """κ, or the mean of its eigenvalues."""
-    return ufl.tr(kappa) / kappa.ufl_shape[0] if kappa.ufl_shape else kappa
-
-
-def mean_conductivity(spaces: Spaces, kappa: Expr) -> float:
-    """Mean over Ω of the scalar conductivity (collective)."""
-    return spaces.integrate(scalar_conductivity(kappa) * ufl.dx) / spaces.length() ** spaces.mesh.geometry.dim
+def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.Constant) -> Array:
+    """Of κ_h on each owned cell."""
+    if kappa.number is not None:
+        return np.full(spaces.Q.dofmap.index_map.size_local, kappa.number)
+    shape = kappa.shape or (1, 1)
+    return np.trace(kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
 
 def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.Constant:
@@ -205,8 +208,7 @@ def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.
         raise InputError(f"[problem] kappa: must be positive; its smallest {what} is {smallest:.3g}")
     if kappa.number is not None:
         return fem.Constant(spaces.mesh, kappa.number)
-    element = ("DG", 0, kappa.shape) if kappa.shape else ("DG", 0)
-    kappa_h = fem.Function(fem.functionspace(spaces.mesh, element), name="kappa_h")
+    kappa_h = fem.Function(spaces.Q_matrix if kappa.shape else spaces.Q, name="kappa_h")
     kappa_h.x.array[:] = means.ravel()  # no ghost cells
     return kappa_h
 

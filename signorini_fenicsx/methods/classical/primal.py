@@ -17,7 +17,7 @@ from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, owned_on_facets
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
 from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
@@ -164,7 +164,7 @@ class P1System:
         u_h.x.array[: self._size] = u + self._psi
         u_h.x.scatter_forward()
         means = fem.Function(spaces.Q, name="u")
-        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / cell_measures(spaces.Q)
+        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / spaces.cell_measures
         sigma = _projected_flux(u_h, self._data, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
