@@ -74,7 +74,7 @@ from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.solver import Solver, solve
 
 __all__ = [
     "METHODS",
@@ -95,6 +95,7 @@ __all__ = [
     "SetRule",
     "SiteConditions",
     "Solution",
+    "Solver",
     "Spaces",
     "Step",
     "Task",
