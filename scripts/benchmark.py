@@ -26,6 +26,7 @@ from rich.table import Table
 
 from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
 
 WORKERS = Path(__file__).with_name("benchmark")
@@ -122,7 +123,7 @@ def write_mesh(case: str, h: str, path: Path) -> int:
     settings = load_case(case).with_values({"geometry.mesh": "structured", "solve.h": h})
     grid = SHAPES[settings.geometry.shape].grid
     assert grid is not None
-    points, cells = grid(settings.solve.h, "right")
+    points, cells = grid(settings.solve.h, "right", Share())
     np.savez(path, points=points, cells=cells)
     return len(cells)
 

@@ -17,6 +17,7 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
@@ -46,7 +47,7 @@ def square(
 ) -> Domain:
     """A structured mesh of (0, scale)² with n facets per side; Γ_S is a part of the boundary of (0, 1)²."""
     assert SHAPES["square"].grid is not None
-    points, cells = SHAPES["square"].grid((1 if diagonal == "crossed" else np.sqrt(2)) / n, diagonal)
+    points, cells = SHAPES["square"].grid((1 if diagonal == "crossed" else np.sqrt(2)) / n, diagonal, Share())
     return own_domain(comm, scale * points, cells, lambda x: part(x / scale))
 
 

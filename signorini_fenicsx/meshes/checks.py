@@ -28,11 +28,13 @@ class Contents:
         points: Shape (points, 2 or 3).
         blocks: Kind of element, as meshio names it, and for each element its points.
         groups: Name, dimension, and the elements by block and row.
+        straight: Whether the elements are those of a geometry that is known to have straight edges and plane faces.
     """
 
     points: Array
     blocks: list[tuple[str, Indices]]
     groups: list[tuple[str, int, list[tuple[int, Indices]]]]
+    straight: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,14 @@ class FileMesh:
         cells: Shape (cells, dim + 1).
         parts: For each group of facets their vertices, ascending, shape (facets, dim).
         regions: For each group of cells their numbers.
+        straight: Whether uniform refinement of the mesh keeps the geometry.
     """
 
     points: Array
     cells: Indices
     parts: Mapping[str, Indices]
     regions: Mapping[str, Indices]
+    straight: bool = False
 
     @property
     def dim(self) -> int:
@@ -97,6 +101,7 @@ def checked(contents: Contents) -> FileMesh:
         numbered.reshape(-1, dim + 1),
         {name: np.unique(np.sort(_joined(rows, dim), axis=1), axis=0) for name, rows in parts.items()},
         {name: np.unique(_joined(rows)) for name, rows in regions.items()},
+        contents.straight,
     )
     _check_cells(mesh)
     return mesh

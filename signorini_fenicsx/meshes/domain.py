@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import basix.ufl
+import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import scatter_rows
+from signorini_fenicsx.base.rows import fetch_rows, marked_rows
 
 AXES = "xyz"
 
@@ -45,6 +46,9 @@ class Domain:
         curvature: Two meshes of the domain with edges ≤ h are nowhere further apart than curvature·h².
         name: Of the shape or the file.
         is_shape: Whether it is one of the named shapes.
+        made: How the mesh was made, in words.
+        coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
+            there is one.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -55,6 +59,22 @@ class Domain:
     curvature: float
     name: str = "mesh"
     is_shape: bool = False
+    made: str = "given"
+    coarser: "Domain | None" = None
+
+    def origin(self) -> str:
+        """How the mesh was made, in words, with its uniform refinements."""
+        levels, first = 0, self
+        while first.coarser is not None:
+            levels, first = levels + 1, first.coarser
+        return first.made + (f", refined uniformly {levels} time{'s' * (levels > 1)}" if levels else "")
+
+    def ancestor(self, factor: float) -> "Domain | None":
+        """The mesh coarser by about this factor of which this one is a uniform refinement, if there is one."""
+        found = self.coarser
+        while found is not None and found.h < 0.75 * factor * self.h:
+            found = found.coarser
+        return found
 
     def box(self) -> Array:
         """Smallest and largest coordinates, shape (2, 3) (collective)."""
@@ -86,8 +106,8 @@ class Marks:
 
     Attributes:
         facets: For each part the vertices of its facets, ascending and numbered as the mesh was made, shape (n, dim).
-        cells: Which cells are in which region, shape (cells, regions); rank 0 has all, in the order in which the mesh
-            was made, the others None.
+        cells: Which cells are in which region, shape (cells, regions), for the cells that this rank gave when the mesh
+            was made; None if it gave none.
         regions: Names of the regions.
     """
 
@@ -114,9 +134,7 @@ def coordinate_element(dim: int) -> AbstractFiniteElement:
     return basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
 
 
-def distribute(
-    comm: MPI.Comm, points: Array, cells: Indices, dim: int, partitioner: Callable | None = None
-) -> dolfinx.mesh.Mesh:
+def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int, *, stay: bool = False) -> dolfinx.mesh.Mesh:
     """Make a distributed mesh without ghost cells (collective).
 
     Args:
@@ -124,9 +142,13 @@ def distribute(
         points: Some points on each rank, numbered from rank to rank.
         cells: Some cells on each rank, of those numbers.
         dim: Dimension.
-        partitioner: Says which rank gets a cell, as DOLFINx wants it; DOLFINx's own if there is none.
+        stay: Leave each cell on the rank that gives it, instead of a partition that has few neighbours.
     """
-    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, partitioner)
+
+    def same_rank(*_: object) -> object:
+        return dolfinx.graph.adjacencylist(np.full((len(cells), 1), comm.rank, dtype=np.int32))._cpp_object
+
+    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, same_rank if stay else None)
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
@@ -144,19 +166,19 @@ def marked_domain(
     curvature: float,
     name: str,
     is_shape: bool = False,
+    made: str = "given",
+    coarser: Domain | None = None,
 ) -> Domain:
     """Find the marked facets and cells on a mesh (collective)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
     size = mesh.topology.index_map(dim).size_local
-    inside = scatter_rows(mesh.comm, mesh.topology.original_cell_index[:size], marks.cells) if marks.regions else None
-    regions = {
-        name: np.flatnonzero(inside[:, column]).astype(np.int32)
-        for column, name in enumerate(marks.regions)
-        if inside is not None
-    }
+    regions = {}
+    if marks.regions:
+        inside = fetch_rows(mesh.comm, mesh.topology.original_cell_index[:size], marks.cells)
+        regions = {name: np.flatnonzero(inside[:, k]).astype(np.int32) for k, name in enumerate(marks.regions)}
     facets = found(mesh, marks.facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape)
+    return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape, made, coarser)
 
 
 def found(
@@ -167,20 +189,13 @@ def found(
     Args:
         mesh: The mesh.
         marked: By name the vertices of facets as `facet_vertices` gives them, of the same names on all ranks.
-        among: Facets of this rank that may be.
+        among: Facets of this rank that may be, ascending.
 
     Returns:
         By name these facets, ascending.
     """
-    mine = facet_vertices(mesh, among)
-    gathered = mesh.comm.allgather(marked)
-    wanted = [np.concatenate([one[name] for one in gathered]) for name in marked]
-    _, number = np.unique(np.concatenate([mine, *wanted]), axis=0, return_inverse=True)
-    facet = np.full(int(number.max(initial=-1)) + 1, -1, dtype=np.int32)
-    facet[number[: len(mine)]] = among
-    ends = len(mine) + np.cumsum([0, *map(len, wanted)])
-    rows = {name: facet[number[a:b]] for name, a, b in zip(marked, ends, ends[1:], strict=False)}
-    return {name: np.unique(facets[facets >= 0]) for name, facets in rows.items()}
+    inside = marked_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values()))
+    return {name: among[inside[:, column]] for column, name in enumerate(marked)}
 
 
 def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Indices:

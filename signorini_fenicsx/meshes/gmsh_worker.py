@@ -13,6 +13,8 @@ from signorini_fenicsx.meshes.checks import Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
 """Gmsh's numbers of first-order simplices, and meshio's names."""
+STRAIGHT = ("Point", "Line", "Plane", "Volume")
+"""Types of entities without curvature."""
 
 
 def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: Callable[[str], str] = str) -> Contents:
@@ -101,4 +103,5 @@ def model_contents() -> Contents:
         entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
         members = [block for entity in entities for block in blocks_of.get((dim, int(entity)), [])]
         groups.append((name, dim, [(block, np.arange(len(blocks[block][1]))) for block in members]))
-    return Contents(points.reshape(-1, 3), blocks, groups)
+    straight = all(gmsh.model.getType(*entity) in STRAIGHT for entity in gmsh.model.getEntities())
+    return Contents(points.reshape(-1, 3), blocks, groups, straight)

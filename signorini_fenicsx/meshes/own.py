@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 
-import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -107,11 +106,8 @@ def _without_ghosts(
     def global_nodes(local: Entities) -> Indices:
         return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
 
-    def stay(*_: object) -> object:
-        return dolfinx.graph.adjacencylist(np.full((size, 1), comm.rank, dtype=np.int32))._cpp_object
-
     cells, points = global_nodes(mesh.geometry.dofmap[:size]), mesh.geometry.x[: nodes.size_local, :dim]
-    own = distribute(comm, points, cells, dim, stay)
+    own = distribute(comm, points, cells, dim, stay=True)
     own.topology.create_connectivity(dim - 1, dim)
     marked = {
         name: np.sort(global_nodes(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets)), axis=1).reshape(-1, dim)

@@ -1,15 +1,16 @@
 """Local refinement: which cells, and the refined mesh. Neither depends on the number of ranks."""
 
+from dataclasses import replace
+
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, marked_domain, membership
+from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, largest_diameter, marked_domain, membership
 
 SAME = 1e-6
 """Indicators that differ by less than this, relatively, are refined together: rounding must not choose among them."""
@@ -64,30 +65,55 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
     mesh = domain.mesh
     dim = mesh.topology.dim
     fine, parent_cell, parent_facet = _bisected(mesh, cells)
-    before = _volumes(fine)
     boundary, children = _boundary_facets(mesh, fine, parent_cell, parent_facet)
-    descendants = {name: children[np.isin(boundary, facets)] for name, facets in domain.facets.items()}
-    for name, part in domain.parts.items():
-        if part.nearest is not None:
-            nodes = _on_all_ranks(fine, descendants[name].ravel())
-            fine.geometry.x[nodes] = part.nearest(fine.geometry.x[nodes].T).T
-    if not mesh.comm.allreduce(bool(np.all(_volumes(fine) / before > FLAT)), MPI.LAND):
-        raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
-
     nodes = fine.geometry.index_map()
-    cell_nodes = nodes.local_to_global(fine.geometry.dofmaps[0].ravel()).reshape(-1, dim + 1)
+
+    def vertices(local: npt.NDArray[np.int32], columns: int) -> Indices:
+        return nodes.local_to_global(local.ravel()).reshape(-1, columns)
+
     marks = Marks(
-        {
-            name: np.sort(nodes.local_to_global(rows.ravel()).reshape(-1, dim), axis=1)
-            for name, rows in descendants.items()
-        },
-        gather_rows(mesh.comm, membership(domain)[parent_cell]) if domain.regions else None,
+        {name: np.sort(vertices(children[np.isin(boundary, f)], dim), axis=1) for name, f in domain.facets.items()},
+        membership(domain)[parent_cell],
         tuple(domain.regions),
     )
-    distributed = distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim)
-    return marked_domain(
-        distributed, domain.parts, marks, curvature=domain.curvature, name=domain.name, is_shape=domain.is_shape
+    points, cell_nodes = fine.geometry.x[: nodes.size_local, :dim], vertices(fine.geometry.dofmaps[0], dim + 1)
+    return descendant(domain, distribute(mesh.comm, points, cell_nodes, dim), marks, "refined where the error is")
+
+
+def descendant(
+    domain: Domain, mesh: dolfinx.mesh.Mesh, marks: Marks, made: str, coarser: Domain | None = None
+) -> Domain:
+    """A domain on a refined mesh; the vertices of curved boundary parts move there (collective).
+
+    Args:
+        domain: What was refined.
+        mesh: The refined mesh.
+        marks: Its parts and regions.
+        made: How it was made, in words.
+        coarser: The domain again if it was refined uniformly.
+
+    Raises:
+        NumericalFailure: If moving the vertices would flatten or invert a cell.
+    """
+    result = marked_domain(
+        mesh,
+        domain.parts,
+        marks,
+        curvature=domain.curvature,
+        name=domain.name,
+        is_shape=domain.is_shape,
+        made=made,
+        coarser=coarser,
     )
+    before, dim = _volumes(mesh), mesh.topology.dim
+    for name, part in domain.parts.items():
+        if part.nearest is not None:
+            nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, result.facets[name])
+            nodes = _on_all_ranks(mesh, nodes.ravel())
+            mesh.geometry.x[nodes] = part.nearest(mesh.geometry.x[nodes].T).T
+    if not mesh.comm.allreduce(bool(np.all(_volumes(mesh) / before > FLAT)), MPI.LAND):
+        raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
+    return replace(result, h=largest_diameter(mesh))
 
 
 def _bisected(

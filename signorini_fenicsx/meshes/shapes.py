@@ -9,7 +9,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.meshes.domain import Part
-from signorini_fenicsx.meshes.grids import Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
+from signorini_fenicsx.meshes.grids import Share, Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
 
 TINY = np.finfo(np.float64).tiny
 
@@ -35,7 +35,7 @@ class Shape:
         diameter: Largest distance between two of its points.
         parts: Boundary parts; they cover the boundary.
         outline: Adds the domain to the current Gmsh model.
-        grid: Structured mesh of a given fineness and diagonal, or None where there is none.
+        grid: A rank's share of the structured mesh of a given fineness and diagonal, or None where there is none.
     """
 
     dim: int
@@ -43,7 +43,7 @@ class Shape:
     diameter: float
     parts: Mapping[str, NamedPart]
     outline: Callable[[], None]
-    grid: Callable[[float, str], Simplices] | None = None
+    grid: Callable[[float, str, Share], Simplices] | None = None
 
 
 def _plane(axis: int, value: float) -> NamedPart:

@@ -19,7 +19,8 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
-from signorini_fenicsx.base.parallel import collector_off, on_root, scatter_rows
+from signorini_fenicsx.base.parallel import collector_off, on_root
+from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import options_of
@@ -277,7 +278,7 @@ def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]
     middle = fem.Function(centroid.function_space)
     divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
     for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
-        values = scatter_rows(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
+        values = fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
         function.x.array[:] = values.ravel()
     sigma = fem.Function(spaces.V, name="sigma")
     x = ufl.SpatialCoordinate(mesh)

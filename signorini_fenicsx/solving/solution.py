@@ -288,6 +288,7 @@ class Solution:
             "algorithm": options.algorithm_name,
             "backend": outcome.backend,
             "linear_solver": outcome.linear_solver,
+            "mesh": spaces.domain.origin(),
             "h": spaces.domain.h,
             "cells": spaces.mesh.topology.index_map(spaces.mesh.topology.dim).size_global,
             "signorini_facets": spaces.Lambda.dofmap.index_map.size_global,
