@@ -32,7 +32,7 @@ TYPE_CHECKING = False  # for those who check types it is not; typing's own takes
 if TYPE_CHECKING:
     from signorini_fenicsx.api import *  # noqa: F403 - all of `__all__` but the version
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "METHODS",
