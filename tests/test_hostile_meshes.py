@@ -94,7 +94,7 @@ REFUSED = {
     "a polygon": ("vtu", vtu(kind=7), "polygon"),
     "one coordinate": ("vtu", vtu(width=1, points="0 1 2"), r"shape \(3, 1\); 2 or 3 coordinates"),
     "four coordinates": ("vtu", vtu(width=4, points="0 " * 12), r"shape \(3, 4\); 2 or 3 coordinates"),
-    "a point that is not there": ("vtu", vtu(cells="0 1 9"), "a point that the file does not hold"),
+    "a point that is not there": ("vtu", vtu(cells="0 1 9"), "a point that is not in the file"),
     "offsets of another mesh": ("vtu", vtu(end=-5), "mesh|cannot be read|points for each|holds"),
     "xdmf: cells too wide": (
         "xdmf",
@@ -112,7 +112,7 @@ REFUSED = {
     "xdmf: one coordinate": ("xdmf", xdmf(points="0 1 2", shape="3 1"), r"shape \(3, 1\); 2 or 3 coordinates"),
     "xdmf: points in a row": ("xdmf", xdmf(shape="6"), r"shape \(6,\); 2 or 3 coordinates"),
     "xdmf: numbers missing": ("xdmf", xdmf(tags="7"), "the grid 'sides' has 1 numbers for 2 elements"),
-    "xdmf: sides out of range": ("xdmf", xdmf(sides=("0 1 1 9", "2 2")), "a point that the file does not hold"),
+    "xdmf: sides out of range": ("xdmf", xdmf(sides=("0 1 1 9", "2 2")), "a point that is not in the file"),
     "xdmf: not a number": ("xdmf", xdmf(points="0 0 1 0 0 x"), "cannot be read"),
     "xdmf: too few": ("xdmf", xdmf(points="0 0 1"), "cannot be read"),
     "xdmf: a file elsewhere": ("xdmf", hdf("/etc/passwd"), "'/etc/passwd', which is outside the folder of the mesh"),

@@ -247,7 +247,7 @@ MESSAGES = {
     "_left_facet": "1 facet in no part",
     "_overlap": "'others' and 'bottom' share 1 facet",
     "_inside": "has 1 facet inside the domain",
-    "_nowhere": "has 1 facet that no cell has",
+    "_nowhere": "has 1 facet without a cell",
     "_no_cells": "neither triangles nor tetrahedra",
     "_floating_component": "2 components .* no Dirichlet facet",
 }

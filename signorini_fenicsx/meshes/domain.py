@@ -1,4 +1,4 @@
-"""Distributed meshes with named boundary parts and regions, which refinement and files hand on by their vertices."""
+"""Distributed meshes with named boundary parts and regions; these are passed on as vertices by files and refinement."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ class Part:
     """A named part of the boundary.
 
     Attributes:
-        along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
-        label: Name of that coordinate.
-        nearest: Nearest points of a curved part to points of shape (3, n) near it; None for a plane or an unknown one.
+        along: Maps points of shape (3, n) to the coordinate along the part; facets are listed and drawn in this order.
+        label: Name of this coordinate.
+        nearest: Maps points of shape (3, n) near a curved part to its nearest points; None for plane or unknown parts.
     """
 
     along: Callable[[Array], Array]
@@ -37,13 +37,14 @@ class Domain:
     """A distributed mesh with named boundary parts and regions.
 
     Attributes:
-        mesh: The mesh; without ghost cells, so a boundary facet lives on one rank only, with its cell.
+        mesh: The mesh. It has no ghost cells, so a boundary facet is on one rank only, together with its cell.
         h: Largest cell diameter over all ranks.
         parts: Boundary parts, in the order of the shape or file.
-        facets: For each part its facets of this rank, ascending. Parts from a file may overlap or leave facets.
-        regions: For each region of a file its cells of this rank, ascending; none for named shapes.
-        curvature: Two meshes of the domain with edges ≤ h are nowhere further apart than curvature·h².
-        name: Of the shape or the file.
+        facets: For each part its facets on this rank, ascending. Parts from a file may overlap, or not cover all
+            facets.
+        regions: For each region of a file its cells on this rank, ascending; none for named shapes.
+        curvature: The distance between two meshes of the domain with edges ≤ h is at most curvature·h².
+        name: Name of the shape or the file.
         is_shape: Whether it is one of the named shapes.
     """
 
@@ -63,7 +64,7 @@ class Domain:
 
 @dataclass(frozen=True)
 class Boundary:
-    """Which parts of the boundary are Γ_S and Γ_N; the rest is Γ_D.
+    """The parts of the boundary that are Γ_S and Γ_N; the rest is Γ_D.
 
     Attributes:
         signorini: Names of the parts of Γ_S, at least one.
@@ -74,7 +75,7 @@ class Boundary:
     neumann: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a string in the place of a list."""
+        """Refuse a string instead of a list."""
         for key in ("signorini", "neumann"):
             if isinstance(getattr(self, key), str):
                 raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
@@ -82,12 +83,12 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Marks:
-    """Parts and regions of a mesh, as far as this rank has them.
+    """Parts and regions of a mesh that this rank knows.
 
     Attributes:
-        facets: For each part the vertices of its facets, ascending and numbered as the mesh was made, shape (n, dim).
-        cells: Which cells are in which region, shape (cells, regions); rank 0 has all, in the order in which the mesh
-            was made, the others None.
+        facets: For each part its facets as ascending vertices in the original numbering of the mesh, shape (n, dim).
+        cells: Mask of the cells in each region, shape (cells, regions), in the original order of the mesh; rank 0 has
+            all cells, the other ranks None.
         regions: Names of the regions.
     """
 
@@ -104,7 +105,7 @@ def bounding_box(points: Array, comm: MPI.Comm) -> Array:
 
 
 def axis_part(label: str) -> Part:
-    """A part listed by one of the coordinates x, y, z."""
+    """A part whose facets are ordered by one of the coordinates x, y, z."""
     axis = AXES.index(label)
     return Part(lambda x: x[axis], label)
 
@@ -121,10 +122,10 @@ def distribute(
 
     Args:
         comm: Communicator of the mesh.
-        points: Some points on each rank, numbered from rank to rank.
-        cells: Some cells on each rank, of those numbers.
+        points: Some points on each rank; their numbers continue from rank to rank.
+        cells: Some cells on each rank, by the numbers of their points.
         dim: Dimension.
-        partitioner: Says which rank gets a cell, as DOLFINx wants it; DOLFINx's own if there is none.
+        partitioner: Chooses the rank of each cell, in DOLFINx's form; None for DOLFINx's own.
     """
     return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, partitioner)
 
@@ -166,11 +167,11 @@ def found(
 
     Args:
         mesh: The mesh.
-        marked: By name the vertices of facets as `facet_vertices` gives them, of the same names on all ranks.
-        among: Facets of this rank that may be.
+        marked: For each name the facets as vertices, see `facet_vertices`; the same names on all ranks.
+        among: Facets of this rank that are searched.
 
     Returns:
-        By name these facets, ascending.
+        For each name the facets of this rank, ascending.
     """
     mine = facet_vertices(mesh, among)
     gathered = mesh.comm.allgather(marked)
@@ -184,13 +185,13 @@ def found(
 
 
 def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Indices:
-    """Vertices of facets of this rank, numbered as the mesh was made, ascending: shape (facets, dim)."""
+    """Vertices of facets of this rank, ascending, in the original numbering of the mesh, shape (facets, dim)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
     return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
 
 
 def membership(domain: Domain) -> Mask:
-    """Which owned cells are in which region, shape (cells, regions)."""
+    """Mask of the owned cells in each region, shape (cells, regions)."""
     size = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
     table = np.zeros((size, len(domain.regions)), dtype=bool)
     for column, cells in enumerate(domain.regions.values()):
