@@ -213,9 +213,9 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     assert len(again.outcome.history) <= len(solution.outcome.history)
     ufl_given = solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]]), Options(algorithm=OWN))
     write_solution(ufl_given, folder)
-    with pytest.raises(InputError, match="f: given in Python as what no file can hold; give load_solution the problem"):
+    with pytest.raises(InputError, match="f: given in Python, so not in the file; pass the problem to load_solution"):
         load_solution(folder, COMM)
-    with pytest.raises(InputError, match="the algorithm was given in Python; give load_solution the options"):
+    with pytest.raises(InputError, match="the algorithm was given in Python; pass the options to load_solution"):
         load_solution(folder, COMM, problem=solution.problem)
     read = load_solution(folder, COMM, problem=solution.problem, options=ufl_given.options)
     assert compare(read, solution).relative["sigma_V"] < 1e-5
