@@ -85,7 +85,9 @@ def _reason(status: int, words: str) -> str:
     if status == -signal.SIGXCPU:
         return SLOW
     if any(sign in words for sign in ("bad_alloc", "MemoryError", "Cannot allocate memory", "Unable to allocate")):
-        return f"needs more than the {_memory() / 2**30:.1f} GB of memory that are free"
+        return f"needs more than the {_memory() / 2**30:.1f} GB of memory that it may have, half of what is free"
+    if status == -signal.SIGKILL:
+        return "was ended by the system while it was read or meshed, most often for want of memory"
     if "File too large" in words:
         return f"gives more than {LARGEST_RESULT >> 30} GB of data, the limit for one file"
     return words.splitlines()[-1] if status > 0 and words else f"makes its reader crash ({_name(-status)})"
@@ -98,11 +100,11 @@ def _name(number: int) -> str:
 
 
 def _memory() -> int:
-    """Bytes of memory that are free, or LEAST_MEMORY."""
+    """Half of the bytes of memory that are free, or LEAST_MEMORY: others need some as well."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
-                return max(1024 * int(line.split()[1]), LEAST_MEMORY)
+                return max(512 * int(line.split()[1]), LEAST_MEMORY)
     return LEAST_MEMORY
 
 

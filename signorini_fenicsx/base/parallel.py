@@ -148,3 +148,15 @@ def collect_garbage(comm: MPI.Comm) -> None:
 
     gc.collect()
     PETSc.garbage_cleanup(comm)
+
+
+@contextlib.contextmanager
+def collector_off() -> Iterator[None]:
+    """Without Python's automatic collector, which may strike while MPI is called, see `collect_garbage`."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

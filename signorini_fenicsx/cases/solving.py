@@ -5,7 +5,7 @@ from collections.abc import Callable
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -18,6 +18,7 @@ from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 
+@collector_off()
 def solve_case(
     case: Case,
     comm: MPI.Comm = MPI.COMM_WORLD,

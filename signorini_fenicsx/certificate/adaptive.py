@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
@@ -57,6 +57,7 @@ class AdaptRow:
     seconds: float
 
 
+@collector_off()
 def adapt(
     domain: Domain,
     solve_on: SolveOn,

@@ -40,7 +40,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
 from signorini_fenicsx.certificate.oscillation import ContactExcess, load_oscillation
@@ -102,6 +102,7 @@ class Certificate:
         return {name: getattr(self, name) for name in names}
 
 
+@collector_off()
 def certify(solution: Solution) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 

@@ -15,7 +15,8 @@ from dolfinx import fem, io
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import WriteFailure
-from signorini_fenicsx.base.parallel import Stopwatch, on_root
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import Case
@@ -39,6 +40,16 @@ from signorini_fenicsx.solving.solution import Solution
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 
 
+def write_results(
+    solution: Solution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
+) -> None:
+    """Write all files of a solution into a folder that appears whole, or not at all, see `Solution.write`."""
+    with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
+        write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
+        place.publish()
+
+
+@collector_off()
 def write_solution(
     solution: Solution,
     folder: Path | str,
@@ -247,8 +258,11 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
 
 def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file (collective). After a failure it is not closed: closing would wait for other ranks, or abort."""
-    file = io.VTXWriter(comm, path, functions)
+    """Write one file (collective). After a failure it is not closed: closing would wait for other ranks, or abort.
+
+    The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
+    """
+    file = io.VTXWriter(comm, path, functions, engine="BP4")
     file.write(0.0)
     file.close()
 

@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.discrete.data import Data, project_data
@@ -27,6 +27,7 @@ type Remesh = Callable[[float], Domain]
 no such mesh."""
 
 
+@collector_off()
 def solve(
     domain: Domain,
     boundary: Boundary,
@@ -60,14 +61,13 @@ def solve(
         InputError: If the problem cannot be discretised as asked.
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
-    options, watch = options or Options(), watch or Stopwatch()
-    method, comm = options.method, domain.mesh.comm
+    options, watch, comm = options or Options(), watch or Stopwatch(), domain.mesh.comm
+    method = options.method
     with watch.phase("assembly"):
         check_parts(domain, boundary)
         spaces, data = _discretised(domain, boundary, problem)
         _check(options, spaces, data, start)
-        # The unknown is u − constant, because with a large constant ∇u would be lost in rounding. This is not possible
-        # for stabilised methods: there −εu depends on the constant.
+        # The unknown is u − constant: ∇u would be lost in rounding otherwise. In stabilised methods −εu depends on it.
         constant = 0.0 if method.stabilised else data.common_constant(spaces)
         task = Task(
             spaces=spaces,
@@ -104,9 +104,9 @@ def solve(
         timings=watch.longest(comm),
         peak_memory=peak_memory(comm),
     )
-    if solution.converged:
-        return solution
-    raise NumericalFailure(solution.outcome.reason, solution)
+    if not solution.converged:
+        raise NumericalFailure(solution.outcome.reason, solution)
+    return solution
 
 
 def _run(task: Task, options: Options) -> Outcome:
