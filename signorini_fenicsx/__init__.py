@@ -15,20 +15,20 @@ Solving it:
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.
 
-How it is solved, and what one may replace:
+Algorithms and backends, and how to replace them:
 
 - `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
 - `SetRule`, `Method` with `Task`, `Outcome` and `Step`: an algorithm of one's own;
 - `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: a
   discretisation of one's own.
 
-What cannot be is an `InputError`, a run without a solution a `NumericalFailure`. Examples are in
+Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`. For examples see
 `help(signorini_fenicsx.api)`; the command line is `signorini`.
 """
 
 from signorini_fenicsx.base.mpi_first import keep_order
 
-TYPE_CHECKING = False  # for those who check types it is not; typing's own takes longer to import than all of this
+TYPE_CHECKING = False  # type checkers take it as True; importing it from typing would take longer than this module
 if TYPE_CHECKING:
     from signorini_fenicsx.api import *  # noqa: F403 - all of `__all__` but the version
 
@@ -74,7 +74,7 @@ keep_order()
 
 
 def __getattr__(name: str) -> object:
-    """Load the names of `signorini_fenicsx.api` when one is used: DOLFINx takes a second."""
+    """Load the names of `signorini_fenicsx.api` when one is used, because DOLFINx takes a second to import."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from signorini_fenicsx import api
