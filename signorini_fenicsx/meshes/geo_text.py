@@ -218,7 +218,7 @@ def _plain(statements: _Statements, index: int) -> int:
             f"line {token.line}: '{statements.text(index - 1)}.{statements.text(index + 1)}' is not allowed: the only "
             "options are those of Mesh and Geometry that are numbers"
         )
-    chosen = "?" in map(statements.text, range(index - 9, index))  # a colon that belongs to it
+    chosen = "?" in map(statements.text, range(index - 9, index))  # then the colon belongs to a ? b : c
     if token.text == ":" and not chosen and max(map(statements.number, (index - 1, index + 1))) > LARGEST_IN_RANGE:
         raise InputError(f"line {token.line}: numbers beside ':' are at most {LARGEST_IN_RANGE:g}")
     if token.kind == "word":

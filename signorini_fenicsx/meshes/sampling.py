@@ -20,7 +20,7 @@ from signorini_fenicsx.meshes.domain import Domain
 QUADRATURE_DEGREE = 2
 """Exact for squares of RT0 differences on fine cells that one coarse cell covers."""
 AT_BOUNDARY = 1e-10
-"""A point that is this far outside a mesh, relative to its size, is on the boundary up to rounding."""
+"""A point outside a mesh counts as on its boundary up to this distance, relative to the size of the mesh."""
 
 
 def curve_gap(domain: Domain) -> float:
@@ -80,13 +80,13 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
     """Functions on the mesh of a domain at any points (collective).
 
     Args:
-        functions: With up-to-date ghost values.
-        domain: The mesh.
-        points: What this rank asks for, shape (n, dim), wherever the cells are; another rank may ask for others.
+        functions: Functions with up-to-date ghost values.
+        domain: The domain of their mesh.
+        points: Points of this rank, shape (n, dim); their cells may be on any rank.
 
     Returns:
-        Of each function the values, shape (n, components): not a number outside the mesh; where cells meet, those in
-        one of them, the same for all functions.
+        The values of each function, shape (n, components): NaN outside the mesh; where cells meet, the values in one of
+        them, the same cell for all functions.
 
     Raises:
         InputError: On all ranks, if the points of one of them have another shape.
@@ -112,10 +112,10 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
 
 
 def _in_space(mesh: dolfinx.mesh.Mesh, points: npt.ArrayLike) -> Array:
-    """Points as DOLFINx takes them, shape (n, 3) (collective).
+    """Points in the form of DOLFINx, shape (n, 3) (collective).
 
     Raises:
-        InputError: On all ranks, if one has something else.
+        InputError: On all ranks, if the points of one rank have another shape.
     """
     dim, wrong = mesh.geometry.dim, False
     try:

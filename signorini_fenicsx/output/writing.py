@@ -43,7 +43,7 @@ XINCLUDE = "http://www.w3.org/2001/XInclude"
 def write_results(
     solution: Solution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
 ) -> None:
-    """Write all files of a solution into a folder that appears whole, or not at all, see `Solution.write`."""
+    """Write all files of a solution into a folder, completely or not at all, see `Solution.write` (collective)."""
     with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
         write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
         place.publish()

@@ -75,8 +75,8 @@ def draw_all(folder: Path, scene: Scene) -> None:
 
 @mpl.rc_context(style.STYLE)
 def overview(scene: Scene) -> Figure:
-    """The picture with everything in it; a notebook shows it."""
-    import matplotlib.pyplot  # noqa: F401 - it is what makes notebooks show figures
+    """The overview as a figure, which a notebook shows (rank 0)."""
+    import matplotlib.pyplot  # noqa: F401 - with it imported, notebooks show figures
 
     figure: Figure = _files_of(scene).overview(scene)
     figure.draw_without_rendering()  # ticks are made here, in this style

@@ -26,7 +26,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
 
 
 def overview(scene: Scene) -> Figure:
-    """The picture with everything in it."""
+    """The overview of a solution in the plane."""
     return _overview(Plane(scene))
 
 

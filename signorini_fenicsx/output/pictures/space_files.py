@@ -42,7 +42,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
 
 
 def overview(scene: Scene) -> Figure:
-    """The picture with everything in it."""
+    """The overview of a solution in space."""
     return _overview(Space(scene))
 
 
