@@ -2,7 +2,7 @@
 
 A problem:
 
-- `domain_of(mesh, parts)` is a mesh of one's own as a `Domain`; `Boundary` says which of its parts are Γ_S and Γ_N;
+- `domain_of(mesh, parts)` is makes a `Domain` of your own mesh; `Boundary` names its parts that are Γ_S and Γ_N;
 - `Problem` holds the data f, κ, u_D, g_N, ψ, q_S;
 - `load_case` reads a case file, or a shipped case by its name.
 
@@ -11,14 +11,14 @@ Solving it:
 - `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
   values at points, fluxes through parts, `plot`, `write`;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
-- `compare` sets two solutions side by side;
+- `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.
 
 Algorithms and backends, and how to replace them:
 
 - `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
-- `SetRule`, `Method` with `Task`, `Outcome` and `Step`: an algorithm of one's own;
+- `SetRule`, `Method` with `Task`, `Outcome` and `Step`: your own algorithm;
 - `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: a
   discretisation of one's own.
 
