@@ -2,7 +2,7 @@
 
 A problem:
 
-- `domain_of(mesh, parts)` is makes a `Domain` of your own mesh; `Boundary` names its parts that are Γ_S and Γ_N;
+- `domain_of(mesh, parts)` makes a `Domain` of your own mesh; `Boundary` names its parts that are Γ_S and Γ_N;
 - `Problem` holds the data f, κ, u_D, g_N, ψ, q_S;
 - `load_case` reads a case file, or a shipped case by its name.
 
@@ -19,8 +19,8 @@ Algorithms and backends, and how to replace them:
 
 - `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
 - `SetRule`, `Method` with `Task`, `Outcome` and `Step`: your own algorithm;
-- `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: a
-  discretisation of one's own.
+- `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: your
+  own discretisation.
 
 Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`. For examples see
 `help(signorini_fenicsx.api)`; the command line is `signorini`.
