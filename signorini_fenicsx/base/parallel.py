@@ -146,7 +146,7 @@ def collect_garbage(comm: MPI.Comm) -> None:
 
 @contextlib.contextmanager
 def collector_off() -> Iterator[None]:
-    """Without Python's automatic collector, which may strike while MPI is called, see `collect_garbage`."""
+    """Switch Python's automatic collector off inside this context, see `collect_garbage`."""
     was_on = gc.isenabled()
     gc.disable()
     try:

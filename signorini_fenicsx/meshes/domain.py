@@ -1,4 +1,4 @@
-"""Distributed meshes with named boundary parts and regions, which refinement and files hand on by their vertices."""
+"""Distributed meshes with named boundary parts and regions; these are passed on as vertices by files and refinement."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class Part:
     """A named part of the boundary.
 
     Attributes:
-        along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
-        label: Name of that coordinate.
-        nearest: Nearest points of a curved part to points of shape (3, n) near it; None for a plane or an unknown one.
+        along: Maps points of shape (3, n) to the coordinate along the part; facets are listed and drawn in this order.
+        label: Name of this coordinate.
+        nearest: Maps points of shape (3, n) near a curved part to its nearest points; None for plane or unknown parts.
     """
 
     along: Callable[[Array], Array]
@@ -38,13 +38,14 @@ class Domain:
     """A distributed mesh with named boundary parts and regions.
 
     Attributes:
-        mesh: The mesh; without ghost cells, so a boundary facet lives on one rank only, with its cell.
+        mesh: The mesh. It has no ghost cells, so a boundary facet is on one rank only, together with its cell.
         h: Largest cell diameter over all ranks.
         parts: Boundary parts, in the order of the shape or file.
-        facets: For each part its facets of this rank, ascending. Parts from a file may overlap or leave facets.
-        regions: For each region of a file its cells of this rank, ascending; none for named shapes.
-        curvature: Two meshes of the domain with edges ≤ h are nowhere further apart than curvature·h².
-        name: Of the shape or the file.
+        facets: For each part its facets on this rank, ascending. Parts from a file may overlap, or not cover all
+            facets.
+        regions: For each region of a file its cells on this rank, ascending; none for named shapes.
+        curvature: The distance between two meshes of the domain with edges ≤ h is at most curvature·h².
+        name: Name of the shape or the file.
         is_shape: Whether it is one of the named shapes.
         made: How the mesh was made, in words.
         coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
@@ -83,7 +84,7 @@ class Domain:
 
 @dataclass(frozen=True)
 class Boundary:
-    """Which parts of the boundary are Γ_S and Γ_N; the rest is Γ_D.
+    """The parts of the boundary that are Γ_S and Γ_N; the rest is Γ_D.
 
     Attributes:
         signorini: Names of the parts of Γ_S, at least one.
@@ -94,7 +95,7 @@ class Boundary:
     neumann: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a string in the place of a list."""
+        """Refuse a string instead of a list."""
         for key in ("signorini", "neumann"):
             if isinstance(getattr(self, key), str):
                 raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
@@ -102,12 +103,12 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Marks:
-    """Parts and regions of a mesh, as far as this rank has them.
+    """Parts and regions of a mesh that this rank knows.
 
     Attributes:
-        facets: For each part the vertices of its facets, ascending and numbered as the mesh was made, shape (n, dim).
-        cells: Which cells are in which region, shape (cells, regions), for the cells that this rank gave when the mesh
-            was made; None if it gave none.
+        facets: For each part its facets as ascending vertices in the original numbering of the mesh, shape (n, dim).
+        cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank gave when the
+            mesh was made; None if it gave none.
         regions: Names of the regions.
     """
 
@@ -124,7 +125,7 @@ def bounding_box(points: Array, comm: MPI.Comm) -> Array:
 
 
 def axis_part(label: str) -> Part:
-    """A part listed by one of the coordinates x, y, z."""
+    """A part whose facets are ordered by one of the coordinates x, y, z."""
     axis = AXES.index(label)
     return Part(lambda x: x[axis], label)
 
@@ -139,10 +140,10 @@ def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int, *, stay:
 
     Args:
         comm: Communicator of the mesh.
-        points: Some points on each rank, numbered from rank to rank.
-        cells: Some cells on each rank, of those numbers.
+        points: Some points on each rank; their numbers continue from rank to rank.
+        cells: Some cells on each rank, by the numbers of their points.
         dim: Dimension.
-        stay: Leave each cell on the rank that gives it, instead of a partition that has few neighbours.
+        stay: Leave each cell on the rank that gives it; otherwise DOLFINx chooses a partition with few neighbours.
     """
 
     def same_rank(*_: object) -> object:
@@ -188,24 +189,24 @@ def found(
 
     Args:
         mesh: The mesh.
-        marked: By name the vertices of facets as `facet_vertices` gives them, of the same names on all ranks.
-        among: Facets of this rank that may be, ascending.
+        marked: For each name the facets as vertices, see `facet_vertices`; the same names on all ranks.
+        among: Facets of this rank that are searched, ascending.
 
     Returns:
-        By name these facets, ascending.
+        For each name the facets of this rank, ascending.
     """
     inside = marked_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values()))
     return {name: among[inside[:, column]] for column, name in enumerate(marked)}
 
 
 def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Indices:
-    """Vertices of facets of this rank, numbered as the mesh was made, ascending: shape (facets, dim)."""
+    """Vertices of facets of this rank, ascending, in the original numbering of the mesh, shape (facets, dim)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
     return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
 
 
 def membership(domain: Domain) -> Mask:
-    """Which owned cells are in which region, shape (cells, regions)."""
+    """Mask of the owned cells in each region, shape (cells, regions)."""
     size = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
     table = np.zeros((size, len(domain.regions)), dtype=bool)
     for column, cells in enumerate(domain.regions.values()):

@@ -1,4 +1,4 @@
-"""Domains made: meshes of named shapes of a given fineness, and meshes of one's own from files."""
+"""Makes domains: meshes of named shapes with a given h, and meshes from files."""
 
 import functools
 import math
@@ -32,13 +32,14 @@ from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 
 CURVATURE = 1.0
-"""No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
+"""`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
+from its circle."""
 REFINED_FROM = 60_000
 """From this number of facets on, meshes are refined uniformly, in parallel; Gmsh makes smaller ones in seconds."""
 COARSEST = 5_000
 """Least number of cells of a mesh that is refined uniformly; it shows the shape well, and Gmsh makes it at once."""
 OWN_CURVATURE = 8.0
-"""The same for a domain from a file of size 1, taken to have no radius below 1/64."""
+"""`Domain.curvature` of a domain of size 1 from a file, on the assumption that radii are at least 1/64."""
 
 
 def estimated_cells(shape_name: str, h: float) -> float:
@@ -99,7 +100,7 @@ def refinements(cells: float, dim: int) -> int:
 
 
 def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
-    """Generate a mesh on rank 0; the others get empty arrays, as `create_mesh` wants them (collective)."""
+    """Generate a mesh on rank 0; other ranks get empty arrays, which `create_mesh` needs (collective)."""
     made: list[Simplices] = []
     on_root(comm, lambda: made.append(generate()))
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
@@ -116,12 +117,12 @@ def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -
 
 
 def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
-    """Read a mesh, or make that of a `.geo` file, and check it (collective).
+    """Read a mesh, or make the mesh of a `.geo` file, and check it (collective).
 
     Args:
         comm: Communicator of the mesh; rank 0 reads it.
-        path: Of the file.
-        h: Wanted largest cell diameter of the mesh of a `.geo` file, which has sizes of its own.
+        path: Path of the file.
+        h: Wanted largest cell diameter for the mesh of a `.geo` file; None for the sizes in the file.
         conditions: The parts with each kind of condition, see `check_boundary`.
 
     Raises:
@@ -198,7 +199,7 @@ def _own_size(path: str) -> _Own:
 
 
 def expected_cells(path: str, h: float | None) -> float:
-    """Cells of the mesh of a file; for an h asked of a `.geo` file, extrapolated from its own sizes (rank 0).
+    """Number of cells of the mesh of a file; for a `.geo` file with h an estimate from its own sizes (rank 0).
 
     Raises:
         InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
@@ -256,5 +257,5 @@ def _gmsh_simplices(dim: int) -> Simplices:
     _, nodes = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])  # Gmsh's numbers of triangle and tetrahedron
     row = np.empty(int(tags.max()) + 1, dtype=np.int64)
     row[tags.astype(np.int64)] = np.arange(len(tags))
-    used, cells = np.unique(row[nodes.astype(np.int64)], return_inverse=True)  # drops centres of circles
+    used, cells = np.unique(row[nodes.astype(np.int64)], return_inverse=True)  # removes centres of circles
     return coordinates.reshape(-1, 3)[used, :dim], cells.reshape(-1, dim + 1).astype(np.int64)

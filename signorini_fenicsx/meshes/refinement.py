@@ -1,4 +1,4 @@
-"""Local refinement: which cells, and the refined mesh. Neither depends on the number of ranks."""
+"""Local refinement: marking of cells, and the refined mesh. Neither depends on the number of ranks."""
 
 from dataclasses import replace
 
@@ -13,18 +13,19 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, largest_diameter, marked_domain, membership
 
 SAME = 1e-6
-"""Indicators that differ by less than this, relatively, are refined together: rounding must not choose among them."""
+"""Cells whose indicators differ relatively by less than this are refined together, so that rounding does not choose."""
 NEGLIGIBLE = 1e-20
 FLAT = 0.1
-"""A cell that keeps less than this part of its volume when vertices move to a curved boundary is spoilt."""
+"""A cell must keep at least this share of its volume when vertices move to a curved boundary."""
 SKEW = np.eye(3) + 1e-6 * np.array(
     [[0, 0, 0], [1 / np.sqrt(2), 1 / np.sqrt(3), 0], [1 / np.pi, 1 / np.e, 1 / np.sqrt(7)]]
 )
-"""Breaks ties between edges of equal length by their direction, not by their number, which depends on the ranks."""
+"""A small change of lengths, so that of two equally long edges the direction decides, not the numbers, which depend on
+the ranks."""
 
 
 def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.int32]:
-    """Few cells that carry the part θ of Σ η_T² (collective).
+    """A small set of cells with the share θ of Σ η_T² (collective).
 
     Args:
         indicator: η_T of the owned cells.
@@ -50,13 +51,13 @@ def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.in
 
 
 def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
-    """Halve all edges of some cells, and those of others that this asks for, by longest-edge bisection (collective).
+    """Halve all edges of some cells, and other edges as needed for conformity, by longest-edge bisection (collective).
 
-    New vertices on curved parts of the boundary move there; a mesh from a file keeps its polygon or polyhedron. Parts
-    and regions are inherited. The refined mesh is distributed anew.
+    New vertices on curved boundary parts of named shapes move to the curve; a mesh from a file keeps its polygon or
+    polyhedron. Parts and regions are inherited. The refined mesh is distributed anew.
 
     Args:
-        domain: What to refine.
+        domain: The domain to refine.
         cells: Owned cells to refine.
 
     Raises:
@@ -119,11 +120,11 @@ def descendant(
 def _bisected(
     mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32]
 ) -> tuple[dolfinx.mesh.Mesh, npt.NDArray[np.int32], npt.NDArray[np.int8]]:
-    """Refine without moving anything (collective).
+    """Refine without moving vertices (collective).
 
     Returns:
-        The refined mesh, on the ranks of its parents, for each cell its parent, and for each facet of each cell which
-        facet of the parent holds it, or −1; facet i is opposite to vertex i.
+        The refined mesh, with cells on the ranks of their parents; the parent of each cell; and for each facet of each
+        cell the facet of the parent that contains it, or −1. Facet i is opposite to vertex i.
     """
     dim = mesh.topology.dim
     mesh.topology.create_entities(1)
@@ -135,7 +136,7 @@ def _bisected(
     fine, parent_cell, parent_facet = dolfinx.mesh.refine(
         mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
     )
-    topology = fine.topology  # its cells have been reordered, those of parent_cell not
+    topology = fine.topology  # its cells have been reordered, parent_cell has not
     order = topology.original_cell_index - topology.index_map(dim).local_range[0]
     parent_cell, parent_facet = parent_cell[order], parent_facet.reshape(-1, dim + 1)[order]
     parents, children = _corners(mesh)[parent_cell], _corners(fine)
@@ -166,7 +167,7 @@ def _boundary_facets(
     parent_cell: npt.NDArray[np.int32],
     parent_facet: npt.NDArray[np.int8],
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Facets of the mesh's boundary and the refined ones in them: each one's parent and nodes, shape (facets, dim)."""
+    """Refined facets on the boundary: the parent facet of each, and its nodes, shape (facets, dim)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim, dim - 1)
     facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
@@ -179,7 +180,7 @@ def _boundary_facets(
 
 
 def _on_all_ranks(mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Nodes of this rank that are among those of any rank (collective)."""
+    """Nodes of this rank that any rank lists (collective)."""
     marked = la.vector(mesh.geometry.index_map())
     marked.array[nodes] = 1.0
     marked.scatter_reverse(la.InsertMode.add)
