@@ -27,6 +27,7 @@ import ffcx.naming
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.progress import COMPILING, doing
 
 LOCK = "signorini.lock"
 QUIET = 30.0
@@ -92,7 +93,8 @@ def clear_if_left(form: Path) -> bool:
 def _kept(signature: str, work: Callable[[], Any]) -> Any:
     """What this process has, or else what work gives; other processes may have other forms."""
     if signature not in LOADED:
-        LOADED[signature] = work()
+        with doing(COMPILING):  # or loading, which is short
+            LOADED[signature] = work()
     return LOADED[signature]
 
 

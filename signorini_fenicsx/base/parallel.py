@@ -16,6 +16,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.progress import doing
 
 FORWARDING = 0.5
 """Seconds that mpirun gets to pass on the last words of a rank, which it would lose when the rank aborts."""
@@ -118,7 +119,8 @@ class Stopwatch:
         self._within = 0.0
         stage.push()
         try:
-            yield
+            with doing(name):
+                yield
         finally:
             stage.pop()
             seconds = time.perf_counter() - began
