@@ -254,8 +254,11 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
 
 def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective)."""
-    file = io.VTXWriter(comm, path, functions)
+    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective).
+
+    In ADIOS2's newer format BP5, several ranks wait for each other for ever where the disk is full.
+    """
+    file = io.VTXWriter(comm, path, functions, engine="BP4")
     file.write(0.0)
     file.close()
 

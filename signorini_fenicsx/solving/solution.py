@@ -1,4 +1,4 @@
-"""A discrete solution: its fields, sets and residuals, and the numbers that sum them up."""
+"""A discrete solution: its fields, sets and residuals, and numbers that summarise them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.certificate.certify import Certificate
 
 EXACT_CONTACT = 1e-12
-"""An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
+"""An exact u − ψ below this on Γ_S, relative to the largest |u| there, counts as contact."""
 
 
 class PointValues(NamedTuple):
@@ -75,19 +75,19 @@ class Solution:
     True
 
     Attributes:
-        name: What results are called.
-        title: The same in more words.
-        boundary: Which parts are Γ_S and Γ_N.
+        name: Name of the results.
+        title: A longer name in words.
+        boundary: The parts that are Γ_S and Γ_N.
         problem: The data as given.
         options: Algorithm, backend and their parameters.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
         data: The data on the mesh, and their means.
         p: Trace p_h in P0(Γ_S), on the facet submesh.
-        outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
+        outcome: How the method ended, with σ_h and u_h; `converged` means here that the residuals are small as well.
         kkt: Residuals of the discrete Signorini problem.
-        source: What the problem was read from, a `cases.case.Case`; None if it was given in Python.
+        source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
         timings: Seconds per phase, the longest over all ranks.
-        peak_memory: Bytes that the processes have held at most so far, summed over ranks.
+        peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
 
     name: str
@@ -121,7 +121,7 @@ class Solution:
 
     @property
     def method(self) -> Method:
-        """What it was solved with."""
+        """The method that solved it."""
         return self.options.method
 
     def __repr__(self) -> str:
@@ -223,15 +223,15 @@ class Solution:
         return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
 
     def errors(self) -> dict[str, float] | None:
-        """Errors where the solution is known, else None (collective).
+        """Errors if the exact solution is known, otherwise None (collective).
 
-        L² norms of those of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance of the contact set to the
-        facets in whose midpoints the exact u is ψ.
+        They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
+        the contact set and the facets at whose midpoints the exact u is ψ.
         """
         if self.data.exact is None:
             return None
         spaces = self.spaces
-        u = self.data.exact + fem.Constant(spaces.mesh, 0.0)  # a plain number knows no mesh
+        u = self.data.exact + fem.Constant(spaces.mesh, 0.0)  # a plain number has no mesh
         metadata = quadrature(u)
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
         squares = {
@@ -265,7 +265,7 @@ class Solution:
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
     def violation(self) -> dict[str, float]:
-        """What ε leaves of the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or of (9b) (collective)."""
+        """The error by ε in the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or in (9b) (collective)."""
         spaces, data = self.spaces, self.data
         gap = self.p.x.array[: len(spaces.facets)] - data.psi_h
         excess = spaces.normal_flux(self.sigma) - data.q_Sh
@@ -277,7 +277,7 @@ class Solution:
         return left
 
     def summary(self) -> dict[str, Any]:
-        """Everything about the run that fits into numbers, ready for JSON (collective)."""
+        """All numbers of the run, ready for JSON (collective)."""
         spaces, options, outcome = self.spaces, self.options, self.outcome
         contact_facets, contact_measure = self.contact()
         own = {} if outcome.own_residual is None else {"own_residual": outcome.own_residual}
