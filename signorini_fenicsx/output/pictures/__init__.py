@@ -5,7 +5,6 @@ from pathlib import Path
 from types import ModuleType
 
 import matplotlib as mpl
-from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.case import Case
@@ -71,11 +70,9 @@ def draw_all(folder: Path, scene: Scene) -> None:
 
 
 @mpl.rc_context(style.STYLE)
-def overview(scene: Scene) -> Figure:
-    """The picture with everything in it; a notebook shows it."""
-    import matplotlib.pyplot  # noqa: F401 - it is what makes notebooks show figures
-
-    figure: Figure = _files_of(scene).overview(scene)
+def overview(scene: Scene) -> style.Page:
+    """The picture with everything in it."""
+    figure: style.Page = _files_of(scene).overview(scene)
     figure.draw_without_rendering()  # ticks are made here, in this style
     return figure
 

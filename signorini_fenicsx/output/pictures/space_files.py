@@ -41,7 +41,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     style.save(_overview(space), folder / "overview.png")
 
 
-def overview(scene: Scene) -> Figure:
+def overview(scene: Scene) -> style.Page:
     """The picture with everything in it."""
     return _overview(Space(scene))
 
@@ -68,9 +68,9 @@ def _finish(figure: Figure, space: Space, path: Path) -> None:
     style.save(figure, path)
 
 
-def _overview(space: Space) -> Figure:
+def _overview(space: Space) -> style.Page:
     scene = space.scene
-    figure = Figure(figsize=(12.5, 9), layout="constrained")
+    figure = style.Page(figsize=(12.5, 9), layout="constrained")
     panels = figure.subplots(2, 3).ravel()
     space.draw_half(figure, panels[0], "(a) $u_h$ on half of the domain")
     space.draw_streamlines(figure, panels[1], r"(b) streamlines of $\sigma_h$")
