@@ -108,7 +108,7 @@ def _overview(plane: Plane) -> style.Page:
         _draw_part(scene, row, part, first + 2 * part)
     axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2])
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, [*plane.handles(), *traces.handles()], 6)
+    style.legend_below(figure, [*plane.handles(), *traces.handles(), *axes.get_legend_handles_labels()[0]], 6)
+    figure.get_layout_engine().execute(figure)  # twice: the ticks it makes room for are those of the size before
     return figure

@@ -81,7 +81,6 @@ def _overview(space: Space) -> style.Page:
     space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
     space.draw_trace(figure, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
     draw_steps(panels[5], scene.history, "(f) iteration errors")
-    panels[5].legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, space.handles())
+    style.legend_below(figure, [*space.handles(), *panels[5].get_legend_handles_labels()[0]])
     return figure
