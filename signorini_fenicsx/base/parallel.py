@@ -16,6 +16,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.progress import doing
 
 FORWARDING = 0.5
 """Seconds in which mpirun can forward the last message of a rank; it loses the message when the rank aborts at once."""
@@ -112,7 +113,8 @@ class Stopwatch:
         self._within = 0.0
         stage.push()
         try:
-            yield
+            with doing(name):
+                yield
         finally:
             stage.pop()
             seconds = time.perf_counter() - began

@@ -20,6 +20,7 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import collector_off, on_root
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
@@ -123,6 +124,7 @@ def _storable(given: object) -> bool:
 
 
 @collector_off()
+@doing("reading the solution")
 def load_solution(
     folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
 ) -> Solution:

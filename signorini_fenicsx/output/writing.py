@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_table
 from signorini_fenicsx.base.versions import versions
@@ -98,11 +99,12 @@ def write_solution(
                 if boundary is not None:
                     from signorini_fenicsx.output import pictures  # takes a second to import
 
-                    scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
-                    if plot:
-                        pictures.draw_all(folder, scene)
-                    if html:
-                        pictures.write_page(folder / "solution.html", scene)
+                    with doing("drawing"):
+                        scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+                        if plot:
+                            pictures.draw_all(folder, scene)
+                        if html:
+                            pictures.write_page(folder / "solution.html", scene)
             write_table(folder / "history.csv", Step, solution.outcome.history)
 
         comm = solution.spaces.mesh.comm

@@ -97,7 +97,10 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> N
 
 def handles(panels: tuple[str, ...] = ("u", "flux")) -> list:
     """The entries of the legend of these panels."""
-    lines = [Line2D([], [], label=label, **look) for panel in panels for label, look in PANELS[panel].values()]
+    columns = {name: column for panel in panels for name, column in PANELS[panel].items()}
+    if {"psi", "q_S"} <= columns.keys():  # they look alike, each in its panel
+        columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])
+    lines = [Line2D([], [], label=label, **look) for label, look in columns.values()]
     return [*lines, Patch(color=style.CONTACT, alpha=0.13, label="contact")]
 
 
