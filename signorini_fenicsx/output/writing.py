@@ -1,5 +1,7 @@
 """Writes a solution: summary and tables as text, fields for ParaView."""
 
+from __future__ import annotations
+
 import csv
 import os
 import shlex
@@ -7,7 +9,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import ufl
@@ -35,8 +37,10 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
     gather_marks,
 )
-from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.solving.solution import Solution
+
+if TYPE_CHECKING:  # SciPy takes a second to load
+    from signorini_fenicsx.rigorous.proof import Proof
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 
