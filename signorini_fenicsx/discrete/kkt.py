@@ -1,6 +1,6 @@
 """How well a solution satisfies the discrete Signorini problem, free of scale."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
@@ -21,8 +21,17 @@ CONSTANT = 1e-10
 """u whose energy is below this share of ‖√k u‖/L is a constant, and its σ what linear solvers leave."""
 
 
+class Residuals:
+    """Residuals of a discrete problem, free of scale: the fields of a dataclass."""
+
+    def violation(self) -> str | None:
+        """Those above the tolerance in words, or None."""
+        bad = [f"{name} {value:.1e}" for name, value in vars(self).items() if not value <= KKT]
+        return f"KKT residuals above {KKT:g}: {', '.join(bad)}" if bad else None
+
+
 @dataclass(frozen=True)
-class KKTResiduals:
+class KKTResiduals(Residuals):
     """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
 
     Each is measured twice, as a gradient and as a flux, and is the larger of both: where κ jumps, a wrong sign shows as
@@ -51,11 +60,6 @@ class KKTResiduals:
     complementarity: float
     stationarity: float
     mass_balance: float
-
-    def violation(self) -> str | None:
-        """The residuals above the tolerance in words, or None."""
-        bad = [f"{field.name} {value:.1e}" for field in fields(self) if not (value := getattr(self, field.name)) <= KKT]
-        return f"KKT residuals above {KKT:g}: {', '.join(bad)}" if bad else None
 
 
 def kkt_residuals(

@@ -1,8 +1,8 @@
 """Domains from meshes of one's own."""
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 
-import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +12,13 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import (
     AXES,
-    Boundary,
     Domain,
     axis_part,
     bounding_box,
     distribute,
     found,
     largest_diameter,
+    stay,
 )
 from signorini_fenicsx.meshes.meshing import OWN_CURVATURE
 
@@ -107,11 +107,8 @@ def _without_ghosts(
     def global_nodes(local: Entities) -> Indices:
         return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
 
-    def stay(*_: object) -> object:
-        return dolfinx.graph.adjacencylist(np.full((size, 1), comm.rank, dtype=np.int32))._cpp_object
-
     cells, points = global_nodes(mesh.geometry.dofmap[:size]), mesh.geometry.x[: nodes.size_local, :dim]
-    own = distribute(comm, points, cells, dim, stay)
+    own = distribute(comm, points, cells, dim, stay(comm, size))
     own.topology.create_connectivity(dim - 1, dim)
     marked = {
         name: np.sort(global_nodes(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets)), axis=1).reshape(-1, dim)
@@ -131,20 +128,24 @@ def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:
     return AXES[int(np.argmax(high - low))]
 
 
-def check_parts(domain: Domain, boundary: Boundary) -> None:
+def check_parts(domain: Domain, named: Mapping[str, Sequence[str]]) -> None:
     """Refuse parts that are not there, are empty, overlap or lie inside the domain (collective).
+
+    Args:
+        domain: The mesh with its parts.
+        named: By its kind the parts that each kind of boundary consists of.
 
     Raises:
         InputError: If there is one.
     """
-    for key, names in vars(boundary).items():
+    for key, names in named.items():
         unknown = [part for part in names if part not in domain.parts]
         if unknown:
             raise InputError(f"{key}: unknown part '{unknown[0]}'; there are {', '.join(domain.parts)}")
     topology, comm = domain.mesh.topology, domain.mesh.comm
     free = np.zeros(topology.index_map(topology.dim - 1).size_local, dtype=bool)
     free[dolfinx.mesh.exterior_facet_indices(topology)] = True
-    for name in [*boundary.signorini, *boundary.neumann]:
+    for name in itertools.chain.from_iterable(named.values()):
         facets = domain.facets[name]
         count, wrong = comm.allreduce(np.array([len(facets), np.count_nonzero(~free[facets])]))
         if count == 0:

@@ -63,7 +63,7 @@ def solve(
     options, watch = options or Options(), watch or Stopwatch()
     method, comm = options.method, domain.mesh.comm
     with watch.phase("assembly"):
-        check_parts(domain, boundary)
+        check_parts(domain, vars(boundary))
         spaces, data = _discretised(domain, boundary, problem)
         _check(options, spaces, data, start)
         # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
