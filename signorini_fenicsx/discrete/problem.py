@@ -13,22 +13,22 @@ from signorini_fenicsx.expressions import Tree, exactly, read
 type Rows = Sequence[Sequence[Tree]]
 type Entries = Sequence[Sequence[float | str | Tree]]
 type Given = float | str | Tree | Entries | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; an expression as a case file has it, as text or read, or a matrix of them; a UFL expression on the mesh, or
-a `fem.Function`; or a function of points of shape (3, n)."""
+"""A number; an expression in the language of case files, as text or as a tree; a matrix of these; a UFL expression on
+the mesh, such as a `fem.Function`; or a Python function of points of shape (3, n)."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; u ≥ ψ, κ∇u·n ≥ q_S, one of them equal, on Γ_S.
+    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one of them.
 
     Attributes:
         f: Load.
-        kappa: κ: a scalar, a symmetric positive definite matrix, or one of them for each region of the mesh.
+        kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
         u_D: Trace on Γ_D, continuous.
-        g_N: Flux on Γ_N, out of Ω where negative, like κ∇u·n everywhere here.
+        g_N: Flux κ∇u·n on Γ_N. Negative values flow out of Ω, as for every flux here.
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
-        exact: u itself, where it is known.
+        exact: The exact u, where it is known.
     """
 
     f: Given
@@ -40,7 +40,7 @@ class Problem:
     exact: Given | None = None
 
     def parsed(self, dim: int) -> "Problem":
-        """The same with numbers and texts as trees.
+        """The same problem, with numbers and texts read as trees.
 
         Raises:
             InputError: If a text cannot be read.

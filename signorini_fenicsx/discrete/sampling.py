@@ -130,10 +130,11 @@ class Sampler:
             compiled = fem.Expression(ufl.as_vector(entries), points)
 
             def by_dolfinx(entities: Entities) -> Array:
-                found = compiled.eval(self._mesh, entities).reshape(len(entities), len(points), len(entries))
+                shape = len(entities), len(points)
+                found = np.float64(compiled.eval(self._mesh, entities)).reshape(*shape, len(entries))
                 if points.shape[1] < self._dim:
                     found = _in_order(found, place(entities))
-                return np.float64(found[:, :, self._dim :]).reshape(len(entities), len(points), *what.ufl_shape)
+                return found[:, :, self._dim :].reshape(*shape, *what.ufl_shape)
 
             return by_dolfinx
         trees = self.trees

@@ -1,17 +1,18 @@
 """The loop that all active/inactive-set algorithms share: rule, solve, until the sets repeat.
 
-It speaks of sites with a pair (p, σ·n) each and does not know what they are: facets of Γ_S, or vertices.
+It works on sites with a pair (p, σ·n) each, whether these are facets of Γ_S or vertices.
 
-*Ties.* Where p and σ·n are both rounding (biactive sites, symmetry, no load), a site keeps its condition; the start,
-which is no decision, counts as p = σ·n = 0 there. What rounding is, the backend's scales and `tolerances.TIE` say.
+*Ties.* A site where p and σ·n are both rounding (biactive sites, symmetry, no load) keeps its condition. After the
+algorithm's own start there is no condition to keep; there a tie counts as p = σ·n = 0. The backend's scales and
+`tolerances.TIE` define what is rounding.
 
-*Cycles.* Each set determines the next one, so if a set comes a second time, the same sets follow again and again. Every
-rule is principal pivoting for a linear complementarity problem, p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
-Schur complement S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ or
-S + ε|e|. These matrices are symmetric and positive definite. Then changing one site at a time, the last in a fixed
-order of those that want to change, ends after finitely many steps (Murty); and so does changing all of them whenever
-they have become fewer than ever before, and one at a time otherwise (Júdice and Pires, Computers & Operations Research
-21, 1994). That is what the loop does from the first repetition on.
+*Cycles.* Each set determines the next one, so if a set occurs a second time, the same sets repeat forever. Every rule
+is principal pivoting for a linear complementarity problem: p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
+Schur complement S on Γ_S. For the penalties this holds in the shifted quantities of `Penalty.shift`, with
+(S⁻¹ + ε/|e|)⁻¹ or S + ε|e| in place of S. These matrices are symmetric and positive definite. For them, changing one
+site at a time ends after finitely many steps, if it is always the last, in a fixed order, of those that want to change
+(Murty). It also ends if all sites change whenever fewer want to change than ever before, and one at a time otherwise
+(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on.
 """
 
 from dataclasses import dataclass, field, replace
@@ -30,13 +31,13 @@ from signorini_fenicsx.methods.set_rules import SetRule
 
 @dataclass(frozen=True)
 class Parameters:
-    """Of an iteration.
+    """Parameters of an iteration.
 
     Attributes:
         rho: ρ > 0 of the rule.
         eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
-        tie: Share of its scale below which a value is rounding.
+        tie: A value below this share of its scale is rounding.
     """
 
     rho: float = 1.0
@@ -55,10 +56,10 @@ def iterate_sets[I: Pairs](
 ) -> Outcome:
     """Run an algorithm until the sets repeat (collective).
 
-    A set that equals its predecessor ends the loop without another solve: the same set has the same solution. A set
-    seen earlier means that the algorithm cycles. If it has a clip, the loop goes on without it, for Algorithm 3 as
-    full-step semismooth Newton for (25); otherwise, and if that cycles too, it goes on with safeguarded changes, see
-    above. Either is told in the reason.
+    A set that equals its predecessor ends the loop without another solve, because it has the same solution. A set that
+    equals an earlier one means that the algorithm cycles. Then a rule with a clip goes on without the clip; Algorithm 3
+    becomes full-step semismooth Newton for (25). If there is no clip, or if that cycles too, the loop goes on with the
+    safeguarded changes of the module. The reason tells both.
 
     Args:
         backend: Solves under given conditions.
@@ -68,7 +69,7 @@ def iterate_sets[I: Pairs](
         on_step: Called on all ranks after each iteration.
 
     Raises:
-        LinearSolveFailure: If the start cannot be solved. Later failures end the loop and are told in the outcome.
+        LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
     """
     site, sites = backend.noun
     solved_with = start or rule.first(backend.sites, parameters.eps)
@@ -117,7 +118,7 @@ def iterate_sets[I: Pairs](
 def _wanted[I: Pairs](
     backend: Backend[I], rule: SetRule, parameters: Parameters, iterate: I, solved_with: SiteConditions | None
 ) -> SiteConditions:
-    """What the rule makes of an iterate; ties keep their condition, at the algorithm's own start there is none."""
+    """The next conditions by the rule. Ties keep their condition; after the algorithm's own start they have none."""
     scales = backend.scales(iterate)
     tied = (np.abs(iterate.p) <= parameters.tie * scales[0]) & (np.abs(iterate.flux) <= parameters.tie * scales[1])
     p, flux = (np.where(tied, 0.0, values) for values in (iterate.p, iterate.flux))
@@ -138,9 +139,9 @@ class _Safeguard[I: Pairs]:
     """Notices cycles and ends them, see the module.
 
     Attributes:
-        backend: For its sites.
+        backend: The backend with the sites.
         clips: Whether the algorithm still clips.
-        remark: What it did, in words.
+        remark: What was changed to end a cycle, in words; empty if nothing.
     """
 
     backend: Backend[I]
@@ -152,7 +153,7 @@ class _Safeguard[I: Pairs]:
     _last: int = 0
 
     def look(self, conditions: SiteConditions, wanted: SiteConditions, iterations: int) -> int:
-        """Take note of the conditions of an iteration and of the next ones; how many sites change (collective)."""
+        """Remember the conditions of an iteration; return how many sites the wanted ones change (collective)."""
         self._seen.append(conditions)
         *earlier, self._last = wanted.changes(self._seen, self.backend.comm).tolist()
         if self._last > 0 and 0 in earlier and self._places is None:
@@ -167,7 +168,7 @@ class _Safeguard[I: Pairs]:
         return self._last
 
     def allowed(self, conditions: SiteConditions, wanted: SiteConditions) -> SiteConditions:
-        """The next conditions: the wanted ones, or one site of them (collective)."""
+        """The next conditions: the wanted ones, on all sites or on one (collective)."""
         if self._places is None:
             return wanted
         all_may = self._last < self._fewest
@@ -175,7 +176,7 @@ class _Safeguard[I: Pairs]:
         return wanted if all_may else self._one_changed(conditions, wanted, self._places)
 
     def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
-        """The conditions with one site as wanted, the last by its place: an order that no partition affects."""
+        """Conditions with one site changed: the last by its place, an order that does not depend on the ranks."""
         changing = [(*places[i], i) for i in np.flatnonzero(conditions.kind != wanted.kind)]
         *place, index = max(changing, default=(-1,))
         last = max(self.backend.comm.allgather(place))

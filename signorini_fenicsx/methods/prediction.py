@@ -1,6 +1,6 @@
-"""Sets for a large problem to start from: those of a coarser mesh, then what unfinished solves ask for.
+"""Predicted sets from which a large problem starts: those of a coarser mesh, then updates by solves that stop early.
 
-A prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
+A prediction changes only the number of steps. The result is the same, because the loop ends only when the sets repeat.
 """
 
 import contextlib
@@ -31,8 +31,8 @@ class Prediction:
         rule: The algorithm.
         rho: Its ρ.
         eps: Its ε.
-        coarser: Makes coarser meshes, if there are some.
-        tuning: Sizes.
+        coarser: Makes coarser meshes; None if there are none.
+        tuning: Has the sizes from which a prediction is worth its cost.
     """
 
     rule: SetRule
@@ -42,18 +42,23 @@ class Prediction:
     tuning: Tuning
 
     def wanted(self, p: Array, flux: Array) -> SiteConditions:
-        """What the rule makes of p and σ·n."""
+        """The next conditions by the rule, from p and σ·n per site."""
         return self.rule.following(p, flux, self.rho, self.eps)
 
     def is_worth_it(self, spaces: Spaces) -> bool:
-        """Whether a problem is so large that it costs less than it saves."""
+        """Whether the problem is so large that a prediction saves more than it costs."""
         return spaces.V.dofmap.index_map.size_global >= self.tuning.predict_from
 
     def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> FacetSet | None:
-        """The contact set on a mesh coarser than one that is coarser by a factor (collective).
+        """The contact set on a coarser mesh (collective).
 
-        None if there is no such mesh, or no solution on it; in 3D, where so coarse a mesh sees too little for what it
-        costs.
+        Args:
+            dim: Dimension of the mesh.
+            factor: How much coarser than the problem's mesh the present mesh is; the next one is coarser still.
+
+        Returns:
+            The set. None if there is no such mesh or no solution on it, and in 3D: there a mesh that coarse predicts
+            too little for its cost.
         """
         if self.coarser is None or dim == 3:
             return None
@@ -64,26 +69,26 @@ class Prediction:
             if spaces.V.dofmap.index_map.size_global >= self.tuning.coarsen_from:
                 start = self.from_coarser_mesh(dim, factor)
             backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
-            if backend.inexact is None:  # by the user's options
+            if backend.inexact is None:  # the user's options chose a direct solver
                 return None
             conditions, _ = self.settle(backend.inexact, spaces, start)
-            PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc only queues what Python lets go
+            PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
             return FacetSet(spaces, conditions.kind == self.rule.contact)
         return None
 
     def settle(self, backend: Inexact, spaces: Spaces, start: FacetSet | None) -> tuple[SiteConditions, int]:
-        """Solve until the sets repeat, each time no longer than it takes to see the next sets (collective).
+        """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
-        Ends early where not fewer sites change than two steps before.
+        Ends early if a step changes at least as many sites as two steps before.
 
         Args:
             backend: Solves from its last solution.
             spaces: Its spaces.
-            start: Contact set to start from, on any mesh of the same domain, instead of the algorithm's own start.
+            start: Contact set to start from, on any mesh of the same domain; None for the algorithm's own start.
 
         Returns:
-            The last conditions, whose solution the backend holds if they repeated, and the number of solves stopped
-            early.
+            The last conditions, and the number of solves that were stopped early. If the sets repeated, the backend
+            holds the solution under these conditions.
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
@@ -104,9 +109,9 @@ class Prediction:
         return conditions, len(changed)
 
     def transferred(self, contact: FacetSet, spaces: Spaces) -> SiteConditions:
-        """Conditions that belong to a contact set on another mesh of the domain (collective).
+        """Conditions for the contact set of another mesh of the domain (collective).
 
-        A facet is taken to be in contact where the other mesh's facet at its midpoint is.
+        A facet is in contact if the facet of the other mesh at its midpoint is.
         """
         (sample,) = sampled([contact.indicator()], spaces.Lambda.mesh, contact.spaces.domain, degree=0)
         inside = np.rint(sample.x.array[: len(spaces.facets)])
@@ -115,9 +120,10 @@ class Prediction:
     def _settled_nearby(
         self, backend: Inexact, spaces: Spaces, conditions: SiteConditions, wanted: SiteConditions
     ) -> SiteConditions:
-        """Follow the sets by solves on a patch around the facets that change, if it is small (collective).
+        """Follow the sets by solves on a patch around the facets that change, if this patch is small (collective).
 
-        Where σ·n and p both vanish at the edge of the contact set, that moves by single facets, each step a solve.
+        Where σ·n and p both vanish at the edge of the contact set, the edge moves by one facet per step. On a patch
+        such steps are cheap.
         """
         layers = self.tuning.layers[spaces.mesh.topology.dim]
         solve = backend.solve_near(conditions.kind != wanted.kind, layers, self.tuning.patch_share)
@@ -132,14 +138,14 @@ class Prediction:
 
 
 class _Watch:
-    """Says that a solve has gone far enough: the sets it asks for are not its own and have come to rest."""
+    """Stops a solve once its iterates ask for other sets than its own and these hardly change any more."""
 
     def __init__(self, prediction: Prediction, conditions: SiteConditions, comm: MPI.Comm):
         self._prediction, self._conditions, self._comm = prediction, conditions, comm
         self._last, self._steady = conditions, 0
 
     def __call__(self, p: Array, flux: Array) -> bool:
-        """Take note of another iterate (collective)."""
+        """Look at the next iterate; return whether to stop (collective)."""
         wanted, tuning = self._prediction.wanted(p, flux), self._prediction.tuning
         changing, moved = wanted.changes([self._conditions, self._last], self._comm).tolist()
         self._last = wanted
@@ -148,5 +154,5 @@ class _Watch:
 
 
 def contact_without_dirichlet(spaces: Spaces) -> SiteConditions | None:
-    """Contact everywhere instead of an algorithm's own start, if that might be a Neumann problem."""
+    """Contact everywhere if there is no Γ_D: an algorithm's own start may be a Neumann problem. None otherwise."""
     return None if spaces.has_dirichlet else SiteConditions.everywhere(Condition.ZERO_TRACE, len(spaces.facets))
