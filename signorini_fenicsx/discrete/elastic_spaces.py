@@ -177,6 +177,10 @@ class ElasticSpaces:
         """|e|/d of each site."""
         return np.repeat(self.contact.measure / self.dim, self.dim)
 
+    def split_cells(self, facets: BoundaryFacets) -> Indices:
+        """The cell of the split mesh behind each facet, which is opposite to its last vertex."""
+        return self.split.cells[facets.cells, facets.local]
+
     def displacement(self, values: Array, name: str = "u") -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d)."""
         function = fem.Function(self.displacements, name=name)
@@ -277,6 +281,13 @@ class SplitMesh:
     mesh: dolfinx.mesh.Mesh
     subcells: Indices
     stresses: fem.FunctionSpace
+
+    @cached_property
+    def cells(self) -> Indices:
+        """Its cell of each subcell, shape (cells, d + 1)."""
+        found = np.empty_like(self.subcells)
+        found[self.subcells] = np.arange(len(found))
+        return found.reshape(-1, self.mesh.geometry.dim + 1)
 
     def stress(self, values: Array, name: str = "sigma") -> fem.Function:
         """A function with these values, shape (cells, d + 1, d + 1, d, d)."""

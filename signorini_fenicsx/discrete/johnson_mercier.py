@@ -144,12 +144,14 @@ class SplitQuadrature:
         hats: The hats of the cell's vertices in the points of each subcell, shape (d + 1, q, d + 1).
         local: The hats of a subcell's own vertices in its points, shape (q, d + 1).
         weights: Of the q points of a subcell, their sum is 1.
+        degree: Up to which it is exact on each subcell.
     """
 
     points: Array
     hats: Array
     local: Array
     weights: Array
+    degree: int
 
     @classmethod
     def of_degree(cls, dim: int, degree: int) -> "SplitQuadrature":
@@ -159,7 +161,7 @@ class SplitQuadrature:
         vertices = np.vstack([np.zeros(dim), np.eye(dim)])
         inside = np.einsum("qv,svx->sqx", local, split_vertices(vertices[None])[0])
         hats = np.concatenate([1 - inside.sum(axis=2, keepdims=True), inside], axis=2)
-        return cls(inside.reshape(-1, dim), hats, local, weights / weights.sum())
+        return cls(inside.reshape(-1, dim), hats, local, weights / weights.sum(), degree)
 
 
 @dataclass(frozen=True)

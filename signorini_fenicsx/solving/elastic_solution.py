@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
@@ -89,7 +89,7 @@ class ElasticSolution:
         return self.outcome.iterate.p.reshape(-1, self.spaces.dim)
 
     @property
-    def touching(self) -> Array:
+    def touching(self) -> Mask:
         """Whether these vertices are in contact, shape (facets, d)."""
         return (self.outcome.conditions.kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
 
