@@ -63,15 +63,17 @@ class ElasticTexts(Section):
     poisson: Modulus
     f: Vector | None = None
     u_D: Vector | None = None
-    g_N: Vector | None = None
+    g_N: Vector | dict[str, Vector] | None = None
     gap: Expression = "0"
     plane: Annotated[str, choice("plane", tuple(Plane))] = Plane.STRAIN
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         found = [("gap", self.gap)]
-        for name in ("f", "u_D", "g_N"):
-            found += [(name, entry) for entry in getattr(self, name) or []]
+        vectors = {"f": self.f, "u_D": self.u_D}
+        by_part = self.g_N if isinstance(self.g_N, dict) else {"": self.g_N}
+        vectors |= {f"g_N.{part}".rstrip("."): each for part, each in by_part.items()}
+        found += [(name, entry) for name, entries in vectors.items() for entry in entries or []]
         for name, value in (("young", self.young), ("poisson", self.poisson)):
             entries = value.items() if isinstance(value, dict) else [("", value)]
             found += [(f"{name}.{region}".rstrip("."), text) for region, text in entries]
@@ -127,7 +129,7 @@ def load_any_case(name_or_path: str | Path) -> Case | ElasticCase:
     if "physics" not in tree:
         return load_case(name_or_path)
     if tree["physics"] != ELASTICITY:
-        raise InputError(f"{path}: physics: unknown {tree['physics']!r}; use \"{ELASTICITY}\", or leave it out")
+        raise InputError(f'{path}: physics: unknown {tree["physics"]!r}; use "{ELASTICITY}", or leave it out')
     return validated(ElasticCase, tree, path.stem, str(path))
 
 

@@ -137,7 +137,8 @@ def _regular(dim: int) -> Array:
 
 def _not_in_the_spaces(data: ElasticData, dim: int) -> tuple[str, ...]:
     """Data that the discrete problem does not hold exactly."""
-    allowed = [(data.f, 0), (data.u_D, 2), (data.g_N, 1), (data.gap, 2)]
+    allowed = [(data.f, 0), (data.u_D, 2), (data.gap, 2)]
+    allowed += [(traction, 1) for traction in data.g_N.values()]
     names = [one.name for one, degree in allowed if one.polynomial is None or one.polynomial > degree]
     if not data.material.constant:
         names.append("young and poisson")

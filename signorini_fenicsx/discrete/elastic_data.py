@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -98,7 +98,8 @@ class ElasticData:
     Attributes:
         f: Force.
         u_D: Displacement where it is given.
-        g_N: Traction where it is given.
+        g_N: Tractions, by the part where they are given; "" is everywhere.
+        tractions: ∫ g_N φ_a over the facets of `spaces.neumann`, shape (facets, d, d).
         gap: g.
         exact: u, where it is known.
         material: E and ν.
@@ -110,7 +111,8 @@ class ElasticData:
 
     f: Sampler
     u_D: Sampler
-    g_N: Sampler
+    g_N: Mapping[str, Sampler]
+    tractions: Array
     gap: Sampler
     exact: Sampler | None
     material: Material
@@ -166,7 +168,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
             region has no value.
     """
     mesh, regions, dim = spaces.mesh, spaces.domain.regions, spaces.dim
-    vectors = {name: Sampler(mesh, name, getattr(problem, name), vector=True) for name in ("f", "u_D", "g_N")}
+    vectors = {name: Sampler(mesh, name, getattr(problem, name), vector=True) for name in ("f", "u_D")}
     gap = Sampler(mesh, "gap", problem.gap)
     young, young_of = by_region(mesh, "young", problem.young, regions)
     poisson, poisson_of = by_region(mesh, "poisson", problem.poisson, regions)
@@ -176,12 +178,25 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
     lift = fem.Function(spaces.traces)
     load = la.vector(lift.function_space.dofmap.index_map, dim**2)
     fixed = _set_given(spaces, vectors["u_D"], gap, lift)
-    _add_tractions(spaces, vectors["g_N"], load)
+    given_by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}
+    g_N = {part: Sampler(mesh, f"g_N.{part}".rstrip("."), each, vector=True) for part, each in given_by_part.items()}
+    tractions = _traction_moments(spaces, g_N)
+    _add_tractions(spaces, tractions, load)
     lift.x.scatter_forward()
     given = lift.x.array.astype(np.float64)
     exact = None if problem.exact is None else Sampler(mesh, "exact", problem.exact, vector=True)
     data = ElasticData(
-        vectors["f"], vectors["u_D"], vectors["g_N"], gap, exact, material, quadrature, given, load.array, fixed
+        f=vectors["f"],
+        u_D=vectors["u_D"],
+        g_N=g_N,
+        tractions=tractions,
+        gap=gap,
+        exact=exact,
+        material=material,
+        quadrature=quadrature,
+        lift=given,
+        load=load.array,
+        fixed=fixed,
     )
     _check_cells(spaces, data)
     return data
@@ -245,11 +260,27 @@ def _set_given(spaces: ElasticSpaces, u_D: Sampler, gap: Sampler, lift: fem.Func
     return np.concatenate(unknowns)
 
 
-def _add_tractions(spaces: ElasticSpaces, g_N: Sampler, load: la.Vector) -> None:
-    """⟨g_N, q⟩ on Γ_N and on parts that are fixed in some components, each for its own unknowns (collective)."""
+def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, Sampler]) -> Array:
+    """∫ g_N φ_a over the facets of `spaces.neumann`; 0 on parts without one (collective).
+
+    Raises:
+        InputError: If σn is given on no such part.
+    """
     facets = spaces.neumann
-    moments = facet_moments(spaces, g_N, facets, "where the traction is given").reshape(-1, spaces.dim**2)
+    moments = np.zeros((len(facets.facets), spaces.dim, spaces.dim))
+    known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
+    for name, sampler in g_N.items():
+        if name and name not in known:
+            raise InputError(f"[problem] g_N: no traction is given on part '{name}', only on {', '.join(known)}")
+        part = spaces.part(name) if name else facets
+        here = np.searchsorted(facets.facets, part.facets)
+        moments[here] = facet_moments(spaces, sampler, part, "where the traction is given")
+    return moments
+
+
+def _add_tractions(spaces: ElasticSpaces, moments: Array, load: la.Vector) -> None:
+    """⟨g_N, q⟩ on Γ_N and on parts that are fixed in some components, each for its own unknowns."""
     by_block = load.array.reshape(-1, spaces.dim**2)
-    by_block[facets.blocks] = moments
+    by_block[spaces.neumann.blocks] = moments.reshape(-1, spaces.dim**2)
     for part, matrices in spaces.frames[1:]:
         by_block[part.blocks] = np.einsum("nij,ni->nj", matrices, by_block[part.blocks])

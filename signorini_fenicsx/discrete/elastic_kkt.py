@@ -8,7 +8,7 @@ import numpy as np
 from dolfinx import la
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, hats_in_subcells, split_vertices
@@ -106,8 +106,7 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     np.add.at(sums.array.reshape(-1, dim, dim), spaces.dofs, pulls)
     sums.scatter_reverse(la.InsertMode.add)
     left: Array = sums.array.reshape(-1, dim, dim)
-    given = facet_moments(spaces, data.g_N, spaces.neumann, "where the traction is given")
-    left[spaces.neumann.blocks] -= linear_values(given, spaces.neumann.measure)
+    left[spaces.neumann.blocks] -= linear_values(data.tractions, spaces.neumann.measure)
     for facets, k, letter in spaces.fixed:
         if letter == NORMAL:
             _drop_normal(left, facets)

@@ -35,7 +35,8 @@ class ElasticProblem:
         young: E, or one for each region of the mesh.
         poisson: ν likewise.
         u_D: Displacement on Γ_D and, in the fixed components, on parts that are fixed in some; None for 0.
-        g_N: Traction on Γ_N and, in the free components, on parts that are fixed in some; None for 0.
+        g_N: Traction on Γ_N and, in the free components, on parts that are fixed in some; or one for each of these
+            parts, 0 on the others; None for 0.
         gap: g, the distance to the foundation along the outer normal.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
@@ -45,7 +46,7 @@ class ElasticProblem:
     poisson: Given | Mapping[str, Given]
     f: GivenVector | None = None
     u_D: GivenVector | None = None
-    g_N: GivenVector | None = None
+    g_N: GivenVector | Mapping[str, GivenVector] | None = None
     gap: Given = 0.0
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None

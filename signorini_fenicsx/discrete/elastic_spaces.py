@@ -290,11 +290,14 @@ class SplitMesh:
         return found.reshape(-1, self.mesh.geometry.dim + 1)
 
     def stress(self, values: Array, name: str = "sigma") -> fem.Function:
-        """A function with these values, shape (cells, d + 1, d + 1, d, d)."""
-        function = fem.Function(self.stresses, name=name)
-        dim = self.mesh.geometry.dim
-        by_node = function.x.array.reshape(-1, dim, dim)
-        by_node[self.stresses.dofmap.list] = values.reshape(-1, dim + 1, dim, dim)[self.subcells]
+        """The stress with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""
+        return self.function(self.stresses, values, name)
+
+    def function(self, space: fem.FunctionSpace, values: Array, name: str) -> fem.Function:
+        """The same in another space of discontinuous linear functions on it, shape (cells, d + 1, d + 1, …)."""
+        function = fem.Function(space, name=name)
+        by_node = function.x.array.reshape(-1, *space.value_shape)
+        by_node[space.dofmap.list] = values.reshape(-1, *values.shape[2:])[self.subcells]
         return function
 
     def values(self, function: fem.Function) -> Array:

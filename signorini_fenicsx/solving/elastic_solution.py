@@ -85,8 +85,13 @@ class ElasticSolution:
 
     @property
     def gap(self) -> Array:
-        """G − u_n there, in means weighted by the hats of the vertices."""
+        """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact."""
         return self.outcome.iterate.p.reshape(-1, self.spaces.dim)
+
+    @property
+    def linear_gap(self) -> Array:
+        """The gap there as a linear function on each facet: where contact ends it may be a little below 0."""
+        return (self.spaces.dim + 1) * self.gap - self.gap.sum(axis=1, keepdims=True)
 
     @property
     def touching(self) -> Mask:

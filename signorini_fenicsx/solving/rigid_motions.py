@@ -10,7 +10,7 @@ import scipy.optimize
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows, on_root
-from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import Cells
@@ -94,9 +94,7 @@ def _not_given(spaces: ElasticSpaces, moved: Moved) -> Array:
 
 def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> Array:
     """What f and g_N do on the motions, over what they could do (collective)."""
-    facets = spaces.neumann
-    tractions = facet_moments(spaces, data.g_N, facets, "where the traction is given")
-    pairs = [(facets.vertices, tractions)]
+    pairs = [(spaces.neumann.vertices, data.tractions)]
     for cells in blocks_of_cells(spaces):
         vertices = spaces.vertices[cells]
         pairs.append((vertices, data.moments_of_f(spaces, cells, Cells(vertices).measure)))
