@@ -144,7 +144,7 @@ def gather_deformed(solution: ElasticSolution) -> Deformed | None:
     """Collect the cells on rank 0; None elsewhere (collective)."""
     spaces = solution.spaces
     comm = spaces.mesh.comm
-    largest = von_mises(solution).max(axis=(1, 2))
+    largest = von_mises(in_space(solution)).max(axis=(1, 2))
     found = [gather_rows(comm, values) for values in (spaces.vertices, spaces.displacement_values(solution.u), largest)]
     vertices, u, stress = found
     if vertices is None or u is None or stress is None:
@@ -152,19 +152,25 @@ def gather_deformed(solution: ElasticSolution) -> Deformed | None:
     return Deformed(vertices, u, stress)
 
 
-def von_mises(solution: ElasticSolution) -> Array:
-    """Equivalent stress at the vertices of the subcells, shape (cells, d + 1, d + 1)."""
+def in_space(solution: ElasticSolution) -> Array:
+    """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
+
+    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
+    """
     spaces, data = solution.spaces, solution.data
-    stresses, dim = solution.stresses, spaces.dim
-    trace = np.einsum("nsaii->nsa", stresses)
-    squares = (stresses**2).sum(axis=(3, 4))
-    if dim == 2 and not data.material.plane_stress:  # σ_zz = ν tr σ
-        poisson = np.empty(len(spaces.order))
+    missing = 3 - spaces.dim
+    found = np.pad(solution.stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
+    if missing and not data.material.plane_stress:
         for cells in blocks_of_cells(spaces):
-            poisson[cells] = data.moduli.given(cells)[1].mean(axis=1)
-        across = poisson[:, None, None] * trace
-        squares, trace = squares + across**2, trace + across
-    found: Array = np.sqrt(np.maximum(1.5 * (squares - trace**2 / 3), 0.0))
+            poisson = data.moduli.given(cells)[1].mean(axis=1)
+            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", solution.stresses[cells])
+    return found
+
+
+def von_mises(stresses: Array) -> Array:
+    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
+    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
+    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
     return found
 
 
@@ -188,23 +194,23 @@ def _write_fields(solution: ElasticSolution, folder: Path, certificate: Certific
     """Write `solution.bp` on the subcells, `contact.bp` on Γ_C and, with means over cells, `solution.xdmf`."""
     spaces, split = solution.spaces, solution.spaces.split
     comm, dim, mesh = spaces.mesh.comm, spaces.dim, spaces.mesh
-    stresses, equivalent = solution.stresses, von_mises(solution)
+    stresses = in_space(solution)  # VTX takes no others
+    equivalent = von_mises(stresses)
     at_vertices = spaces.displacement_values(solution.u)
     corners = np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
     centroids = np.broadcast_to(at_vertices.mean(axis=1)[:, None, None], (len(at_vertices), dim + 1, 1, dim))
     in_subcells = np.concatenate([at_vertices[:, corners], centroids], axis=2)
-    scalars, vectors = fem.functionspace(split.mesh, ("DG", 1)), fem.functionspace(split.mesh, ("DG", 1, (dim,)))
+    linear = {"sigma": stresses, "u": in_subcells, "von_mises": equivalent}
     functions = [
-        solution.sigma,
-        split.function(vectors, in_subcells, "u"),
-        split.function(scalars, equivalent, "von_mises"),
+        split.function(fem.functionspace(split.mesh, ("DG", 1, values.shape[3:])), values, name)
+        for name, values in linear.items()
     ]
     write_vtx(comm, folder / "solution.bp", functions)
 
     values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
     write_vtx(comm, folder / "contact.bp", [_on_contact(solution, name, each) for name, each in values.items()])
 
-    left = np.linalg.norm(imbalance(spaces, solution.data, stresses), axis=2).max(axis=1)
+    left = np.linalg.norm(imbalance(spaces, solution.data, solution.stresses), axis=2).max(axis=1)
     means = {
         "u": at_vertices.mean(axis=1),
         "sigma": stresses.mean(axis=(1, 2)),
