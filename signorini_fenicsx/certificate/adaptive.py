@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
@@ -101,8 +102,9 @@ def adapt(
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:
             return solution, certificate
-        marked = dorfler(certificate.indicator.x.array, theta, comm)
-        domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
+        with doing("refining the mesh"):
+            marked = dorfler(certificate.indicator.x.array, theta, comm)
+            domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
         if _cells(domain) > max_cells:
             return solution, certificate
         mesh += 1

@@ -1,4 +1,4 @@
-"""What commands have in common: the case with its new values, the place of results, the state of a failed run."""
+"""Functions shared by commands: the case with its new values, the place of results, the state of a failed run."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case":
-    """The case that a command for scalar problems is about (collective), see `any_case`."""
+    """The case of a command for scalar problems, see `any_case` (collective)."""
     from signorini_fenicsx.cases.case import load_case
 
     values = overrides(settings, **options)
@@ -26,13 +26,13 @@ def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options
 
 
 def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case | ElasticCase":
-    """The case that a command is about, of any physics (collective).
+    """The case of a command, of any physics, with its new values (collective).
 
     Args:
         comm: Communicator; rank 0 reads the case.
-        name: Its name or path.
-        settings: New values, see `overrides`.
-        options: Likewise.
+        name: Name or path of the case.
+        settings: New values by `--set`, see `overrides`.
+        options: New values by other options, see `overrides`.
 
     Raises:
         InputError: If there is no such case, or it is not valid with these values.
@@ -44,20 +44,20 @@ def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: o
 
 
 def results_place(output: Path | None, name: str) -> Path:
-    """Where results go: into the wanted folder, or below results/."""
+    """The folder for results: `output`, or by default one below results/."""
     return output or Path("results", name)
 
 
 @contextlib.contextmanager
 def failure_kept(folder: ResultsFolder, write: Callable[[Any], None]) -> Iterator[None]:
-    """Write the state of a run that fails, and say where it is (collective).
+    """If the run in this context fails, write its last state and add its place to the message (collective).
 
     Args:
         folder: Where.
         write: Writes the solution that a failure holds (collective).
 
     Raises:
-        NumericalFailure: The one that the run has ended with.
+        NumericalFailure: The failure of the run.
     """
     try:
         yield

@@ -14,7 +14,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticBoundary
 from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, opposite
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, cells_and_dofs
-from signorini_fenicsx.meshes.domain import AXES, Domain, distribute, stay
+from signorini_fenicsx.meshes.domain import AXES, Domain, distribute
 
 
 @dataclass(frozen=True)
@@ -323,7 +323,7 @@ def split_mesh(spaces: ElasticSpaces) -> SplitMesh:
     centroid = np.broadcast_to((first + np.arange(size))[:, None, None], (size, dim + 1, 1))
     cells = np.concatenate([numbers[:, opposite(dim)], centroid], axis=2).reshape(-1, dim + 1)
     points = np.concatenate([mesh.geometry.x[: nodes.size_local, :dim], Cells(spaces.vertices).vertices.mean(axis=1)])
-    split = distribute(comm, points, cells, dim, stay(comm, len(cells)))
+    split = distribute(comm, points, cells, dim, stay=True)
     begin = split.topology.index_map(dim).local_range[0]
     subcells = split.topology.original_cell_index[: len(cells)] - begin
     return SplitMesh(split, subcells, fem.functionspace(split, ("DG", 1, (dim, dim))))

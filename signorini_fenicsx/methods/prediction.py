@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Inexact
 from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
@@ -103,6 +104,7 @@ class Prediction:
             watch = _Watch(self, conditions, comm)
             wanted = self.wanted(*backend.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
+            progress.detail("set update", len(changed))
             if changed[-1] == 0:
                 return conditions, len(changed) - 1
             conditions = self._settled_nearby(backend, spaces, conditions, wanted)

@@ -31,16 +31,18 @@ def write_files(comm: MPI.Comm, folder: Path, sizes: Mapping[str, int], write: C
     on_root(comm, lambda: check_room(folder, sizes))
     try:
         write()
-    except RuntimeError as error:  # as its cause it keeps the open file alive, whose end would abort the program
+    except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
         raise WriteFailure("the fields for ParaView cannot be written") from error
     on_root(comm, lambda: join_grids(folder / "solution.xdmf"))
 
 
 def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
-    """Take the room that files need and give it back: ADIOS2 and HDF5 abort where there is none (rank 0).
+    """Make sure that there is disk space for the files, because ADIOS2 and HDF5 abort on a full disk (rank 0).
+
+    The space is allocated and freed again.
 
     Raises:
-        OSError: If there is none.
+        OSError: If the disk is full.
     """
     places = {folder / f"{name}.room": size for name, size in sizes.items()}
     try:
@@ -55,9 +57,9 @@ def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
 
 
 def write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective).
+    """Write one file (collective). After a failure it is not closed: closing would wait for other ranks, or abort.
 
-    In ADIOS2's newer format BP5, several ranks wait for each other for ever where the disk is full.
+    The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
     """
     file = io.VTXWriter(comm, path, functions, engine="BP4")
     file.write(0.0)
@@ -65,10 +67,10 @@ def write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None
 
 
 def join_grids(path: Path) -> None:
-    """Make one grid of the mesh and all functions, with a time, for readers of all kinds (rank 0).
+    """Make one grid of the mesh and all functions, with a time, so that all readers can read the file (rank 0).
 
-    DOLFINx gives each function a grid of its own, which meshio cannot read. PyVista wants a time in the grid, where
-    meshio refuses it; so the grid refers VTK to its own copy with a time, in an element whose children meshio skips.
+    DOLFINx writes one grid for each function, which meshio cannot read. PyVista needs a time in the grid, where meshio
+    refuses it. So the grid refers VTK to a copy with a time, inside an element whose children meshio skips.
     """
     tree = ElementTree.parse(path)
     domain = tree.getroot()[0]
@@ -79,7 +81,7 @@ def join_grids(path: Path) -> None:
     mesh.set("Reference", "/Xdmf/Domain/Grid/Information/Grid")
     parts = " or ".join(f"self::{kind}" for kind in ("Topology", "Geometry", "Attribute"))
     information = ElementTree.SubElement(mesh, "Information", Name="with a time", Value="0")
-    information.text = "<none/>"  # meshio wants XML there
+    information.text = "<none/>"  # meshio needs XML here
     timed = ElementTree.SubElement(information, "Grid", Name="mesh", GridType="Uniform")
     ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
     ElementTree.SubElement(timed, "Time", Value="0")

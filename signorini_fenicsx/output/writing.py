@@ -12,6 +12,7 @@ from dolfinx import fem, io
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_table
 from signorini_fenicsx.base.versions import versions
@@ -38,7 +39,7 @@ from signorini_fenicsx.solving.solution import Solution
 def write_results(
     solution: Solution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
 ) -> None:
-    """Write all files of a solution into a folder that appears whole, or not at all, see `Solution.write`."""
+    """Write all files of a solution into a folder, completely or not at all, see `Solution.write` (collective)."""
     with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
         write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
         place.publish()
@@ -58,13 +59,17 @@ def write_solution(
     """Write all files of a solution into an existing folder (collective).
 
     Args:
-        solution: What to write.
-        folder: Where; files of the same names are overwritten.
-        certificate: Its error bound, if it has one.
-        proof: What came of the attempt to prove it, if there was one.
+        solution: The solution.
+        folder: The folder; files with the same names are overwritten.
+        certificate: Its error bound, or None.
+        proof: The result of the attempt to prove the bound, or None.
         plot: Also draw PNGs.
-        html: Also write `solution.html`, pictures that one can turn.
+        html: Also write `solution.html`, pictures that the mouse can turn.
         fields: Also write the fields for ParaView.
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+        WriteFailure: If a library cannot write, at least on this rank.
     """
     folder = Path(folder)
     watch = Stopwatch()
@@ -84,16 +89,17 @@ def write_solution(
             if table is not None and cells is not None:
                 part = folder / f"{FILE}.part"
                 write_checkpoint(part, solution, cells, table, marks)
-                part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
+                part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
                 write_facets(folder / "facets.csv", solution.spaces.part_names, table)
                 if boundary is not None:
-                    from signorini_fenicsx.output import pictures  # costs a second, only where it is needed
+                    from signorini_fenicsx.output import pictures  # takes a second to import
 
-                    scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
-                    if plot:
-                        pictures.draw_all(folder, scene)
-                    if html:
-                        pictures.write_page(folder / "solution.html", scene)
+                    with doing("drawing"):
+                        scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+                        if plot:
+                            pictures.draw_all(folder, scene)
+                        if html:
+                            pictures.write_page(folder / "solution.html", scene)
             write_table(folder / "history.csv", Step, solution.outcome.history)
 
         comm = solution.spaces.mesh.comm
@@ -155,7 +161,7 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> None:
-    """Write one row per Γ_S facet, by part and then along it (rank 0)."""
+    """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition"])
@@ -166,14 +172,14 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> 
 
 
 def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`; the last contains η_T of the certificate (collective).
 
-    A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
-    exact. XDMF takes P0: there σ is its value at the centroid.
+    A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.
+    `solution.xdmf` uses P0, with σ_h at the centroids.
 
     Raises:
-        OSError: On all ranks, if there is no room.
-        WriteFailure: If a library cannot write, on this rank at least.
+        OSError: On all ranks, if the disk is full.
+        WriteFailure: If a library cannot write, at least on this rank.
     """
     write_files(
         solution.spaces.mesh.comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate)
@@ -181,14 +187,14 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
 
 
 def _sizes(solution: Solution) -> dict[str, int]:
-    """About the largest sizes that the files of `write_fields` may have, in bytes (collective)."""
+    """Rough upper bounds of the sizes of the files of `write_fields`, in bytes (collective)."""
     spaces = solution.spaces
     mesh, ranks = spaces.mesh, spaces.mesh.comm.size
     dim = mesh.topology.dim
     cells = mesh.topology.index_map(dim).size_global
     points = mesh.geometry.index_map().size_global
     facets = spaces.mesh.comm.allreduce(len(spaces.facets))
-    number, place, vtx = 8, 3 * 8, 9  # a value, a point or vector, and what VTX has per point besides
+    number, place, vtx = 8, 3 * 8, 9  # bytes of a value, of a point or vector, and of VTX's extra data per point
     head = 12_000 + 3_000 * ranks
     return {
         "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
