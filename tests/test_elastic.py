@@ -118,7 +118,7 @@ def test_contact_with_a_singular_solution(nu: float):
         domain = box(COMM, n, [-1.0, 0.0], [1.0, 1.0])
         solution = solve_elastic(domain, ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u))
         assert len(solution.outcome.history) <= 7
-        assert solution.pressure.min(initial=0.0) > -1e-11
+        assert solution.pressure.min(initial=0.0) > -1e-10
         errors.append(solution.errors())
     assert errors[1]["energy"] < 3e-3
     assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 1.4

@@ -117,6 +117,8 @@ class ElasticSystem:
             cells = Cells(spaces.vertices[numbers])
             moments = data.moments_of_f(spaces, numbers, cells.measure)
             masses = data.masses(spaces, numbers, cells.measure)
+            if len(numbers) == 0:  # other ranks have more cells
+                continue
             product = compliance_product(cells.stresses(self.element.stresses), *masses)
             tractions = cells.tractions(self.element.tractions)
             for facets, local, matrices in framed:

@@ -34,7 +34,6 @@ from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import split_vertices
-from signorini_fenicsx.discrete.sampling import cell_points
 from signorini_fenicsx.forms.elasticity import strain, strain_energy
 
 
@@ -221,12 +220,13 @@ def moduli_on_split(spaces: ElasticSpaces, data: ElasticData) -> tuple[tuple[fem
     for cells in blocks_of_cells(spaces):
         shape = len(cells), dim + 1, len(rule.weights)
         order = spaces.order[cells]
-        there = cell_points(spaces.mesh, rule.points, cells).reshape(*shape, dim)
+        points = data.points(spaces, cells)
+        there = points.x.reshape(*shape, dim)
         there = np.take_along_axis(there, order[:, :, None, None], axis=1)
         here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
         nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
         dofs = space.dofmap.list[spaces.split.cells[cells]]
-        for function, values in zip((mu2, theta), data.moduli(cells), strict=True):
+        for function, values in zip((mu2, theta), data.moduli(points), strict=True):
             by_subcell = np.take_along_axis(values.reshape(shape), order[:, :, None], axis=1)
             function.x.array[dofs] = np.take_along_axis(by_subcell, nearest, axis=2)
     mu2.x.array[:] = 1 / mu2.x.array

@@ -11,16 +11,19 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import basix
+import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.elastic_data import ElasticData
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX
-from signorini_fenicsx.discrete.sampling import Sampler
+from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.discrete.vector_datum import VectorDatum
 
 ALONG = 1e-8
 """A direction is given at a node if it is within this angle of those that are."""
@@ -57,13 +60,13 @@ class FacetCoefficients:
     facets: BoundaryFacets
     nodes: npt.NDArray[np.int32]
 
-    def of(self, sampler: Sampler) -> Array:
+    def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum) -> Array:
         """Bernstein coefficients of the quadratics that interpolate at vertices and midpoints (collective)."""
         dim = self.facets.vertices.shape[2]
         pairs = list(combinations(range(dim), 2))
         corners = np.vstack([np.zeros(dim - 1), np.eye(dim - 1)])
         points = np.vstack([corners, [(corners[i] + corners[j]) / 2 for i, j in pairs]])
-        values = sampler.on_facets(points)(self.facets.entities)
+        values = datum.values(in_facets(mesh, self.facets.facets, points))
         middle = np.zeros((dim, dim), dtype=np.int64)
         for index, (i, j) in enumerate(pairs):
             middle[i, j] = middle[j, i] = dim + index
@@ -93,12 +96,12 @@ def boundary_nodes(spaces: ElasticSpaces, data: ElasticData, space: fem.Function
         there = facet_coefficients(spaces, space, facets)
         axis = np.broadcast_to(np.eye(dim)[k], facets.normals.shape)
         directions = (facets.normals if letter == NORMAL else axis)[:, None]
-        along = np.einsum("nai,nbi->na", there.of(data.u_D), directions)
+        along = np.einsum("nai,nbi->na", there.of(spaces.mesh, data.u_D), directions)
         _add(products, there.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
         _add(pulls, there.nodes, along[:, :, None] * directions)
     contact = facet_coefficients(spaces, space, spaces.contact)
     _add(normals, contact.nodes, spaces.contact.normals[:, None])
-    gap = contact.of(data.gap)
+    gap = contact.of(spaces.mesh, data.gap)
     _add(gaps, contact.nodes, np.stack([gap, np.ones_like(gap)], axis=2))
     for sums in (products, pulls, normals, gaps):
         sums.scatter_reverse(la.InsertMode.add)
@@ -153,7 +156,9 @@ def excess(
     """
     dim = spaces.dim
     coefficients = v.x.array.reshape(-1, dim)
-    too_far = np.einsum("nai,ni->na", coefficients[contact.nodes], contact.facets.normals) - contact.of(data.gap)
+    too_far = np.einsum("nai,ni->na", coefficients[contact.nodes], contact.facets.normals) - contact.of(
+        spaces.mesh, data.gap
+    )
     direction = direction_of_contact(nodes)[contact.nodes]
     share = np.einsum("nai,ni->na", direction, contact.facets.normals)
     can = nodes.touching[contact.nodes] & (share > 0.1)

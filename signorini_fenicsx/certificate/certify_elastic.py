@@ -57,7 +57,7 @@ def certify_elastic(solution: ElasticSolution) -> Certificate:
 
 def _certificate(solution: ElasticSolution) -> Certificate:
     spaces, data = solution.spaces, solution.data
-    comm, dim = spaces.mesh.comm, spaces.dim
+    comm = spaces.mesh.comm
     problem = BestDisplacement(spaces, data, solution.sigma)
     start = problem.near(solution.touching)
     outcome = iterate_sets(problem, ALGORITHM_1, Parameters(max_iterations=UPDATES), start=start)
@@ -77,7 +77,7 @@ def _certificate(solution: ElasticSolution) -> Certificate:
     sigma_bound = np.sqrt(2 * gap + osc**2) + remainder if feasible else np.inf
     indicator = fem.Function(spaces.scalar.Q, name="indicator")
     indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
-    missing = _not_in_the_spaces(data, dim)
+    missing = _not_in_the_spaces(data)
     return Certificate(
         bound=float(bound),
         sigma_bound=float(sigma_bound),
@@ -98,7 +98,7 @@ def _contact_term(solution: ElasticSolution, problem: BestDisplacement, v: fem.F
     """∫ (−σ_nn)(g − v_n) per facet of Γ_C (collective)."""
     spaces = solution.spaces
     facets = spaces.contact
-    moments = facet_moments(spaces, solution.data.gap, facets, "on Γ_C")
+    moments = facet_moments(spaces, "gap", solution.data.gap, facets, "on Γ_C")
     moments = moments - np.einsum("nai,ni->na", problem.moments_on_contact(v), facets.normals)
     return np.einsum("na,na->n", solution.pressure, moments)
 
@@ -117,10 +117,11 @@ def _oscillation(solution: ElasticSolution) -> Array:
         inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
         inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
         divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
-        load = data.loads(numbers).reshape(len(numbers), dim + 1, -1, dim)
+        points = data.points(spaces, numbers)
+        load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
         load = np.take_along_axis(load, spaces.order[numbers][:, :, None, None], axis=1)
         left = np.einsum("q,nsqi->n", rule.weights, (load + divergence[:, :, None]) ** 2) * volume
-        inverse, theta = data.moduli(numbers)
+        inverse, theta = data.moduli(points)
         soft = np.minimum(1.0, 1 / np.maximum(1 - dim * theta, 1e-300)).min(axis=1) / inverse.max(axis=1)
         F = cells.derivative @ np.linalg.inv(regular)
         stretch = np.linalg.norm(F, 2, axis=(1, 2)) ** 2 * np.linalg.norm(np.linalg.inv(F), 2, axis=(1, 2))
@@ -135,11 +136,9 @@ def _regular(dim: int) -> Array:
     return np.array([[1, 0.5, 0.5], [0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0, 0, np.sqrt(2 / 3)]])
 
 
-def _not_in_the_spaces(data: ElasticData, dim: int) -> tuple[str, ...]:
+def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     """Data that the discrete problem does not hold exactly."""
-    allowed = [(data.f, 0), (data.u_D, 2), (data.gap, 2)]
-    allowed += [(traction, 1) for traction in data.g_N.values()]
-    names = [one.name for one, degree in allowed if one.polynomial is None or one.polynomial > degree]
-    if not data.material.constant:
-        names.append("young and poisson")
-    return tuple(names)
+    found = [("f", data.f.polynomial, 0), ("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
+    found += [(each.name, each.polynomial, 1) for each in data.g_N.values()]
+    names = [name for name, degree, most in found if degree is None or degree > most]
+    return tuple(names) if data.uniform else (*names, "young and poisson")

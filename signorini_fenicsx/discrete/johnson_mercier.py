@@ -208,7 +208,7 @@ class Cells:
         dim = self.dim
         rows = basis.reshape(-1, dim, basis.shape[-1])
         mapped = np.einsum("nij,fjb->nfib", self.derivative, rows, optimize=True)
-        return mapped.reshape(len(self.vertices), -1, basis.shape[-1])
+        return mapped.reshape(len(self.vertices), *basis.shape)
 
 
 def compliance_product(stresses: Array, masses: Array, of_traces: Array) -> Array:

@@ -160,9 +160,9 @@ def in_space(solution: ElasticSolution) -> Array:
     spaces, data = solution.spaces, solution.data
     missing = 3 - spaces.dim
     found = np.pad(solution.stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
-    if missing and not data.material.plane_stress:
+    if missing and not data.in_space:
         for cells in blocks_of_cells(spaces):
-            poisson = data.moduli.given(cells)[1].mean(axis=1)
+            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
             found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", solution.stresses[cells])
     return found
 

@@ -16,14 +16,14 @@ from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT, resultants, subcell_squares
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+from signorini_fenicsx.discrete.errors import EXACT_CONTACT
 from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.solving.options import Options
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
-EXACT_CONTACT = 1e-12
-"""An exact gap of less than this on Γ_C, relative to the largest |u| there, is contact."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,12 @@ class ElasticSolution:
     def converged(self) -> bool:
         """Whether the sets repeated and all residuals are small."""
         return self.outcome.converged
+
+    def __repr__(self) -> str:
+        cells = self.spaces.scalar.Q.dofmap.index_map.size_global
+        ended = "converged" if self.converged else "failed"
+        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {len(self.outcome.history)} iterations"
+        return f"<ElasticSolution of {self.name}: {about}>"
 
     @cached_property
     def stresses(self) -> Array:
@@ -139,24 +145,23 @@ class ElasticSolution:
             return None
         spaces, dim = self.spaces, self.spaces.dim
         quadrature = SplitQuadrature.of_degree(dim, ERROR_DEGREE)
-        exact, gradient = (
-            self.data.exact.in_cells(quadrature.points),
-            self.data.exact.gradient_in_cells(quadrature.points),
-        )
-        moduli = self.data.material.sampled(quadrature.points)
+        exact = self.data.exact
         u_h, squares = spaces.displacement_values(self.u), np.zeros(2)
         for cells in blocks_of_cells(spaces):
+            points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
             where, subcell, vertex = spaces.as_dolfinx(cells)
             mine = np.empty_like(self.stresses[cells])
             mine[where, subcell, vertex] = self.stresses[cells]
             nodes = np.empty_like(u_h[cells])
             nodes[np.arange(len(cells))[:, None], spaces.order[cells]] = u_h[cells]
             shape = (len(cells), dim + 1, len(quadrature.weights))
-            inverse, theta = (values.reshape(shape) for values in moduli(cells))
-            sigma = stress_of(gradient(cells).reshape(*shape, dim, dim), inverse, theta)
+            inverse, theta = (values.reshape(shape) for values in self.data.moduli(points))
+            sigma = stress_of(exact.gradients(points).reshape(*shape, dim, dim), inverse, theta)
             off = sigma - np.einsum("qa,nsaij->nsqij", quadrature.local, mine)
             product = inverse * ((off**2).sum(axis=(3, 4)) - theta * np.einsum("nsqii->nsq", off) ** 2)
-            displaced = exact(cells).reshape(*shape, dim) - np.einsum("sqv,nvi->nsqi", quadrature.hats, nodes)
+            displaced = self.data.exact.values(points).reshape(*shape, dim) - np.einsum(
+                "sqv,nvi->nsqi", quadrature.hats, nodes
+            )
             weights = Cells(spaces.vertices[cells]).measure[:, None, None] / (dim + 1) * quadrature.weights
             squares += (weights * product).sum(), (weights * (displaced**2).sum(axis=3)).sum()
         energy, u = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
@@ -167,8 +172,8 @@ class ElasticSolution:
         """The facets of Γ_C on whose mean the exact gap is 0."""
         spaces, facets = self.spaces, self.spaces.contact
         assert self.data.exact is not None
-        u = facet_moments(spaces, self.data.exact, facets, "on Γ_C")
-        gap = facet_moments(spaces, self.data.gap, facets, "on Γ_C").sum(axis=1)
+        u = facet_moments(spaces, "exact", self.data.exact, facets, "on Γ_C")
+        gap = facet_moments(spaces, "gap", self.data.gap, facets, "on Γ_C").sum(axis=1)
         open_by = (gap - np.einsum("nai,ni->n", u, facets.normals)) / facets.measure
         largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
         largest = max(spaces.mesh.comm.allgather(float(largest)))
