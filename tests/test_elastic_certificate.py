@@ -1,12 +1,16 @@
 """The bound of elastic contact against true errors, exact and by energies."""
 
+import itertools
+
 import numpy as np
 import pytest
 from elastic import box, half_plane_contact
 from mpi4py import MPI
 
+from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
@@ -80,3 +84,22 @@ def test_bound_in_space():
     assert certificate.relative < 0.5
     fine = solve_elastic(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), boundary, problem)
     assert abs(solution.norms()["energy"] - fine.norms()["energy"]) < certificate.bound
+
+
+@pytest.mark.parallel([1, 2])
+def test_adaptive_meshes_start_from_the_sets_before():
+    """Refinement where the bound says so halves it with fewer unknowns than uniformly, from the contact set before."""
+    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
+    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"]}, gap="x^2/2")
+
+    def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
+        return solve_elastic(domain, boundary, problem, start=start)
+
+    rows: dict[float, list[AdaptRow]] = {0.5: [], 1.0: []}
+    for theta, found in rows.items():
+        adapt(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), solve_on, max_cells=2000, theta=theta, on_row=found.append)
+    for found in rows.values():
+        assert all(row.iterations < 8 for row in found[1:])
+        assert all(one.bound > other.bound for one, other in itertools.pairwise(found))
+    best = min(row.bound for row in rows[1.0])
+    assert min(row.unknowns for row in rows[0.5] if row.bound < best) < 0.5 * max(row.unknowns for row in rows[1.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.elastic import ElasticBackend
@@ -9,10 +10,11 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.contact_sets import transferred
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_kkt import elastic_kkt
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.history import OnStep, Outcome
@@ -32,6 +34,7 @@ def solve_elastic(
     problem: ElasticProblem,
     options: Options | None = None,
     *,
+    start: ElasticSolution | None = None,
     name: str = "problem",
     title: str = "",
     source: object = None,
@@ -45,6 +48,7 @@ def solve_elastic(
         boundary: Which parts are in contact, loaded or fixed.
         problem: The data.
         options: The algorithm, alg1 or alg2, and its number of iterations.
+        start: Solution whose contact set is taken for the first one, on any mesh of the domain.
         name: What results are called.
         title: The same in more words.
         source: What the problem was read from.
@@ -67,9 +71,9 @@ def solve_elastic(
         held_by_contact = check_rigid_motions(spaces, data)
         backend = ElasticBackend(spaces, data)
     with watch.phase("solve"):
-        start = SiteConditions.everywhere(Condition.ZERO_TRACE, backend.sites) if held_by_contact else None
+        first = _first(spaces, start, held_by_contact=held_by_contact)
         try:
-            outcome = iterate_sets(backend, rule, parameters, start=start, on_step=on_step)
+            outcome = iterate_sets(backend, rule, parameters, start=first, on_step=on_step)
         except LoopInterruption as interruption:
             iterate, conditions, history = interruption.state
             outcome = Outcome(
@@ -95,3 +99,16 @@ def solve_elastic(
     if solution.converged:
         return solution
     raise NumericalFailure(solution.outcome.reason, solution)
+
+
+def _first(spaces: ElasticSpaces, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:
+    """The conditions to begin with: those of the start, contact if that has to hold the body, or None (collective)."""
+    touching = np.full(len(spaces.contact.facets), held_by_contact)
+    if start is not None:
+        found = transferred(start.contact_set(), spaces.scalar)
+        if not held_by_contact or spaces.mesh.comm.allreduce(int(found.sum())) > 0:
+            touching = found
+    elif not held_by_contact:
+        return None
+    kinds = np.where(np.repeat(touching, spaces.dim), Condition.ZERO_TRACE, Condition.NO_FLUX)
+    return SiteConditions(kinds.astype(np.int8))

@@ -20,6 +20,7 @@ from signorini_fenicsx.discrete.errors import EXACT_CONTACT
 from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.options import Options
 
 ERROR_DEGREE = 8
@@ -72,6 +73,11 @@ class ElasticSolution:
     def converged(self) -> bool:
         """Whether the sets repeated and all residuals are small."""
         return self.outcome.converged
+
+    @property
+    def method(self) -> Method:
+        """The method that solved it."""
+        return self.options.method
 
     def __repr__(self) -> str:
         cells = self.spaces.scalar.Q.dofmap.index_map.size_global
