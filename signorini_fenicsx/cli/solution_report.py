@@ -1,15 +1,20 @@
 """The report of a run: its iterations, its solution, the bound of its error."""
 
+from __future__ import annotations
+
 import math
 from decimal import ROUND_CEILING, Context, Decimal
+from typing import TYPE_CHECKING
 
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.methods.history import Step
-from signorini_fenicsx.rigorous.proof import Proof
-from signorini_fenicsx.rigorous.theorem import Proven
 from signorini_fenicsx.solving.solution import Solution
+
+if TYPE_CHECKING:  # SciPy takes a second to load
+    from signorini_fenicsx.rigorous.proof import Proof
+    from signorini_fenicsx.rigorous.theorem import Proven
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
 PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}

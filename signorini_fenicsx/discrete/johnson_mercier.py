@@ -14,7 +14,6 @@ from math import factorial
 
 import basix
 import numpy as np
-import scipy.linalg
 
 from signorini_fenicsx.base.arrays import Array, Indices
 
@@ -61,13 +60,13 @@ def reference(dim: int) -> Reference:
         for k in edge:
             jumps.append(np.einsum("rcb,c->rb", matrices[i, _of(i, k)] - matrices[j, _of(j, k)], normal))
         jumps.append(np.einsum("rcb,c->rb", matrices[i, -1] - matrices[j, -1], normal))
-    continuous = scipy.linalg.null_space(np.concatenate(jumps))
+    continuous = _null_space(np.concatenate(jumps))
 
     volume = 1 / factorial(dim) / size
     gradients = -facet_normals(split) / (dim * volume)  # of the hats of each subcell; barycentric
     divergence = np.einsum("svrcb,svc->srb", matrices, gradients)
     moments = np.einsum("vs,srb->vrb", volume * hats_in_subcells(dim), divergence).reshape(size * dim, -1) @ continuous
-    balanced = scipy.linalg.null_space(moments)
+    balanced = _null_space(moments)
     basis = continuous @ np.hstack([balanced, np.linalg.pinv(moments)])
     basis[np.abs(basis) < 1e-15] = 0.0
 
@@ -125,9 +124,17 @@ def facet_normals(vertices: Array) -> Array:
     return -dim * measures[:, None, None] * gradients
 
 
+def _null_space(matrix: Array) -> Array:
+    """An orthonormal basis of the vectors that a matrix maps to 0, as columns; as SciPy's, which is slow to load."""
+    _, sizes, vectors = np.linalg.svd(matrix)
+    rank = int(np.count_nonzero(sizes > 1e-10 * sizes.max(initial=0.0)))
+    found: Array = vectors[rank:].T
+    return found
+
+
 def _normal(simplex: Array) -> Array:
     """A normal of d points in R^d."""
-    return scipy.linalg.null_space(simplex[1:] - simplex[:1])[:, 0]
+    return _null_space(simplex[1:] - simplex[:1])[:, 0]
 
 
 def _of(subcell: int, vertex: int) -> int:

@@ -1,11 +1,13 @@
 """Writes a solution: summary and tables as text, fields for ParaView."""
 
+from __future__ import annotations
+
 import csv
 import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import ufl
 from dolfinx import fem, io
@@ -32,8 +34,10 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
     gather_marks,
 )
-from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.solving.solution import Solution
+
+if TYPE_CHECKING:  # SciPy takes a second to load
+    from signorini_fenicsx.rigorous.proof import Proof
 
 
 def write_results(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.optimize
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -106,12 +105,14 @@ def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> Array:
 
 def _unprevented(into: Array, work: Array) -> Array | None:
     """A motion r ≠ 0 with into·r ≤ 0 and work·r ≥ 0, by linear programmes, or None."""
+    from scipy.optimize import linprog  # takes a second to load
+
     rows, limits = np.vstack([into, -work]), np.append(np.zeros(len(into)), SLACK)
     for k in range(len(work)):
         for sign in (1.0, -1.0):
             objective = np.zeros(len(work))
             objective[k] = -sign
-            found = scipy.optimize.linprog(objective, A_ub=rows, b_ub=limits, bounds=(-1, 1))
+            found = linprog(objective, A_ub=rows, b_ub=limits, bounds=(-1, 1))
             if found.success and -found.fun > 1e-6:
                 return np.asarray(found.x)
     return None
