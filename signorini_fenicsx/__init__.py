@@ -15,6 +15,11 @@ Solving it:
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.
 
+Elastic contact:
+
+- `ElasticBoundary` and `ElasticProblem` say what is given; `solve_elastic` gives an `ElasticSolution`;
+- `certify_elastic` bounds its error, `write_elastic` writes its files.
+
 Algorithms and backends, and how to replace them:
 
 - `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
@@ -41,6 +46,9 @@ __all__ = [
     "Condition",
     "Data",
     "Domain",
+    "ElasticBoundary",
+    "ElasticProblem",
+    "ElasticSolution",
     "FacetBackend",
     "InputError",
     "Iterate",
@@ -60,6 +68,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "certify_elastic",
     "collect_garbage",
     "compare",
     "domain_of",
@@ -67,6 +76,8 @@ __all__ = [
     "load_solution",
     "solve",
     "solve_case",
+    "solve_elastic",
+    "write_elastic",
     "write_solution",
 ]
 

@@ -49,6 +49,17 @@ True
 Your own discretisation is a `Backend`: an object that solves one linear problem under given conditions on its sites.
 With `FacetBackend` it needs `name`, `dofs`, `solver` and `solve`. Your own method is a `Method`, whose `run` gets a
 `Task` and returns an `Outcome`. All of them are options: `Options(algorithm=…, backend=…)`.
+
+Elastic contact has a problem and a boundary of its own. Here a block that is 0.1 above a foundation is pressed onto it:
+
+>>> parts |= {"top": dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 1))}
+>>> held = ElasticBoundary(contact=["bottom"], neumann=["right"])
+>>> pressed = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1)
+>>> body = solve_elastic(domain_of(mesh, parts), held, pressed)
+>>> body.converged, body.norms()["contact_force"] > 0
+(True, True)
+>>> certify_elastic(body).relative < 0.3
+True
 """
 
 from signorini_fenicsx.backends.contract import Backend, Iterate
@@ -59,9 +70,11 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -71,7 +84,10 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.elastic import write_elastic
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
@@ -83,6 +99,9 @@ __all__ = [
     "Condition",
     "Data",
     "Domain",
+    "ElasticBoundary",
+    "ElasticProblem",
+    "ElasticSolution",
     "FacetBackend",
     "InputError",
     "Iterate",
@@ -101,6 +120,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "certify_elastic",
     "collect_garbage",
     "compare",
     "domain_of",
@@ -108,5 +128,7 @@ __all__ = [
     "load_solution",
     "solve",
     "solve_case",
+    "solve_elastic",
+    "write_elastic",
     "write_solution",
 ]

@@ -22,10 +22,10 @@ from signorini_fenicsx.forms.norms import l2, v_norm
 class FieldChange:
     """‖σ − σ'‖_V and ‖u − u'‖_Q, with the forms compiled once."""
 
-    def __init__(self, spaces: Spaces):
-        """Compile (collective)."""
-        self._comm = spaces.mesh.comm
-        self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
+    def __init__(self, V: fem.FunctionSpace, Q: fem.FunctionSpace):
+        """Compile for σ in V and u in Q (collective)."""
+        self._comm = Q.mesh.comm
+        self._sigma, self._u = fem.Function(V), fem.Function(Q)
         self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
 
     def __call__(self, iterate: Iterate, before: Iterate) -> tuple[float, float]:
@@ -72,7 +72,7 @@ class FacetBackend(ABC):
     @cached_property
     def change(self) -> FieldChange:
         """Norms of what changed, see `Backend.change`."""
-        return FieldChange(self.spaces)
+        return FieldChange(self.spaces.V, self.spaces.Q)
 
     def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
         """The iterate with σ·n = q_S on some facets, and the trace that belongs to it by (37) (collective).

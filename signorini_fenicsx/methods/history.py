@@ -146,7 +146,7 @@ class Recorder(History):
             conditions: Its facet conditions.
             on_step: Called on all ranks with each step.
         """
-        self._last, self._change = iterate, FieldChange(spaces)
+        self._last, self._change = iterate, FieldChange(spaces.V, spaces.Q)
         super().__init__(spaces.mesh.comm, conditions, on_step)
 
     def add(self, iterate: Iterate, conditions: SiteConditions) -> None:

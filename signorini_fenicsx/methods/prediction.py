@@ -17,9 +17,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.contact_sets import FacetSet, transferred
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Coarser
 
@@ -115,8 +114,7 @@ class Prediction:
 
         A facet is in contact if the facet of the other mesh at its midpoint is.
         """
-        (sample,) = sampled([contact.indicator()], spaces.Lambda.mesh, contact.spaces.domain, degree=0)
-        inside = np.rint(sample.x.array[: len(spaces.facets)])
+        inside = transferred(contact, spaces).astype(np.float64)
         return self.wanted(1 - inside, inside)  # either p or σ·n is 0
 
     def _settled_nearby(

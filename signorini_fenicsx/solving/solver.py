@@ -64,7 +64,7 @@ def solve(
     options, watch, comm = options or Options(), watch or Stopwatch(), domain.mesh.comm
     method = options.method
     with watch.phase("assembly"):
-        check_parts(domain, boundary)
+        check_parts(domain, vars(boundary))
         spaces, data = _discretised(domain, boundary, problem)
         _check(options, spaces, data, start)
         # The unknown is u − constant: ∇u would be lost in rounding otherwise. In stabilised methods −εu depends on it.
