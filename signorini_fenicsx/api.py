@@ -1,4 +1,4 @@
-"""Signorini problems from Python: a mesh and UFL of one's own, own set rules, own discretisations.
+"""Signorini problems from Python: your own mesh and UFL, your own set rules and discretisations.
 
 >>> import dolfinx.mesh, numpy as np, ufl
 >>> from mpi4py import MPI
@@ -19,25 +19,25 @@ case file, UFL on the mesh, functions of a finite element space or of points, se
 >>> certify(solution).relative < 0.3
 True
 
-A solution can be asked for values at points and for fluxes, shows itself in a notebook and writes the files of the
-command line; its docstring says more:
+A solution gives values at points and fluxes, writes the files of the command line and draws itself in a notebook. See
+the docstring of `Solution`:
 
 >>> solution.at([[0.5, 0.25]]).sigma.shape, round(solution.flux_through("bottom"), 3)
 ((1, 2), 0.706)
 
-`adapt` refines where this bound says that the error is. It wants a function that solves on a mesh of the domain, so
-data in UFL are written on that mesh:
+`adapt` refines where this bound finds the error. It needs a function that solves the problem on a given mesh of the
+domain; UFL data must be written on that mesh:
 
 >>> def solve_on(domain, start):
 ...     x = ufl.SpatialCoordinate(domain.mesh)
 ...     return solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), psi=0.1 * x[0] - 0.05), start=start)
 >>> finer, certificate = adapt(domain, solve_on, max_cells=500)
 
-`load_solution` reads a solution that was written, `compare` sets two of them side by side, and
+`load_solution` reads a solution that was written, `compare` compares two solutions, and
 `solve_case(load_case("example1"))` solves a case file. On several ranks Python's garbage collector should be off, see
 `collect_garbage`; `solve` and the other functions here keep it off while they run.
 
-An algorithm of one's own is a start and a rule; here Algorithm 1, in words:
+Your own algorithm is a start and a rule; here Algorithm 1 as an example:
 
 >>> def rule(p, flux, rho):
 ...     return np.where(flux > rho * p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
@@ -46,9 +46,20 @@ An algorithm of one's own is a start and a rule; here Algorithm 1, in words:
 >>> bool(np.array_equal(other.contact_set().inside, solution.contact_set().inside))
 True
 
-A discretisation of one's own is a `Backend`: an object that solves one linear problem under given conditions on its
-sites. With `FacetBackend` it needs a name, a size and a solve. A method of one's own is a `Method`, whose `run` gets a
+Your own discretisation is a `Backend`: an object that solves one linear problem under given conditions on its sites.
+With `FacetBackend` it needs `name`, `dofs`, `solver` and `solve`. Your own method is a `Method`, whose `run` gets a
 `Task` and returns an `Outcome`. All of them are options: `Options(algorithm=…, backend=…)`.
+
+Elastic contact has a problem and a boundary of its own. Here a block that is 0.1 above a foundation is pressed onto it:
+
+>>> parts |= {"top": dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 1))}
+>>> held = ElasticBoundary(contact=["bottom"], neumann=["right"])
+>>> pressed = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1)
+>>> body = solve_elastic(domain_of(mesh, parts), held, pressed)
+>>> body.converged, body.norms()["contact_force"] > 0
+(True, True)
+>>> certify_elastic(body).relative < 0.3
+True
 """
 
 from signorini_fenicsx.backends.contract import Backend, Iterate
@@ -59,9 +70,11 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -71,7 +84,10 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.elastic import write_elastic
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver, solve
@@ -83,6 +99,9 @@ __all__ = [
     "Condition",
     "Data",
     "Domain",
+    "ElasticBoundary",
+    "ElasticProblem",
+    "ElasticSolution",
     "FacetBackend",
     "InputError",
     "Iterate",
@@ -102,6 +121,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "certify_elastic",
     "collect_garbage",
     "compare",
     "domain_of",
@@ -109,5 +129,7 @@ __all__ = [
     "load_solution",
     "solve",
     "solve_case",
+    "solve_elastic",
+    "write_elastic",
     "write_solution",
 ]

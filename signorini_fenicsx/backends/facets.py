@@ -24,17 +24,17 @@ from signorini_fenicsx.forms.norms import l2, v_norm
 class FieldChange:
     """‖σ − σ'‖_V and ‖u − u'‖_Q, with the forms compiled once."""
 
-    def __init__(self, spaces: Spaces):
-        """Compile (collective)."""
-        self._spaces, self._comm = spaces, spaces.mesh.comm
-        self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
+    def __init__(self, V: fem.FunctionSpace, Q: fem.FunctionSpace):
+        """Compile for σ in V and u in Q (collective)."""
+        self._comm = Q.mesh.comm
+        self._sigma, self._u = fem.Function(V), fem.Function(Q)
+        self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
 
     def __call__(self, iterate: Iterate, before: Iterate) -> tuple[float, float]:
         """The norms (collective)."""
         self._sigma.x.array[:] = iterate.sigma.x.array - before.sigma.x.array
         self._u.x.array[:] = iterate.u.x.array - before.u.x.array
-        kept = self._spaces.kept
-        local = np.array([fem.assemble_scalar(form) for form in (kept(_v_norm, self._sigma), kept(_u_norm, self._u))])
+        local = np.array([fem.assemble_scalar(form) for form in self._norms])
         sigma, u = np.sqrt(self._comm.allreduce(local)).tolist()
         return sigma, u
 
@@ -74,7 +74,7 @@ class FacetBackend(ABC):
     @cached_property
     def change(self) -> FieldChange:
         """Norms of what changed, see `Backend.change`."""
-        return FieldChange(self.spaces)
+        return FieldChange(self.spaces.V, self.spaces.Q)
 
     def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
         """The iterate with σ·n = q_S on some facets, and the trace that belongs to it by (37) (collective).
@@ -121,14 +121,6 @@ class FacetBackend(ABC):
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """Both unchanged: they are in the mixed spaces already."""
         return iterate, conditions
-
-
-def _v_norm(_: Spaces, sigma: Expr) -> Form:
-    return v_norm(sigma, ufl.dx)
-
-
-def _u_norm(_: Spaces, u: Expr) -> Form:
-    return l2(u, ufl.dx)
 
 
 def _trace_of_flux(spaces: Spaces, kappa: Expr, sigma: Expr) -> Form:

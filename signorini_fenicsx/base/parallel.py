@@ -16,6 +16,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.progress import doing
 
 FORWARDING = 0.5
 """Seconds in which mpirun can forward the last message of a rank; it loses the message when the rank aborts at once."""
@@ -45,12 +46,6 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
     """Concatenate the rows of all ranks on rank 0, in rank order; None elsewhere (collective)."""
     parts = comm.gather(rows)
     return None if parts is None else np.concatenate(parts)
-
-
-def scatter_rows(comm: MPI.Comm, wanted: npt.NDArray[np.int64], rows: npt.NDArray | None) -> npt.NDArray:
-    """Send to each rank the rows that it wants of an array of rank 0 (collective)."""
-    lists = comm.gather(wanted)
-    return comm.scatter(None if rows is None or lists is None else [rows[each] for each in lists])
 
 
 LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
@@ -118,7 +113,8 @@ class Stopwatch:
         self._within = 0.0
         stage.push()
         try:
-            yield
+            with doing(name):
+                yield
         finally:
             stage.pop()
             seconds = time.perf_counter() - began
@@ -152,7 +148,7 @@ def collect_garbage(comm: MPI.Comm) -> None:
 
 @contextlib.contextmanager
 def collector_off() -> Iterator[None]:
-    """Without Python's automatic collector, which may strike while MPI is called, see `collect_garbage`."""
+    """Switch Python's automatic collector off inside this context, see `collect_garbage`."""
     was_on = gc.isenabled()
     gc.disable()
     try:

@@ -24,16 +24,18 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
+    """A section of a case file."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Geometry(_Section):
+class Geometry(Section):
     """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
 
     shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
-    mesh: Annotated[str, choice("mesh", ("unstructured", "structured"))] = "unstructured"
+    mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
     diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
 
     @model_validator(mode="after")
@@ -58,12 +60,13 @@ class Geometry(_Section):
         return self.shape or Path(self.file or "").name
 
 
-class Boundary(_Section):
-    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check."""
+class Parts(Section):
+    """`[boundary]`: parts for each kind of condition; "dirichlet" may be left out, and then has all others."""
 
-    signorini: list[str] = Field(min_length=1)
-    neumann: list[str] = []
-    dirichlet: list[str] | None = None
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The lists that are given, by their keys."""
+        return {key: list(value) for key, value in self if value is not None}
 
     @model_validator(mode="after")
     def _no_repetition(self) -> Self:
@@ -82,22 +85,31 @@ class Boundary(_Section):
         Raises:
             ValueError: If not; the message names key and part.
         """
-        for key in ("signorini", "neumann", "dirichlet"):
-            for part in getattr(self, key) or []:
+        for key, parts in self.named.items():
+            for part in parts:
                 if part not in known:
                     raise ValueError(
                         f"[boundary] {key}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
                     )
         left = [part for part in known if part not in self.listed()]
-        if self.dirichlet is not None and left:
-            raise ValueError(f"[boundary] '{left[0]}' is in none of signorini, neumann and dirichlet")
+        if "dirichlet" in self.named and left:
+            *others, last = keys_of(type(self))
+            raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
 
     def listed(self) -> list[str]:
         """All parts that the section names."""
-        return [*self.signorini, *self.neumann, *(self.dirichlet or [])]
+        return [part for parts in self.named.values() for part in parts]
 
 
-class ProblemTexts(_Section):
+class Boundary(Parts):
+    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check."""
+
+    signorini: list[str] = Field(min_length=1)
+    neumann: list[str] = []
+    dirichlet: list[str] | None = None
+
+
+class ProblemTexts(Section):
     """`[problem]`: the data of a `Problem` as text in x, y, z; κ as text, as a matrix, or as one of them per region."""
 
     f: Expression
@@ -139,13 +151,13 @@ class ProblemTexts(_Section):
         return Problem(f=f, kappa=kappa, u_D=u_D, g_N=g_N, psi=psi, q_S=q_S)
 
 
-class Exact(_Section):
+class Exact(Section):
     """`[exact]`: the exact solution u, if it is known, as text in x, y, z."""
 
     u: Expression | None = None
 
 
-class Solve(_Section):
+class Solve(Section):
     """`[solve]`: the algorithm and its parameters; with `predict` large problems start from the sets of a coarser mesh.
 
     If rho or max_iterations is missing, the default of the algorithm is used.
@@ -160,8 +172,8 @@ class Solve(_Section):
     predict: bool = True
 
 
-class Case(_Section):
-    """One Signorini problem, its discretisation and its algorithm.
+class CaseFile(Section):
+    """What all case files have.
 
     Attributes:
         name: Short name, used for the default output folder; not a key of the file.
@@ -170,10 +182,16 @@ class Case(_Section):
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry
-    boundary: Boundary
-    problem: ProblemTexts
-    exact: Exact = Exact()
     solve: Solve = Solve()
+
+    @property
+    def parts(self) -> Parts:
+        """The section `[boundary]`."""
+        raise NotImplementedError
+
+    def texts(self) -> list[tuple[str, str, str]]:
+        """Each expression with its section and its key."""
+        raise NotImplementedError
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -201,15 +219,6 @@ class Case(_Section):
         """The method that solves it."""
         return METHODS[self.solve.algorithm]
 
-    def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension, with the exact u if it is given.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
-        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact)
-
     def check_dimension(self, dim: int) -> None:
         """Refuse coordinates that a mesh read from a file does not have.
 
@@ -222,7 +231,7 @@ class Case(_Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        self.boundary.check(list(shape.parts), self.geometry.name)
+        self.parts.check(list(shape.parts), self.geometry.name)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -231,8 +240,7 @@ class Case(_Section):
 
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
-        texts = [("problem", *entry) for entry in self.problem.texts()] + [("exact", "u", self.exact.u or "0")]
-        for section, name, text in texts:
+        for section, name, text in self.texts():
             try:
                 parse_expression(text, x)
             except InputError as error:
@@ -253,7 +261,33 @@ class Case(_Section):
                 if not isinstance(branch, dict):
                     raise InputError(f"{key}: no such key in a case")
             branch[last] = value
-        return _validated(type(self), tree, self.name, "case " + self.name)
+        return validated(type(self), tree, self.name, "case " + self.name)
+
+
+class Case(CaseFile):
+    """One Signorini problem, its discretisation and its algorithm."""
+
+    boundary: Boundary
+    problem: ProblemTexts
+    exact: Exact = Exact()
+
+    @property
+    def parts(self) -> Parts:
+        """The section `[boundary]`."""
+        return self.boundary
+
+    def texts(self) -> list[tuple[str, str, str]]:
+        """Each expression with its section and its key."""
+        return [("problem", *entry) for entry in self.problem.texts()] + [("exact", "u", self.exact.u or "0")]
+
+    def data(self, dim: int) -> Problem:
+        """The data as trees, in this dimension, with the exact u if it is given.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
+        return replace(self.problem.read(dim), exact=exact)
 
 
 def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
@@ -267,18 +301,35 @@ def load_case(name_or_path: str | Path) -> Case:
     Raises:
         InputError: If there is no such case, or it is malformed; the message names file, key and reason.
     """
+    tree, path = read_case_file(name_or_path)
+    if "physics" in tree:
+        raise InputError(f"{path}: this is for scalar problems, not for physics = {tree['physics']!r}")
+    return validated(Case, tree, path.stem, str(path))
+
+
+def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
+    """The keys of a case file, with the path of its mesh as seen from here, and its place.
+
+    Raises:
+        InputError: If there is no such case, or it is no TOML.
+    """
     path = file_of("case", name_or_path)
     tree = read_toml(path)
     geometry = tree.get("geometry")
     if isinstance(geometry, dict) and isinstance(file := geometry.get("file"), str):
         geometry["file"] = os.path.normpath(path.parent / file)
-    return _validated(Case, tree, path.stem, str(path))
+    return tree, path
 
 
-def _validated[C: Case](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
+def validated[C: CaseFile](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
+    """A case from its keys.
+
+    Raises:
+        InputError: If they are not valid; the message names source, key and reason.
+    """
     if "name" in tree:
-        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(keys_of(Case))}")
+        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(keys_of(model))}")
     try:
         return model.model_validate(tree | {"name": name})
     except ValidationError as error:
-        raise InputError(f"{source}: {complaint(error, Case)}") from None
+        raise InputError(f"{source}: {complaint(error, model)}") from None

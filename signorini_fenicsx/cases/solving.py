@@ -44,20 +44,20 @@ def solve_case(
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
     watch = Stopwatch()
-
-    def coarser(factor: float) -> Domain:
-        return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
-
-    remesh = coarser if domain is None else None
     with watch.phase("mesh"):
         place = domain or mesh_case(case, comm)
     with watch.phase("assembly"):
         solver = place if isinstance(place, Solver) else Solver(place, boundary_of(case))
+
+    def coarser(factor: float) -> Domain:
+        mesh = solver.spaces.domain.ancestor(factor)
+        return mesh or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
+
     return solver.solve(
         case.data(solver.spaces.mesh.geometry.dim),
         options_of(case, tuning),
         start=start,
-        remesh=remesh,
+        remesh=coarser if domain is None else None,
         name=case.name,
         title=case.title,
         source=case,

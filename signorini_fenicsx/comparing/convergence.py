@@ -15,6 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -178,7 +179,6 @@ def convergence_study(
     reference: int,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    on_start: Callable[[Case], None] = lambda case: None,
     on_row: Callable[[ErrorRow], None] = lambda row: None,
 ) -> list[ErrorRow]:
     """Solve for several h or ε and measure errors against a reference (collective).
@@ -192,7 +192,6 @@ def convergence_study(
         levels: h ≤ 2^-level, or ε = 10^-level.
         reference: Level of the reference, finer than all levels; unused if ε varies.
         comm: Communicator.
-        on_start: Called on all ranks with each case before it is solved.
         on_row: Called on all ranks with each finished row.
 
     Raises:
@@ -209,8 +208,8 @@ def convergence_study(
         best = best.with_values({"solve.h": 2.0**-reference})
 
     def solved(problem: Case) -> Solution:
-        on_start(problem)
-        return solve_case(problem, comm, domain=solver)
+        with doing(f"{problem.fineness}, {problem.solve.algorithm}"):
+            return solve_case(problem, comm, domain=solver)
 
     fine = solved(best)
     slides = slides_errors(case.name, case.solve.algorithm) if vary is Vary.H else {}
@@ -244,7 +243,8 @@ def _row(
     vary: Vary,
     slides: tuple[float, float] | None,
 ) -> ErrorRow:
-    error = differences(coarse, fine)
+    with doing("comparing"):
+        error = differences(coarse, fine)
     topology = coarse.spaces.mesh.topology
     cells = topology.index_map(topology.dim).size_global
     options = coarse.options

@@ -15,14 +15,14 @@ class ConstrainedMatrix:
         matrix: The matrix under the conditions last imposed.
     """
 
-    def __init__(self, form: fem.Form, kind: PETSc.Mat.Option):
+    def __init__(self, form: fem.Form | PETSc.Mat, kind: PETSc.Mat.Option):
         """Assemble (collective).
 
         Args:
-            form: Bilinear form, or blocks of them.
+            form: Bilinear form, or blocks of them; or a matrix that is assembled.
             kind: A property on which PETSc may rely: SYMMETRIC or SPD.
         """
-        self.natural = assemble_matrix(form)
+        self.natural = form if isinstance(form, PETSc.Mat) else assemble_matrix(form)
         self.natural.assemble()
         self.matrix = self.natural.duplicate(copy=True)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 
@@ -45,6 +45,12 @@ class FacetSet:
         steps = steps[steps.sum(axis=1) <= 1]
         weights = np.column_stack([1 - steps.sum(axis=1), steps])
         return np.einsum("pc,fcx->fpx", weights, mesh.geometry.x[nodes]).reshape(-1, 3)
+
+
+def transferred(contact: FacetSet, spaces: Spaces) -> Mask:
+    """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
+    (sample,) = sampled([contact.indicator()], spaces.Lambda.mesh, contact.spaces.domain, degree=0)
+    return np.rint(sample.x.array[: len(spaces.facets)]) > 0
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

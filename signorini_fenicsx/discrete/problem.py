@@ -25,7 +25,7 @@ class Problem:
         f: Load.
         kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
         u_D: Trace on Γ_D, continuous.
-        g_N: Flux κ∇u·n on Γ_N. Negative values flow out of Ω, as for every flux here.
+        g_N: Flux κ∇u·n on Γ_N, with the outer normal n.
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
         exact: The exact u, where it is known.
@@ -45,14 +45,19 @@ class Problem:
         Raises:
             InputError: If a text cannot be read.
         """
-        return Problem(**{field.name: _parsed(getattr(self, field.name), "xyz"[:dim]) for field in fields(self)})
+        return Problem(**{field.name: parsed(getattr(self, field.name), "xyz"[:dim]) for field in fields(self)})
 
 
-def _parsed(given: Any, names: str) -> Any:
+def parsed(given: Any, names: str) -> Any:
+    """What was given, with numbers and texts read as trees in these coordinates.
+
+    Raises:
+        InputError: If a text cannot be read.
+    """
     if isinstance(given, Mapping):
-        return {name: _parsed(value, names) for name, value in given.items()}
+        return {name: parsed(value, names) for name, value in given.items()}
     if isinstance(given, tuple | list):
-        return [_parsed(entry, names) for entry in given]
+        return [parsed(entry, names) for entry in given]
     if isinstance(given, str):
         return read(given, names)
     return exactly(given) if isinstance(given, int | float) else given

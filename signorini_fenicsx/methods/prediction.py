@@ -12,13 +12,13 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Inexact
 from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.contact_sets import FacetSet, transferred
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Coarser
 
@@ -103,6 +103,7 @@ class Prediction:
             watch = _Watch(self, conditions, comm)
             wanted = self.wanted(*backend.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
+            progress.detail("set update", len(changed))
             if changed[-1] == 0:
                 return conditions, len(changed) - 1
             conditions = self._settled_nearby(backend, spaces, conditions, wanted)
@@ -113,8 +114,7 @@ class Prediction:
 
         A facet is in contact if the facet of the other mesh at its midpoint is.
         """
-        (sample,) = sampled([contact.indicator()], spaces.Lambda.mesh, contact.spaces.domain, degree=0)
-        inside = np.rint(sample.x.array[: len(spaces.facets)])
+        inside = transferred(contact, spaces).astype(np.float64)
         return self.wanted(1 - inside, inside)  # either p or σ·n is 0
 
     def _settled_nearby(

@@ -59,7 +59,7 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        check_parts(domain, boundary)
+        check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
         self._boundary = boundary
         self._backend: Backend[Iterate] | None = None

@@ -5,11 +5,14 @@ from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.output.gather import Fields
+from signorini_fenicsx.output.pictures import style
 
 GRID = 110
 """Points of the grid along the longer side of the domain."""
 ARROW = 0.022
-"""Length of the arrow heads over that side."""
+"""Length of the arrow heads, relative to this side."""
+STILL = 1e-3
+"""A flux smaller than this, relative to the usual one, has no meaningful direction."""
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
@@ -17,21 +20,23 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
     """Streamlines of σ_h, and arrow heads in their middle.
 
     Returns:
-        Points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
+        The points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
     """
     low, high = fields.points.min(axis=0), fields.points.max(axis=0)
     size = float((high - low).max())
     x, y = (np.linspace(a, b, max(round(GRID * (b - a) / size), 8)) for a, b in zip(low, high, strict=True))
     sigma = _spread(on_grid(fields, x, y))
-    if not np.nanmax(np.abs(sigma), initial=0.0) > 0:
+    norm = np.linalg.norm(sigma, axis=0)
+    if not np.nanmax(norm, initial=0.0) > 0:
         return [], np.empty((0, 3, 2))
+    sigma[:, norm < STILL * np.nanquantile(norm, style.QUANTILE)] = np.nan
     found = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
     lines = [line for line in found.lines.get_segments() if len(line) > 2]
     return lines, np.array([_head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
 
 
 def on_grid(fields: Fields, x: Array, y: Array) -> Array:
-    """σ_h at the points of a regular grid, shape (2, len(y), len(x)); not a number outside of the domain."""
+    """σ_h at the points of a regular grid, shape (2, len(y), len(x)); NaN outside the domain."""
     origin, spacing = np.array([x[0], y[0]]), np.array([x[1] - x[0], y[1] - y[0]])
     corners = (fields.points[fields.cells] - origin) / spacing  # in units of the grid
     first = np.ceil(corners.min(axis=1) - 1e-9).astype(np.int64)
@@ -53,7 +58,7 @@ def on_grid(fields: Fields, x: Array, y: Array) -> Array:
 
 
 def _spread(sigma: Array) -> Array:
-    """The same field, continued by one point of the grid, so that streamlines reach the boundary."""
+    """The field, continued by one point of the grid outside the domain, so that streamlines reach the boundary."""
     padded = np.pad(sigma, ((0, 0), (1, 1), (1, 1)), constant_values=np.nan)
     rows, columns = sigma.shape[1:]
     around = np.stack([padded[:, 1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS])

@@ -1,5 +1,6 @@
-"""How all pictures look: type, colours, colour limits, numbers as mathematics."""
+"""The common style of all pictures: fonts, colours, colour limits, numbers in mathematical type."""
 
+import io
 import math
 from pathlib import Path
 
@@ -24,13 +25,24 @@ STYLE = {
     "figure.constrained_layout.h_pad": 0.08,
     "figure.constrained_layout.w_pad": 0.08,
 }
-"""Settings of Matplotlib; `mpl.rc_context(STYLE)` puts a function under them and leaves the process as it is."""
+"""Settings of Matplotlib; `mpl.rc_context(STYLE)` applies them to a function only, not to the process."""
 
 CONTACT, FREE, WATER = "#d62728", "#5ab4e6", "#4a90c2"
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
+NOTEBOOK_DPI = 75
+"""A figure that is as wide as a page is as wide as the column of a notebook then."""
 QUANTILE = 0.99
-"""Colours end where this part of the domain is below; a corner singularity is beyond."""
+"""The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
+
+
+class Page(Figure):
+    """A figure that notebooks show whether pyplot is there or not."""
+
+    def _repr_png_(self) -> bytes:
+        png = io.BytesIO()
+        self.savefig(png, format="png", dpi=NOTEBOOK_DPI)
+        return png.getvalue()
 
 
 def power(value: float) -> str:
@@ -46,11 +58,11 @@ def power(value: float) -> str:
 
 
 def limits(values: Array, weights: Array) -> tuple[float, float, str]:
-    """Colour limits of what may have peaks, and how to extend the colour bar.
+    """Colour limits for values that may have peaks, and the ends of the colour bar to extend.
 
     Args:
-        values: What is coloured, not negative.
-        weights: The measure of the cell of each.
+        values: The values, not negative.
+        weights: The measure of the cell of each value.
     """
     order = np.argsort(values)
     measure = np.cumsum(weights[order])
@@ -62,7 +74,7 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
 
 
 def letter(number: int) -> str:
-    """(a), (b), … of a panel."""
+    """The letter of a panel: (a), (b) and so on."""
     return f"({chr(ord('a') + number)})"
 
 
@@ -75,12 +87,12 @@ def shape_axes(axes: Axes, title: str) -> None:
 
 
 def colour_bar(figure: Figure | SubFigure, axes: Axes, image: object, label: str, extend: str = "neither") -> Colorbar:
-    """A colour bar beside a panel, as high as it."""
+    """A colour bar beside a panel, with the height of the panel."""
     return figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.85, aspect=25, pad=0.02)
 
 
 def legend_below(figure: Figure | SubFigure, handles: list, columns: int = 4) -> None:
-    """A legend under all panels, where it covers nothing."""
+    """A legend below all panels, where it hides nothing."""
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 

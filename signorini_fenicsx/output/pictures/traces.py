@@ -23,9 +23,9 @@ PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
         "q_S": ("$q_S$", {"color": "black", "linewidth": 1.0, "linestyle": "--"}),
     },
 }
-"""Of each panel the columns of the table with their labels and looks."""
+"""For each panel the columns of the table, with their labels and styles."""
 MARKERS = 40
-"""At most this many markers on a line."""
+"""Largest number of markers on a line."""
 TITLES = {"u": "trace of $u$", "flux": "flux"}
 
 
@@ -35,7 +35,7 @@ class Line:
 
     Attributes:
         rows: Its facets in order.
-        ends: Coordinate of their ends, one more.
+        ends: Coordinates of their ends, one more than facets.
     """
 
     rows: Indices
@@ -45,8 +45,8 @@ class Line:
 def pieces(scene: Scene, part: int) -> tuple[list[Line], str]:
     """The connected pieces of a part with the coordinate along it and its name.
 
-    The coordinate is that of the part, or the arc length where one value of it belongs to several places, as on a
-    closed curve.
+    The coordinate is that of the part. If one of its values belongs to several points, as on a closed curve, it is the
+    arc length.
     """
     facets = scene.facets
     rows = np.flatnonzero(facets.part == part)
@@ -96,8 +96,11 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> N
 
 
 def handles(panels: tuple[str, ...] = ("u", "flux")) -> list:
-    """What the legend of such panels lists."""
-    lines = [Line2D([], [], label=label, **look) for panel in panels for label, look in PANELS[panel].values()]
+    """The entries of the legend of these panels."""
+    columns = {name: column for panel in panels for name, column in PANELS[panel].items()}
+    if {"psi", "q_S"} <= columns.keys():  # they look alike, each in its panel
+        columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])
+    lines = [Line2D([], [], label=label, **look) for label, look in columns.values()]
     return [*lines, Patch(color=style.CONTACT, alpha=0.13, label="contact")]
 
 
