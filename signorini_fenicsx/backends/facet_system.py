@@ -65,25 +65,40 @@ class FacetSystem:
         self._load = assembled(self.spaces.kept(_load, data.kappa_h, data.f_h, data.sigma_lift, data.u_lift))
         self.x.set(0.0)
 
-    def renew(self, data: Data) -> None:
-        """Go on with other data; the matrix and its factorisation stay if κ does (collective)."""
-        if not data.same_conductivity(self._data, self.spaces):
+    def renew(self, data: Data) -> bool:
+        """Go on with other data; returns whether κ, and so the matrix, stays (collective)."""
+        same = data.same_conductivity(self._data, self.spaces)
+        if not same:
             self._operator.renew(self.spaces.kept(_stiffness, data.kappa_h))
             self._imposed = None
         self._take(data)
+        return same
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
-        zero_trace, robin = conditions.kind == Condition.ZERO_TRACE, conditions.kind == Condition.ROBIN
-        essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
+        self.impose(conditions)
+        return self.load(conditions)
+
+    def impose(self, conditions: SiteConditions) -> None:
+        """Impose conditions on `matrix`, unless they are those of last time (collective)."""
+        if conditions.same(self._imposed, self.spaces.mesh.comm):
+            return
+        robin = conditions.kind == Condition.ROBIN
         added = conditions.beta * self.spaces.facet_measure[robin]
-        if not conditions.same(self._imposed, self.spaces.mesh.comm):
-            self._operator.impose(essential, self.trace_dofs[robin], added)
-            self._imposed = conditions
+        self._operator.impose(self._fixed(conditions), self.trace_dofs[robin], added)
+        self._imposed = conditions
+
+    def load(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        """Impose conditions on `b` and `x` alone and return the owned unknowns that they fix."""
+        fixed = self._fixed(conditions)
         self.b.array_w[:] = self._load[: self.b.getLocalSize()]
-        self.b.array_w[essential] = 0.0
-        self.x.array_w[essential] = 0.0
-        return essential
+        self.b.array_w[fixed] = 0.0
+        self.x.array_w[fixed] = 0.0
+        return fixed
+
+    def _fixed(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
+        return np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
 
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
