@@ -10,6 +10,7 @@ Solving it:
 
 - `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
   values at points, fluxes through parts, `plot`, `write`;
+- `Solver(domain, boundary)` is set up once and solves one problem after another on its mesh, several times faster;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
 - `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
@@ -61,6 +62,7 @@ __all__ = [
     "SetRule",
     "SiteConditions",
     "Solution",
+    "Solver",
     "Spaces",
     "Step",
     "Task",

@@ -90,7 +90,7 @@ from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.solver import Solver, solve
 
 __all__ = [
     "METHODS",
@@ -114,6 +114,7 @@ __all__ = [
     "SetRule",
     "SiteConditions",
     "Solution",
+    "Solver",
     "Spaces",
     "Step",
     "Task",

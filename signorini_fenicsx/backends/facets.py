@@ -7,14 +7,16 @@ from functools import cached_property
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
+from ufl import Form
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.forms.norms import l2, v_norm
 
@@ -81,21 +83,14 @@ class FacetBackend(ABC):
         τ_h is the basis function of that Γ_S facet.
         """
         spaces = self.spaces
-        change, moved_by = self._trace_of_flux
-        change.x.array[:] = 0.0
+        change = fem.Function(spaces.V)
         added = -iterate.flux * spaces.facet_measure / spaces.basis_flux
         change.x.array[spaces.flux_dofs[where]] = added[where]
         sigma = iterate.sigma.copy()
         sigma.x.array[:] += change.x.array
-        moved = fem.assemble_vector(moved_by)
-        moved.scatter_reverse(la.InsertMode.add)
-        p = iterate.p + moved.array[spaces.flux_dofs] / spaces.basis_flux
+        moved = assembled(spaces.kept(_trace_of_flux, self.data.kappa_h, change))
+        p = iterate.p + moved[spaces.flux_dofs] / spaces.basis_flux
         return replace(iterate, sigma=sigma, p=p, flux=np.where(where, 0.0, iterate.flux))
-
-    @cached_property
-    def _trace_of_flux(self) -> tuple[fem.Function, fem.Form]:
-        change = fem.Function(self.spaces.V)
-        return change, fem.form(flux_product(change, ufl.TestFunction(self.spaces.V), ufl.dx, self.data.kappa_h))
 
     def scales(self, iterate: Iterate) -> tuple[Array, Array]:
         """Sizes of p and σ·n per facet (collective).
@@ -126,3 +121,7 @@ class FacetBackend(ABC):
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """Both unchanged: they are in the mixed spaces already."""
         return iterate, conditions
+
+
+def _trace_of_flux(spaces: Spaces, kappa: Expr, sigma: Expr) -> Form:
+    return flux_product(sigma, ufl.TestFunction(spaces.V), ufl.dx, kappa)

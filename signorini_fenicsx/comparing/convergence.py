@@ -19,11 +19,12 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import Solver
 
 ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
 ASYMPTOTIC_EPS = 1e-2
@@ -200,15 +201,15 @@ def convergence_study(
     if vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
-    domain = mesh_case(case, comm) if vary is Vary.EPS else None
+    solver = Solver(mesh_case(case, comm), boundary_of(case)) if vary is Vary.EPS else None
     cases = [case.with_values(level_values(vary, level)) for level in levels]
     best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
-    if domain is None:
+    if solver is None:
         best = best.with_values({"solve.h": 2.0**-reference})
 
     def solved(problem: Case) -> Solution:
         with doing(f"{problem.fineness}, {problem.solve.algorithm}"):
-            return solve_case(problem, comm, domain=domain)
+            return solve_case(problem, comm, domain=solver)
 
     fine = solved(best)
     slides = slides_errors(case.name, case.solve.algorithm) if vary is Vary.H else {}

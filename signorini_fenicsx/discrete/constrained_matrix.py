@@ -28,6 +28,12 @@ class ConstrainedMatrix:
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(kind, True)
 
+    def renew(self, form: fem.Form) -> None:
+        """Assemble again, a form with the same sparsity pattern (collective)."""
+        self.natural.zeroEntries()
+        assemble_matrix(self.natural, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
+        self.natural.assemble()
+
     def impose(self, essential: npt.NDArray[np.int32], robin: npt.NDArray[np.int32], added: npt.ArrayLike) -> None:
         """Start again from `natural`, add to its diagonal and fix unknowns (collective).
 
