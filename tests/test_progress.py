@@ -83,6 +83,17 @@ def test_a_log_mentions_what_took_long(monkeypatch: pytest.MonkeyPatch):
     ]
 
 
+def test_ranks_of_a_launcher_write_a_log(monkeypatch: pytest.MonkeyPatch):
+    """Open MPI gives them terminals, whose output it may write into a file."""
+    monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
+    terminal = Terminal()
+    progress.follow(Live(Console(file=terminal, force_terminal=True, force_interactive=True)))
+    with progress.doing("solve"):
+        progress.detail("iteration", 1)
+    progress.follow(None)
+    assert terminal.getvalue() == ""
+
+
 def test_commands_tell_a_terminal(tmp_path: Path):
     """The line goes before anything that stays, so that a screen looks as without it."""
     ours, theirs = pty.openpty()

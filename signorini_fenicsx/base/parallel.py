@@ -52,6 +52,11 @@ LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_ST
 """Variables in which launchers give the number of ranks; the first one that is set is the innermost launcher's."""
 
 
+def is_launched() -> bool:
+    """Whether a launcher such as mpirun has started this process."""
+    return any(os.environ.get(name) for name in LAUNCHED)
+
+
 def refuse_lone_copies(comm: MPI.Comm) -> None:
     """Refuse to run as one of several separate copies, as the mpirun of another MPI starts them.
 

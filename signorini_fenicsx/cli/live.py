@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from rich.console import Console
 
+from signorini_fenicsx.base.parallel import is_launched
 from signorini_fenicsx.base.progress import COMPILING, Activity
 
 LONG = 2.0
@@ -32,7 +33,8 @@ class Live:
     def __init__(self, console: Console):
         """Show it there."""
         self._console = console
-        self._alive = console.is_interactive and console.file.isatty()  # not in a log with colours
+        # Not in a log with colours. Ranks of Open MPI see a terminal even if mpirun writes into a log.
+        self._alive = console.is_interactive and console.file.isatty() and not is_launched()
         self._text, self._drawn = "", 0.0
         self._compiling = 0.0
 
