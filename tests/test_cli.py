@@ -187,7 +187,7 @@ def test_an_unexpected_error_on_one_rank_ends_all(tmp_path: Path, failing_rank: 
         f"    if MPI.COMM_WORLD.rank == {failing_rank}:\n"
         "        raise RuntimeError('broken on purpose')\n"
         "    MPI.COMM_WORLD.Barrier()\n"
-        "solver.solve = broken\n"
+        "solver.Solver.solve = broken\n"
         "sys.argv = ['signorini', 'solve', 'example1', '--h', '1/4']\n"
         "cli.main()\n"
     )
