@@ -12,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -22,8 +23,8 @@ class Pairs:
     """The solution of one linear problem, as the rules see it.
 
     Attributes:
-        p: Trace above its bound, p − ψ, per site of this rank.
-        flux: Flux above its bound, σ·n − q_S, per site of this rank.
+        p: Trace above its bound, p − ψ, per site of this rank; under another law, from its reference.
+        flux: Flux above its bound, σ·n − q_S, per site of this rank; under another law, from its reference.
         linear_iterations: Iterations of the Krylov solver; 1 for a direct one.
     """
 
@@ -90,6 +91,7 @@ class Backend[I: Pairs](Protocol):
         noun: What a site is, in the singular and in the plural.
         comm: Communicator.
         sites: Number of sites of this rank.
+        chains: The law of each site.
         dofs: Unknowns of the linear system, over all ranks.
     """
 
@@ -97,6 +99,7 @@ class Backend[I: Pairs](Protocol):
     noun: tuple[str, str]
     comm: MPI.Comm
     sites: int
+    chains: Chains
     dofs: int
 
     @property

@@ -8,7 +8,7 @@ from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
@@ -22,7 +22,7 @@ class FacetSystem:
     """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`).
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
-    one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal.
+    one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
 
     Attributes:
         spaces: The discrete spaces.
@@ -65,12 +65,29 @@ class FacetSystem:
         """Make `matrix`, `b` and `x` those of these conditions and return the owned unknowns they fix (collective)."""
         zero_trace, robin = conditions.kind == Condition.ZERO_TRACE, conditions.kind == Condition.ROBIN
         essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
-        added = conditions.beta * self.spaces.facet_measure[robin]
+        added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
         self._operator.impose(essential, self.trace_dofs[robin], added)
         self.b.array_w[:] = self._load.array[: self.b.getLocalSize()]
-        self.b.array_w[essential] = 0.0
-        self.x.array_w[essential] = 0.0
+        if conditions.has_values:
+            self._add_values(conditions, zero_trace)
+        given = np.zeros(len(essential))
+        given[len(self._dirichlet_dofs) :] = conditions.values_where(zero_trace)
+        self.b.array_w[essential] = given
+        self.x.array_w[essential] = given
         return essential
+
+    def _add_values(self, conditions: SiteConditions, zero_trace: Mask) -> None:
+        """The loads of fluxes that are not 0, and those of traces that are not, in `b` (collective)."""
+        known, image = self.matrix.createVecs()
+        known.set(0.0)
+        known.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)
+        self._operator.natural.mult(known, image)
+        self.b.array_w[:] -= image.array_r
+        self.b.array_w[self.trace_dofs[~zero_trace]] += (
+            conditions.values_where(~zero_trace) * self.spaces.facet_measure[~zero_trace]
+        )
+        for vector in (known, image):
+            vector.destroy()
 
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from the present `x`, a solution under these conditions (collective)."""

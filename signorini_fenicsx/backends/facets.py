@@ -55,6 +55,7 @@ class FacetBackend(ABC):
         self.spaces, self.data = spaces, data
         self.comm: MPI.Comm = spaces.mesh.comm
         self.sites = len(spaces.facets)
+        self.chains = data.laws.chains
 
     @property
     def inexact(self) -> Inexact | None:

@@ -13,10 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
-from signorini_fenicsx.discrete.problem import Given, Problem
+from signorini_fenicsx.discrete.given import Given
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
+from signorini_fenicsx.meshes.checks import key_of
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
@@ -59,42 +62,34 @@ class Geometry(_Section):
 
 
 class Boundary(_Section):
-    """`[boundary]`: the parts that make up Γ_S and Γ_N; everything else is Γ_D, which may be listed to make sure."""
+    """`[boundary]`: the parts that make up Γ_S and Γ_N; everything else is Γ_D, which may be listed to make sure.
 
-    signorini: list[str] = Field(min_length=1)
+    Parts with a `[[law]]` belong to Γ_S and are not listed here.
+    """
+
+    signorini: list[str] = []
     neumann: list[str] = []
     dirichlet: list[str] | None = None
 
     @model_validator(mode="after")
     def _no_repetition(self) -> Self:
-        repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
-        if repeated:
-            raise ValueError(f"'{repeated[0]}' is listed twice")
+        refuse_repetition(self.listed())
         return self
-
-    def check(self, known: list[str], where: str) -> None:
-        """Make sure that the named parts exist and, if Γ_D is listed, that none is left.
-
-        Args:
-            known: All parts of the boundary.
-            where: Name of the domain.
-
-        Raises:
-            ValueError: If not; the message names key and part.
-        """
-        for key in ("signorini", "neumann", "dirichlet"):
-            for part in getattr(self, key) or []:
-                if part not in known:
-                    raise ValueError(
-                        f"[boundary] {key}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
-                    )
-        left = [part for part in known if part not in self.listed()]
-        if self.dirichlet is not None and left:
-            raise ValueError(f"[boundary] '{left[0]}' is in none of signorini, neumann and dirichlet")
 
     def listed(self) -> list[str]:
         """All parts that are named."""
         return [*self.signorini, *self.neumann, *(self.dirichlet or [])]
+
+
+def refuse_repetition(parts: list[str]) -> None:
+    """Refuse a part that is listed twice.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    repeated = sorted(part for part, times in Counter(parts).items() if times > 1)
+    if repeated:
+        raise ValueError(f"'{repeated[0]}' is listed twice")
 
 
 class ProblemTexts(_Section):
@@ -171,12 +166,16 @@ class Case(_Section):
     title: str = ""
     geometry: Geometry
     boundary: Boundary
+    law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     exact: Exact = Exact()
     solve: Solve = Solve()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        refuse_repetition([*self.boundary.listed(), *self.law_parts])
+        if not self.boundary.signorini and not self.law:
+            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
         if self.geometry.shape is not None:
             self._check_shape(SHAPES[self.geometry.shape])
         elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
@@ -184,6 +183,17 @@ class Case(_Section):
         else:
             self._check_expressions(3)  # the file is not read yet
         return self
+
+    @property
+    def law_parts(self) -> list[str]:
+        """The parts that have a `[[law]]`."""
+        return [part for law in self.law for part in law.parts]
+
+    @property
+    def parts(self) -> dict[str, list[str]]:
+        """The parts with each kind of condition; those of "dirichlet" only if they are listed."""
+        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law)}
+        return self.boundary.model_dump(exclude_none=True) | laws
 
     @property
     def file_h(self) -> float | None:
@@ -208,7 +218,7 @@ class Case(_Section):
             InputError: If an expression cannot be read.
         """
         exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact)
+        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
 
     def check_dimension(self, dim: int) -> None:
         """Refuse coordinates that a mesh read from a file does not have.
@@ -222,7 +232,15 @@ class Case(_Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        self.boundary.check(list(shape.parts), self.geometry.name)
+        known = list(shape.parts)
+        for section, parts in self.parts.items():
+            for part in parts:
+                if part not in known:
+                    about = f"{self.geometry.name}; its parts are {', '.join(known)}"
+                    raise ValueError(f"{key_of(section)}: unknown part '{part}' of {about}")
+        left = [part for part in known if part not in [*self.boundary.listed(), *self.law_parts]]
+        if self.boundary.dirichlet is not None and left:
+            raise ValueError(f"[boundary] '{left[0]}' is in none of signorini, neumann and dirichlet")
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -231,12 +249,14 @@ class Case(_Section):
 
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
-        texts = [("problem", *entry) for entry in self.problem.texts()] + [("exact", "u", self.exact.u or "0")]
-        for section, name, text in texts:
+        texts = [(f"[problem] {name}", text) for name, text in self.problem.texts()]
+        texts += [("[exact] u", self.exact.u or "0")]
+        texts += [(f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
+        for place, text in texts:
             try:
                 parse_expression(text, x)
             except InputError as error:
-                raise ValueError(f"[{section}] {name}: {error}") from None
+                raise ValueError(f"{place}: {error}") from None
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy in which keys such as `solve.h` or `geometry.mesh` have new values.
@@ -247,13 +267,24 @@ class Case(_Section):
         tree = self.model_dump(exclude_unset=True)
         for key, value in values.items():
             *sections, last = key.split(".")
-            branch = tree
+            branch: Any = tree
             for section in sections:
-                branch = branch.setdefault(section, {})
-                if not isinstance(branch, dict):
-                    raise InputError(f"{key}: no such key in a case")
+                branch = _below(branch, section, key)
+            if not isinstance(branch, dict):
+                raise InputError(f"{key}: no such key in a case")
             branch[last] = value
         return _validated(type(self), tree, self.name, "case " + self.name)
+
+
+def _below(branch: Any, section: str, key: str) -> Any:
+    """A section of a part of a case, new if there is none; of a list, such as that of [[law]], by its number."""
+    if isinstance(branch, list):
+        if section not in map(str, range(len(branch))):
+            raise InputError(f"{key}: there is no number {section}, there are {len(branch)}, the first with number 0")
+        return branch[int(section)]
+    if not isinstance(branch, dict):
+        raise InputError(f"{key}: no such key in a case")
+    return branch.setdefault(section, {})
 
 
 def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:

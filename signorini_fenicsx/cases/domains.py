@@ -16,7 +16,7 @@ def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    domain = own_domain(comm, geometry.file or "", case.file_h, case.boundary.model_dump(exclude_none=True))
+    domain = own_domain(comm, geometry.file or "", case.file_h, case.parts)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 

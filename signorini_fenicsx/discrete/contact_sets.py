@@ -11,6 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 
@@ -45,6 +46,23 @@ class FacetSet:
         steps = steps[steps.sum(axis=1) <= 1]
         weights = np.column_stack([1 - steps.sum(axis=1), steps])
         return np.einsum("pc,fcx->fpx", weights, mesh.geometry.x[nodes]).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class FacetSegments:
+    """The segment of its law that each facet of Γ_S is on, from which another mesh can start.
+
+    Attributes:
+        spaces: Where they are.
+        segment: Number of its segment for each of `spaces.facets`.
+    """
+
+    spaces: Spaces
+    segment: Kinds
+
+    def function(self) -> fem.Function:
+        """The numbers in P0(Γ_S) (collective)."""
+        return self.spaces.multiplier(self.segment, "segment")
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

@@ -17,10 +17,13 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, several_laws, signorini_alone
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes, extent, total
-from signorini_fenicsx.discrete.problem import Given, Problem, Rows
+from signorini_fenicsx.discrete.given import Given, Rows, parsed
+from signorini_fenicsx.discrete.laws import Law, Signorini
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, cells_and_dofs
 from signorini_fenicsx.expressions import TREES, Tree, to_ufl
 
@@ -39,18 +42,20 @@ class Data:
         kappa: κ as given.
         u_D: Dirichlet data as given.
         g_N: Flux on Γ_N as given.
-        psi: Bound of the trace as given.
-        q_S: Bound of the flux as given.
+        psi: Bound of the trace as given, where no other law holds.
+        q_S: Bound of the flux as given, where no other law holds.
         f_h: P0 projection of f.
         kappa_h: P0 projection of κ, entry by entry; a constant scalar is itself.
         u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
             others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
         sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
             others.
-        psi_h: Mean of ψ per Γ_S facet of this rank.
-        q_Sh: Mean of q_S per Γ_S facet of this rank.
+        psi_h: Mean of ψ per Γ_S facet of this rank; u at the reference of another law.
+        q_Sh: Mean of q_S per Γ_S facet of this rank; κ∇u·n at the reference of another law.
+        laws: What holds on Γ_S.
         conductance: Mean of κ over L, so the σ·n that goes with p = 1.
-        total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if that is rounding.
+        total_load: ∫f + ∫g_N and the least that may leave through Γ_S, for Signorini's law ∫q_S; the same with the
+            largest, mostly ∞. Exactly 0 if that is rounding.
         exact: u itself, where it is known.
         trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
             regions has names such as "kappa.core".
@@ -68,17 +73,15 @@ class Data:
     sigma_lift: fem.Function
     psi_h: Array
     q_Sh: Array
+    laws: BoundaryLaws
     conductance: float
-    total_load: float
+    total_load: tuple[float, float]
     exact: Expr | None
     trees: Mapping[str, Tree | Rows]
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each cell of this rank."""
-        if is_constant(self.kappa_h):
-            return np.full(spaces.Q.dofmap.index_map.size_local, float(self.kappa_h))
-        shape = self.kappa_h.ufl_shape or (1, 1)
-        return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+        return _conductivities(self.kappa_h, spaces)
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
         """The least and the largest of u_D and ψ, of their means (collective)."""
@@ -124,17 +127,13 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     f_h.x.array[:] = f_means
     check_means("f", "in the domain", f_means, spaces)
 
-    psi_h = _facet_means(spaces, "psi", psi, spaces.facets, spaces.ds, "on Γ_S")
-    q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, spaces.ds, "on Γ_S")
+    kappa_h = _projected_conductivity(spaces, kappa)
+    laws, psi_h, q_Sh = _boundary_laws(spaces, problem, psi, q_S, kappa_h)
     dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
     neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
     near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
-    for name, value, facets, where in (
-        ("u_D", u_D, spaces.dirichlet_facets, "on Γ_D"),
-        ("psi", psi, spaces.facets, "on Γ_S"),
-    ):
-        if not is_constant(value):
-            check_nodes(spaces, name, value, facets, where)
+    if not is_constant(u_D):
+        check_nodes(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
     check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
     u_lift = fem.Function(fem.functionspace(spaces.mesh, ("CR", 1)), name="u_lift")
     for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
@@ -144,9 +143,11 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     sigma_lift.x.array[spaces.flux_dofs] = q_Sh * spaces.facet_measure / spaces.basis_flux
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
-    kappa_h = _projected_conductivity(spaces, kappa)
-    measures = cell_measures(spaces.Q)
-    loads = [measures * f_h.x.array, spaces.neumann_measure * neumann_means, spaces.facet_measure * q_Sh]  # no ghosts
+    loads = [cell_measures(spaces.Q) * f_h.x.array, spaces.neumann_measure * neumann_means]  # no ghosts
+    lowest, highest = (
+        total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
+        for flux in laws.chains.extent()[2:]
+    )
     return Data(
         f=f,
         kappa=kappa,
@@ -160,11 +161,68 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         sigma_lift=sigma_lift,
         psi_h=psi_h,
         q_Sh=q_Sh,
+        laws=laws,
         conductance=mean_conductivity(spaces, kappa_h) / spaces.length(),
-        total_load=total(np.concatenate(loads), spaces.mesh.comm),
+        total_load=(lowest, highest),
         exact=_exact(spaces, problem.exact),
         trees=_trees(problem),
     )
+
+
+def _boundary_laws(
+    spaces: Spaces, problem: Problem, psi: Expr, q_S: Expr, kappa_h: Expr
+) -> tuple[BoundaryLaws, Array, Array]:
+    """What holds on Γ_S, with u and κ∇u·n at the reference of each facet (collective)."""
+    listed = {part for law in problem.laws for part in law.parts}
+    plain = [part for part in spaces.part_names if part not in listed]
+    own = {"psi": psi, "q_S": q_S}
+    if not problem.laws:
+        means = [_facet_means(spaces, name, value, spaces.facets, spaces.ds, "on Γ_S") for name, value in own.items()]
+        if not is_constant(psi):
+            check_nodes(spaces, "psi", psi, spaces.facets, "on Γ_S")
+        return signorini_alone(spaces, own), means[0], means[1]
+    laws: list[tuple[str, Law, Mapping[str, Expr]]] = [("", Signorini(plain), own)] if plain else []
+    for i, law in enumerate(problem.laws):
+        name = f"law.{i}"
+        data = {key: _expression(spaces, f"{name}.{key}", given) for key, given in _read(law, name, spaces).items()}
+        laws.append((name, law, data))
+    topology = spaces.mesh.topology
+
+    def means_of(name: str, value: Expr, rows: Indices, weight: Expr | None) -> Array:
+        facets = spaces.facets[rows]
+        domain = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, np.sort(facets))
+        ds = ufl.Measure("ds", domain=spaces.mesh, subdomain_data=[(1, domain)])(1)
+        means = _facet_means(spaces, name.removeprefix("."), value, facets, ds, "on its parts")
+        if weight is None or is_constant(weight):
+            return means
+        weights = _facet_means(spaces, name, weight, facets, ds, "on its parts")
+        weighted = _facet_means(spaces, name, weight * value, facets, ds, "on its parts")
+        return np.divide(weighted, weights, out=means, where=weights > 0)
+
+    return several_laws(spaces, laws, _conductivities(kappa_h, spaces), means_of)
+
+
+def _read(law: Law, name: str, spaces: Spaces) -> dict[str, Any]:
+    """Its data with numbers and texts as trees.
+
+    Raises:
+        InputError: If a text cannot be read.
+    """
+    read = {}
+    for key, given in law.data().items():
+        try:
+            read[key] = parsed(given, spaces.mesh.geometry.dim)
+        except InputError as error:
+            raise InputError(f"[[law]] {name}.{key}: {error}") from None
+    return read
+
+
+def _conductivities(kappa_h: Expr, spaces: Spaces) -> Array:
+    """Mean eigenvalue of κ_h on each cell of this rank."""
+    if is_constant(kappa_h):
+        return np.full(spaces.Q.dofmap.index_map.size_local, float(kappa_h))
+    shape = kappa_h.ufl_shape or (1, 1)
+    return np.trace(kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
 
 def _exact(spaces: Spaces, given: Given | None) -> Expr | None:

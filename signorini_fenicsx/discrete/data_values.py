@@ -58,4 +58,4 @@ def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:
 def total(loads: Array, comm: MPI.Comm) -> float:
     """Their sum over all ranks, 0 if it is rounding (collective)."""
     total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
-    return total if abs(total) > ROUNDING * size else 0.0
+    return 0.0 if abs(total) <= ROUNDING * size < np.inf else total

@@ -32,6 +32,10 @@ class KKTResiduals:
     largest |u_D| or |ψ| for u if that is more; u can be constant only without loads and with constant u_D. All are 0 if
     S = 0. u, u_D and ψ are taken without the constant that u_D and ψ have in common.
 
+    Under another law p and σ·n are measured from its reference, and primal and dual are how far p is outside of what
+    any σ·n allows, and σ·n outside of what any p allows; the rest of the distance to the graph, in the maximum norm of
+    (k/L)p and σ·n, is the complementarity: on each facet the smallest distance to a segment.
+
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
     its primal and dual residuals and its complementarity refer to.
 
@@ -82,8 +86,7 @@ def kkt_residuals(
     trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     if penalty is not None:
         trace, flux = penalty.shift(trace, flux, eps)
-    low, inward = np.minimum(trace, 0), np.minimum(flux, 0)
-    smaller = np.minimum(np.abs(k * trace) / length, np.abs(flux))
+    low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
     return KKTResiduals(

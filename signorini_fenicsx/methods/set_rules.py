@@ -5,7 +5,14 @@ ROBIN: σ·n + βp = 0), and the repetition, which is `loop.iterate_sets`. p and
 site of Γ_S. Step numbers are those of the slides.
 
 After one step of Algorithms 1 and 2 one of p and σ·n is 0 on each site, so only signs matter and ρ changes no iterate.
+
+*Other laws.* The law of Signorini has one corner, ψ and q_S, and a rule says on which side of it a site goes on. A law
+with several corners is a chain of segments (see `discrete/chains.py`). The same rule is asked at each corner, with p
+and σ·n measured from there, and a site goes to the segment behind all corners that it has passed. The rules of
+Algorithms 1 and 2 look at w = ρp − σ·n, which grows along the chain, and differ where w is that of a corner.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty
 
 
 @dataclass(frozen=True)
@@ -21,7 +29,8 @@ class SetRule:
     """An active/inactive-set algorithm.
 
     Attributes:
-        start: Condition of all sites in the start solve (Step 1).
+        start: Condition of all sites in the start solve (Step 1). Under another law: if it is that of the sites in
+            contact the segment of the reference, otherwise the one behind it.
         rule: From p, σ·n and ρ to a `Condition` per site (Step 2).
         contact: Condition of the sites in contact.
         forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
@@ -30,22 +39,59 @@ class SetRule:
     """
 
     start: Condition
-    rule: Callable[[Array, Array, float], Kinds]
+    rule: Callable[[Array, Array, Array | float], Kinds]
     contact: Condition = Condition.ZERO_TRACE
     forgets_start: bool = False
     penalty: Penalty | None = None
     clip: Callable[[Kinds, Array], Mask] | None = None
 
-    def first(self, sites: int, eps: float) -> SiteConditions:
-        """Conditions of the start solve on this rank's sites (Step 1)."""
-        return SiteConditions.everywhere(self.start, sites, self._beta(eps))
+    def law(self, chains: Chains, eps: float) -> Chains:
+        """The law that the sites get in the end: with a penalty, that of the penalty."""
+        return chains.with_penalty(self.penalty, eps)
 
-    def following(self, p: Array, flux: Array, rho: float, eps: float) -> SiteConditions:
-        """What the rule makes of p and σ·n on this rank's sites (Step 2)."""
-        return SiteConditions(self.rule(p, flux, rho), self._beta(eps))
+    def first(self, law: Chains) -> Kinds:
+        """The segment of each site in the start solve (Step 1)."""
+        return law.beside_reference(steep=self.start == self.contact)
 
-    def _beta(self, eps: float) -> float:
-        return 1.0 if self.penalty is None else self.penalty.beta(eps)
+    def following(self, law: Chains, p: Array, flux: Array, rho: float | None, ties: Ties | None = None) -> Kinds:
+        """The segment of each site that the rule makes of p and σ·n (Step 2).
+
+        Args:
+            law: The law of each site.
+            p: Trace per site.
+            flux: σ·n per site.
+            rho: ρ, None for that of the law.
+            ties: What is rounding.
+        """
+        segment = np.zeros(len(p), dtype=np.int8)
+        for corner in range(law.corners):
+            trace, excess = p - law.p[:, corner], flux - law.flux[:, corner]
+            tied = np.zeros(len(p), dtype=bool) if ties is None else ties.at(trace, excess)
+            trace, excess = np.where(tied, 0.0, trace), np.where(tied, 0.0, excess)
+            passed = self.rule(trace, excess, rho or law.rho) != self.contact
+            if ties is not None and ties.segment is not None:
+                passed = np.where(tied, ties.segment > corner, passed)
+            segment += passed
+        return segment
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Where p and σ·n are both rounding beside a corner, a site stays on its side of it.
+
+    Attributes:
+        trace: What is rounding in p, per site.
+        flux: What is rounding in σ·n.
+        segment: The present segment of each site; None at the start, which is no decision: then a tie is p = σ·n = 0.
+    """
+
+    trace: Array
+    flux: Array
+    segment: Kinds | None
+
+    def at(self, trace: Array, flux: Array) -> Mask:
+        """Where these are ties."""
+        return (np.abs(trace) <= self.trace) & (np.abs(flux) <= self.flux)
 
 
 def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:
@@ -59,7 +105,7 @@ def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:
 #   Step 5     Repeat from Step 2 until the sets do.
 
 
-def rule_1(p: Array, flux: Array, rho: float) -> Kinds:
+def rule_1(p: Array, flux: Array, rho: Array | float) -> Kinds:
     """Step 2: active, and so NO_FLUX, is where σ·n − ρp < 0; ties are in contact."""
     return _either(flux - rho * p < 0, Condition.NO_FLUX, Condition.ZERO_TRACE)
 
@@ -74,7 +120,7 @@ ALGORITHM_1 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_1)
 #   Step 5     Repeat from Step 2 until the sets do.
 
 
-def rule_2(p: Array, flux: Array, rho: float) -> Kinds:
+def rule_2(p: Array, flux: Array, rho: Array | float) -> Kinds:
     """Step 2: active, and so ZERO_TRACE, is where p − ρσ·n < 0; ties are open."""
     return _either(p - rho * flux < 0, Condition.ZERO_TRACE, Condition.NO_FLUX)
 
@@ -89,7 +135,7 @@ ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2)
 #   Step 4  Repeat from Step 2 until the sets do.
 
 
-def rule_3(p: Array, flux: Array, rho: float) -> Kinds:
+def rule_3(p: Array, flux: Array, rho: Array | float) -> Kinds:
     """Step 2: active, and so NO_FLUX, is where p > 0; ties are penalised."""
     return _either(p > 0, Condition.NO_FLUX, Condition.ROBIN)
 
@@ -108,7 +154,7 @@ ALGORITHM_3 = SetRule(start=Condition.NO_FLUX, rule=rule_3, contact=Condition.RO
 #   Step 3  Repeat from Step 2 until the sets do.
 
 
-def rule_4(p: Array, flux: Array, rho: float) -> Kinds:
+def rule_4(p: Array, flux: Array, rho: Array | float) -> Kinds:
     """Step 2: active, and so ZERO_TRACE, is where σ·n > 0; ties are penalised."""
     return _either(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN)
 

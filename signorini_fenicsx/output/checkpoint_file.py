@@ -64,6 +64,7 @@ class GivenInPython(BaseModel):
         signorini: Parts of Γ_S.
         neumann: Parts of Γ_N.
         problem: The data that are numbers, texts or tables of them.
+        laws: The laws, as [[law]] has them.
         missing: The names of the others, which no file can hold.
         options: Those that are names and numbers; the algorithm is `options.OWN` if it is none in the registry.
     """
@@ -72,9 +73,10 @@ class GivenInPython(BaseModel):
 
     title: str
     domain: str
-    signorini: list[str] = Field(min_length=1)
+    signorini: list[str]
     neumann: list[str]
     problem: dict[str, Any]
+    laws: list[dict[str, Any]] = []
     missing: list[str]
     options: dict[str, Any]
 
@@ -143,6 +145,14 @@ class Checkpoint:
             return boundary_of(self.case)
         assert self.about.given is not None
         return Boundary(self.about.given.signorini, self.about.given.neumann)
+
+    @property
+    def parts(self) -> list[str]:
+        """The parts of Γ_S: those of the boundary, then those of the laws."""
+        if self.case is not None:
+            return [*self.case.boundary.signorini, *self.case.law_parts]
+        assert self.about.given is not None
+        return [*self.about.given.signorini, *(part for law in self.about.given.laws for part in law["parts"])]
 
     @property
     def title(self) -> str:
@@ -270,14 +280,14 @@ def _check_mesh(found: Checkpoint) -> None:
         known = list(about.parts) == list(SHAPES[found.shape].parts)
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
-    if about.part_names != list(found.boundary.signorini):
+    if about.part_names != found.parts:
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     facets = [arrays[f"part_{index}"] for index in range(len(about.parts))]
     kinds = [(SIMPLICES[dim], arrays["cells"]), *((SIMPLICES[dim - 1], rows) for rows in facets)]
     groups = [(name, dim - 1, [(k, np.arange(len(facets[k - 1])))]) for k, name in enumerate(about.parts, 1)]
     try:
         mesh = checked(Contents(arrays["points"], kinds, groups))
-        check_boundary(mesh, {key: list(names) for key, names in vars(found.boundary).items()})
+        check_boundary(mesh, {"signorini": found.parts, "neumann": found.boundary.neumann})
     except InputError as error:
         raise InputError(f"is damaged: its mesh: {error}") from None
     if len(mesh.points) != len(arrays["points"]):

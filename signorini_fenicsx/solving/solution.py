@@ -9,7 +9,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.contact_sets import FacetSegments, FacetSet, hausdorff
 from signorini_fenicsx.discrete.data import Data, quadrature
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.problem import Problem
@@ -122,8 +123,17 @@ class Solution:
         return FacetSet(spaces, gap <= EXACT_CONTACT * largest)
 
     def contact_set(self) -> FacetSet:
-        """The Γ_S facets in contact, by their final condition."""
+        """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
         return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
+
+    @property
+    def law(self) -> Chains:
+        """The law that each Γ_S facet has in the end: with a penalty, that of the penalty."""
+        return self.data.laws.chains.with_penalty(self.method.penalty, self.options.eps)
+
+    def segments(self) -> FacetSegments:
+        """The segment of its law that each Γ_S facet is on, by its final condition."""
+        return FacetSegments(self.spaces, self.law.segments(self.outcome.conditions))
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""

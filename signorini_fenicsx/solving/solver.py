@@ -11,6 +11,7 @@ from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -63,7 +64,7 @@ def solve(
     options, watch = options or Options(), watch or Stopwatch()
     method, comm = options.method, domain.mesh.comm
     with watch.phase("assembly"):
-        check_parts(domain, boundary)
+        check_parts(domain, Boundary(gamma_s(boundary, problem), boundary.neumann))
         spaces, data = _discretised(domain, boundary, problem)
         _check(options, spaces, data, start)
         # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
@@ -76,7 +77,7 @@ def solve(
             max_iterations=options.max_iterations or method.max_iterations,
             on_step=on_step,
             backend=options.make_backend,
-            start=None if start is None else start.contact_set(),
+            start=None if start is None else start.segments(),
             predict=options.predict,
             coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
             tuning=options.tuning,
@@ -137,25 +138,38 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
 
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    spaces = build_spaces(domain, gamma_s(boundary, problem), boundary.neumann)
     return spaces, project_data(spaces, problem)
+
+
+def gamma_s(boundary: Boundary, problem: Problem) -> list[str]:
+    """The parts of Γ_S: those that are listed, then those of the laws."""
+    return [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
     """Without Γ_D the total load decides (collective).
 
     The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
-    it is 0, u is a solution of the Neumann problem that any large constant may be added to.
+    it is 0, u is a solution of the Neumann problem that any large constant may be added to. It is the same with the
+    least flux that other laws allow in the place of q_S, and with the largest.
 
     Raises:
         InputError: If there is no solution, or more than one.
     """
-    if not spaces.has_dirichlet and data.total_load >= 0:
-        verdict = "there is no solution" if data.total_load > 0 else "u is not unique"
+    lowest, highest = data.total_load
+    if spaces.has_dirichlet or lowest < 0 < highest:
+        return
+    verdict = "u is not unique" if 0 in data.total_load else "there is no solution"
+    if data.laws.listed:
         raise InputError(
-            "no part of the boundary is left to u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
-            f"{data.total_load:.3g}: {verdict}; it must be negative, or part of the boundary in Γ_D"
+            "no part of the boundary is left to u = u_D, and ∫f + ∫g_N and what the laws let through is between "
+            f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or part of the boundary in Γ_D"
         )
+    raise InputError(
+        "no part of the boundary is left to u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+        f"{lowest:.3g}: {verdict}; it must be negative, or part of the boundary in Γ_D"
+    )
 
 
 def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None) -> None:
@@ -168,6 +182,13 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
     method = options.method
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    for part in data.laws.of_parts:
+        if part.name and method.laws is not None and not isinstance(part.law, method.laws):
+            takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
+            raise InputError(
+                f"{options.algorithm_name} does not take the law '{part.law.name}' of {part.name}, it takes {takes}; "
+                "alg1, alg2 and qp take every law"
+            )
     if start is None:
         return
     if not same_domain(spaces.domain, start.spaces.domain):
