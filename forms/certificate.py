@@ -25,8 +25,8 @@ def second_moment(centroid: Expr, x: Expr, kappa: Expr) -> Expr:
 def reconstruction(u: Expr, sigma: Expr, centroid: Expr, mean_moment: Expr, x: Expr, kappa: Expr) -> Expr:
     """The quadratic on each cell T with gradient κ_h⁻¹σ_h and mean u_h: exact where σ_h and u_h are.
 
-    As σ_h = σ_h(x_T) + (∇·σ_h/d)(x − x_T), it is, with m the second moment and M_T its mean over T, u_h +
-    κ_h⁻¹σ_h(x_T)·(x − x_T) + (∇·σ_h/2d)(m − M_T).
+    With m the second moment and M_T its mean over T, σ_h = σ_h(x_T) + (∇·σ_h/d)(x − x_T) gives the quadratic
+    u_h + κ_h⁻¹σ_h(x_T)·(x − x_T) + (∇·σ_h/2d)(m − M_T).
     """
     linear = dot(inv(kappa) * sigma, x - centroid)
     return u + linear - div(sigma) / (2 * len(x)) * (second_moment(centroid, x, kappa) + mean_moment)
@@ -38,5 +38,5 @@ def cut_off(cut: Expr, value: Expr) -> Expr:
 
 
 def flux_gap(v: Expr, y: Expr, kappa: Expr, q: Expr, measure: Measure) -> Form:
-    """‖κ∇v − y‖² in the energy norm, weighted by q: with the indicator of T what T contributes to 2 gap(v, y)."""
+    """‖κ∇v − y‖² in the energy norm, weighted by q; for q the indicator of T it is the share of T in 2 gap(v, y)."""
     return inner(grad(v) - inv(kappa) * y, kappa * grad(v) - y) * q * measure

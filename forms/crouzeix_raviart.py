@@ -12,15 +12,21 @@ Then, with x_T the centroid of cell T and d the dimension (Marini 1985, for κ =
     σ_h|_T = κ_h ∇u_CR − (f_h/d)(x − x_T),
     u_h|_T = mean over T of u_CR + (f_h/d²)(x − x_T)·κ_h⁻¹(x − x_T).
 
-Proof. ∇·σ_h = −f_h is (9b). σ_h·n is constant on facets, because (x − x_T)·n is. Take v the basis function of a facet
-e, mean 1 on e and 0 on the others. On each cell T at e, with f_h, κ_h constant, (κ_h ∇u_CR, ∇v)_T − (f_h, v)_T = (σ_h,
-∇v)_T + (f_h/d)(x − x_T, ∇v)_T − (f_h, v)_T, where the middle term vanishes, x − x_T having mean 0, and integration by
-parts of the first leaves ∫_e σ_h·n, as (∇·σ_h, v)_T cancels the last. So the equation says that the fluxes from both
-sides of an inner e agree, and that σ_h·n is g_h on Γ_N and where Γ_S is not in contact: σ_h is in V_h. For τ_h in V_h,
-(κ_h⁻¹σ_h, τ_h)_T = (∇u_CR, τ_h)_T − (f_h/d)(κ_h⁻¹(x − x_T), τ_h)_T. The first term is −(u_CR, ∇·τ_h)_T + ⟨u_CR,
-τ_h·n⟩_∂T, whose sum over T sees facet means only and is 0 inside Ω. In the second τ_h = τ_h(x_T) + (∇·τ_h/d)(x − x_T),
-and the constant part drops out: it is −(f_h/d²)((x − x_T)·κ_h⁻¹(x − x_T), ∇·τ_h)_T. Together (κ_h⁻¹σ_h, τ_h) + (u_h,
-∇·τ_h) = ⟨p_h, τ_h·n⟩ + ⟨u_D, τ_h·n⟩: (9a).
+Proof. (9b): ∇·σ_h = −f_h by definition.
+
+σ_h is in V_h: σ_h·n is constant on facets, because (x − x_T)·n is. Let v be the basis function of a facet e, with mean
+1 on e and 0 on all other facets. On each cell T at e, f_h and κ_h are constant and
+
+    (κ_h ∇u_CR, ∇v)_T − (f_h, v)_T = (σ_h, ∇v)_T + (f_h/d)(x − x_T, ∇v)_T − (f_h, v)_T.
+
+The middle term vanishes, because ∇v is constant and x − x_T has mean 0. Integration by parts turns the first term into
+∫_e σ_h·n − (∇·σ_h, v)_T, and its last part cancels −(f_h, v)_T. So the equation for v says: at an inner facet the
+fluxes of both cells agree; on Γ_N, and on Γ_S without contact, σ_h·n = g_h.
+
+(9a): for τ_h in V_h, (κ_h⁻¹σ_h, τ_h)_T = (∇u_CR, τ_h)_T − (f_h/d)(κ_h⁻¹(x − x_T), τ_h)_T. The first term is
+−(u_CR, ∇·τ_h)_T + ⟨u_CR, τ_h·n⟩_∂T; the sum of its boundary parts over all T has only facet means of u_CR, and inner
+facets cancel. In the second term τ_h = τ_h(x_T) + (∇·τ_h/d)(x − x_T), where the constant part gives 0, so it is
+−(f_h/d²)((x − x_T)·κ_h⁻¹(x − x_T), ∇·τ_h)_T. Together (κ_h⁻¹σ_h, τ_h) + (u_h, ∇·τ_h) = ⟨p_h, τ_h·n⟩ + ⟨u_D, τ_h·n⟩.
 """
 
 from ufl import Form, Measure, SpatialCoordinate, dot, grad, inner, inv

@@ -4,9 +4,9 @@ Strong form: σ = κ∇u, ∇·σ + f = 0 in Ω, u = u_D on Γ_D, σ·n = g_N on
 
     p ≥ ψ,   σ·n ≥ q_S,   (p − ψ)(σ·n − q_S) = 0.
 
-The slides have κ = 1, no Γ_N and all other data but f zero, and so have `mlm_1` and `mlm_2`. The terms that they are
-made of are what backends assemble. The Dirichlet data are natural: where u_D ≠ 0, the flux equation gets the trace term
-of u_D on Γ_D beside that of p. Flux data are essential.
+In the slides, and in `mlm_1` and `mlm_2`, κ = 1, there is no Γ_N, and all data except f are zero. Backends assemble the
+terms of these formulations. The Dirichlet data are natural: the flux equation gets the trace term of u_D on Γ_D in
+addition to that of p. Flux data are essential.
 """
 
 from typing import NamedTuple
@@ -26,9 +26,9 @@ class Fields(NamedTuple):
 
 
 def mlm_1(unknowns: Fields, tests: Fields, f: Expr, rho: float, n: Expr, dx: Measure, ds: Measure) -> list[Form]:
-    """(MLM-I)_h, the residuals of (9) for all τ, v, q; called by tests alone, as Algorithm 1 solves it by sets.
+    """(MLM-I)_h, the residuals of (9) for all τ, v, q; only tests call it, because Algorithm 1 works with sets.
 
-    (9c) is a variational inequality. As a projection, for any ρ > 0, it is the equation σ·n = max(0, σ·n − ρp).
+    (9c) is a variational inequality. For any ρ > 0 it is equivalent to the equation σ·n = max(0, σ·n − ρp).
     """
     (sigma, u, p), (tau, v, q) = unknowns, tests
     return [
@@ -39,9 +39,9 @@ def mlm_1(unknowns: Fields, tests: Fields, f: Expr, rho: float, n: Expr, dx: Mea
 
 
 def mlm_2(unknowns: Fields, tests: Fields, f: Expr, rho: float, n: Expr, dx: Measure, ds: Measure) -> list[Form]:
-    """(MLM-II)_h, the residuals of (10) for all τ, v, q; called by tests alone, as Algorithm 2 solves it by sets.
+    """(MLM-II)_h, the residuals of (10) for all τ, v, q; only tests call it, because Algorithm 2 works with sets.
 
-    (10c) is a variational inequality. As a projection, for any ρ > 0, it is the equation p = max(0, p − ρσ·n).
+    (10c) is a variational inequality. For any ρ > 0 it is equivalent to the equation p = max(0, p − ρσ·n).
     """
     (sigma, u, p), (tau, v, q) = unknowns, tests
     return [
@@ -62,7 +62,7 @@ def flux_product(sigma: Expr, tau: Expr, dx: Measure, kappa: Expr = ONE) -> Form
 
 
 def trace_term(p: Expr, tau: Expr, n: Expr, ds: Measure) -> Form:
-    """(p, τ·n): on Γ_S what (9a) takes from the flux equation, and the left side of (12)."""
+    """(p, τ·n): subtracted in (9a) on Γ_S, and the left side of (12)."""
     return p * dot(tau, n) * ds
 
 

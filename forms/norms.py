@@ -1,4 +1,4 @@
-"""Squares of the norms in which the theory measures errors; integrate, sum over ranks, take the root."""
+"""Squares of the norms in which the theory measures errors. To get a norm: integrate, sum over ranks, take the root."""
 
 from ufl import Form, Measure, div, inner
 from ufl.core.expr import Expr

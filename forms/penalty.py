@@ -4,8 +4,8 @@ Strong form: σ = ∇u, ∇·σ + f = 0 in Ω, u = 0 on Γ_D, and on Γ_S with p
 
     (MPε-I)   σ·n = [p]_-/ε,      (MPε-II)   p = [σ·n]_-/ε.
 
-Each law is also a complementarity condition without 1/ε, which is what Newton's method is given: the literal one stalls
-or converges falsely for small ε, because an error of p appears divided by ε.
+Each law is also a complementarity condition without 1/ε. Newton's method gets this one: with the law as it stands above
+Newton stalls or converges falsely for small ε, because errors of p are divided by ε.
 
     (MPε-I)   min(σ·n, p + εσ·n) = 0,      (MPε-II)   min(p, σ·n + εp) = 0.
 """
@@ -17,7 +17,7 @@ from signorini_fenicsx.forms.mixed import Fields, flux_equation, load, mass_bala
 
 
 def mp_eps_1(unknowns: Fields, tests: Fields, f: Expr, eps: Expr, n: Expr, dx: Measure, ds: Measure) -> list[Form]:
-    """(MPε-I)_h, the residuals of (25) for all τ, v, q, as it stands; called by tests alone."""
+    """(MPε-I)_h, the residuals of (25) for all τ, v, q, with 1/ε; only tests call it."""
     (sigma, u, p), (tau, v, q) = unknowns, tests
     return [
         flux_equation(sigma, u, tau, dx) - trace_term(p, tau, n, ds),  # (25a)
@@ -27,7 +27,7 @@ def mp_eps_1(unknowns: Fields, tests: Fields, f: Expr, eps: Expr, n: Expr, dx: M
 
 
 def mp_eps_2(unknowns: Fields, tests: Fields, f: Expr, eps: Expr, n: Expr, dx: Measure, ds: Measure) -> list[Form]:
-    """(MPε-II)_h, the residuals of (26) for all τ, v, as it stands; called by tests alone.
+    """(MPε-II)_h, the residuals of (26) for all τ, v, with 1/ε; only tests call it.
 
     The traces are not used: (26) has the unknowns σ and u alone.
     """

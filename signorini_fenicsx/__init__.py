@@ -8,10 +8,12 @@ A problem:
 
 Solving it:
 
-- `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms;
+- `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
+  values at points, fluxes through parts, `plot`, `write`;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
 - `compare` sets two solutions side by side;
-- `write_solution` writes what the command line writes, `load_solution` reads it again.
+- `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
+- `collect_garbage` is for programs on several ranks that solve often.
 
 How it is solved, and what one may replace:
 
@@ -58,6 +60,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "collect_garbage",
     "compare",
     "domain_of",
     "load_case",

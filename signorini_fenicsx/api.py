@@ -19,14 +19,23 @@ case file, UFL on the mesh, functions of a finite element space or of points, se
 >>> certify(solution).relative < 0.3
 True
 
-`adapt` refines where this bound says that the error is. It wants a function that solves on a mesh of the domain:
+A solution can be asked for values at points and for fluxes, shows itself in a notebook and writes the files of the
+command line; its docstring says more:
+
+>>> solution.at([[0.5, 0.25]]).sigma.shape, round(solution.flux_through("bottom"), 3)
+((1, 2), 0.706)
+
+`adapt` refines where this bound says that the error is. It wants a function that solves on a mesh of the domain, so
+data in UFL are written on that mesh:
 
 >>> def solve_on(domain, start):
-...     return solve(domain, boundary, Problem(f="40*(x - 0.6)", psi="0.1*x - 0.05"), start=start)
+...     x = ufl.SpatialCoordinate(domain.mesh)
+...     return solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), psi=0.1 * x[0] - 0.05), start=start)
 >>> finer, certificate = adapt(domain, solve_on, max_cells=500)
 
-`write_solution` writes the files of the command line, `load_solution` reads them again, `compare` sets two solutions
-side by side, and `solve_case(load_case("example1"))` solves a case file.
+`load_solution` reads a solution that was written, `compare` sets two of them side by side, and
+`solve_case(load_case("example1"))` solves a case file. On several ranks Python's garbage collector should be off, see
+`collect_garbage`; `solve` and the other functions here keep it off while they run.
 
 An algorithm of one's own is a start and a rule; here Algorithm 1, in words:
 
@@ -45,6 +54,7 @@ sites. With `FacetBackend` it needs a name, a size and a solve. A method of one'
 from signorini_fenicsx.backends.contract import Backend, Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
@@ -91,6 +101,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "collect_garbage",
     "compare",
     "domain_of",
     "load_case",

@@ -83,7 +83,7 @@ Physical Surface("boundary") = Abs(Boundary{ Volume{5}; }); Physical Volume("v")
     "volumes": 'SetFactory("Built-in");\n'
     + SQUARE
     + 'Extrude {0, 0, 1} { Surface{1}; } Surface Loop(99) = {1}; s() = Surface{:}; Physical Surface("all") = s();',
-    "pieces of expressions": "x = 1.5e-3 + .5 - 2. * (3 > 2 ? 1 : 0); y = Hypot(3, 4) + Max(1, Atan2(1, 2));\n"
+    "pieces of expressions": "x = 1.5e-3 + .5 - 2. * (3 > 2 ? 1 : 1e22); y = Hypot(3, 4) + Max(1, Atan2(1, 2));\n"
     "z = x^2 % 3; z += 1; z *= 2; z -= 1; z /= 3; z++; q = newreg;\n" + SQUARE,
 }
 
@@ -91,6 +91,8 @@ CALL = ' "touch hacked";'
 """What follows the name of a command."""
 
 HOSTILE = [
+    "Curve Loop(1) = {2147483648:n};",
+    "For i In {1:1e9} n = i; EndFor",
     "Point(1e308) = {0, 0, 0, 1};",  # Gmsh asks for all of the memory
     # commands, by their names and by names that are made
     *(

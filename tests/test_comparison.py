@@ -69,7 +69,7 @@ def test_solutions():
     together, alone = found
     assert vars(together.norms) == pytest.approx(vars(alone.norms), rel=1e-9)
     assert (together.jaccard, together.hausdorff) == pytest.approx((alone.jaccard, alone.hausdorff), rel=1e-10)
-    with pytest.raises(InputError, match="of one domain and contact boundary"):
+    with pytest.raises(InputError, match="the same domain and Γ_S"):
         compare(fine, solve_case(load_case("example1").with_values({"solve.h": 0.5}), MPI.COMM_SELF))
 
 

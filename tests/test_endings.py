@@ -1,6 +1,7 @@
 """Ends that are not the program's choice: signals, full disks, readers that go away."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -129,6 +130,35 @@ def test_a_reader_that_goes_away(tmp_path: Path):
         assert solve.stderr.read() == ""
     assert solve.returncode == 0
     assert (tmp_path / "x" / "summary.json").exists()
+
+
+FILLING = """
+import os
+from signorini_fenicsx.cli import main as cli
+from signorini_fenicsx.output import writing as output
+
+def fill(folder, sizes):
+    room = os.statvfs("disk")
+    with open("disk/others", "wb") as file:
+        file.write(bytes(room.f_bavail * room.f_frsize - 60000))
+
+output._check_room = fill
+cli.main()
+"""
+A_SMALL_DISK = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=1500k none disk && "$0" "$@"')
+
+
+@pytest.mark.parallel
+def test_a_disk_that_others_fill(tmp_path: Path):
+    """It is full when the fields are written, after there was room; one rank of two writes."""
+    (tmp_path / "filling.py").write_text(FILLING)
+    (tmp_path / "disk").mkdir()
+    if shutil.which("unshare") is None or run(tmp_path, *A_SMALL_DISK, "true", ranks=1).returncode != 0:
+        pytest.skip("the system lets nobody mount a disk")
+    command = ("mpirun", "-n", "2", sys.executable, "filling.py", "solve", "example1", "--h", "1/16", "-q")
+    done = run(tmp_path, *A_SMALL_DISK, *command, "--output", "disk/x", ranks=1)
+    assert done.returncode == 1, done.stderr
+    assert "cannot be written; free on the disk: 0 kB; the state is in" in done.stderr
 
 
 @pytest.mark.parametrize("checked", [True, False])

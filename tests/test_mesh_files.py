@@ -276,7 +276,7 @@ def test_all_ranks_refuse_together(folder: Path):
     ]:
         with pytest.raises(InputError, match=message):
             solve_case(case.with_values(values), COMM)
-    with pytest.raises(InputError, match="as fine as it is"):
+    with pytest.raises(InputError, match="has its own h"):
         case.with_values({"solve.h": 0.1})
 
 

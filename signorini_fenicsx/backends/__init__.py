@@ -1,1 +1,1 @@
-"""What solves one linear problem under given facet conditions; the contract is in `contract`."""
+"""Backends: each solves one linear problem under given conditions on sites. The contract is in `contract`."""

@@ -14,10 +14,10 @@ from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 
 
 class AuxiliarySpace:
-    """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 (2D) to 12 (3D) times fewer unknowns.
+    """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.
 
-    It knows the facet conditions, without which the iterations multiply: vertices of ZERO_TRACE facets and of Γ_D are
-    fixed, ROBIN facets add their lumped mass.
+    It has the facet conditions too, otherwise many more iterations are needed: vertices of ZERO_TRACE facets and of Γ_D
+    are fixed, ROBIN facets add their lumped mass.
     """
 
     def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
@@ -67,10 +67,10 @@ class AuxiliarySpace:
         pc.setMGInterpolation(1, self._interpolation)
 
     def _build_hierarchy(self, coarse: PETSc.KSP) -> None:
-        """GAMG keeps its first interpolations and only renews the operators.
+        """Build GAMG's interpolations once; later only its operators are renewed.
 
-        They come from the problem with all of Γ_S free: functions that vanish on Γ_S cannot correct what a later set
-        frees, whereas a fixed vertex costs nothing, since the operators know it.
+        The interpolations come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
+        errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
         """
         self._operator.impose(self._dirichlet, self._all, self._tied_down())
         coarse.setFromOptions()
@@ -78,7 +78,7 @@ class AuxiliarySpace:
         self._has_hierarchy = True
 
     def _tied_down(self) -> npt.NDArray[np.float64]:
-        """Without Γ_D a weak Robin condition, which makes the operator regular."""
+        """What makes the operator regular without Γ_D: a weak Robin condition on Γ_S."""
         spaces = self._spaces
         if spaces.has_dirichlet:
             return np.zeros(len(self._all))
@@ -94,10 +94,10 @@ class AuxiliarySpace:
 
 
 def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:
-    """The inclusion of P1 in the Crouzeix-Raviart functions: a facet's mean is that of its vertices (collective).
+    """The inclusion of P1 in the Crouzeix-Raviart functions: a facet has the mean of its vertices (collective).
 
-    `dolfinx.fem.petsc.interpolation_matrix` takes about as long as the assembly of both stiffness matrices, and stores
-    the vertex opposite to each facet with a 0.
+    `dolfinx.fem.petsc.interpolation_matrix` is not used: it takes about as long as the assembly of both stiffness
+    matrices, and stores a 0 for the vertex opposite to each facet.
 
     Args:
         vertices: P1.

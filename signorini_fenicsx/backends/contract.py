@@ -1,7 +1,7 @@
 """What the loop over the sets needs from a discretisation: one linear solve under given conditions on its sites.
 
-`Backend` is all that every backend gives; `facets.FacetBackend` has what those share whose sites are the facets of Γ_S,
-so that a new one is a name, a solver and a solve.
+`Backend` lists what every backend gives. `facets.FacetBackend` implements most of it for backends whose sites are the
+facets of Γ_S: a new one adds its name, its number of unknowns, `solver` and `solve`.
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ class Pairs:
     """The solution of one linear problem, as the rules see it.
 
     Attributes:
-        p: Trace above its bound, p − ψ, per site of this rank; under another law, from its reference.
-        flux: Flux above its bound, σ·n − q_S, per site of this rank; under another law, from its reference.
+        p: Trace above its bound, p − ψ, per owned site; for other laws, measured from its reference.
+        flux: Flux above its bound, σ·n − q_S, per owned site; for other laws, measured from its reference.
         linear_iterations: Iterations of the Krylov solver; 1 for a direct one.
     """
 
@@ -35,7 +35,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Iterate(Pairs):
-    """Solution of one linear mixed problem, its sites being facets. Functions have up-to-date ghost values.
+    """Solution of one linear mixed problem; its sites are facets. Functions have up-to-date ghost values.
 
     Attributes:
         sigma: Flux in RT0.
@@ -50,16 +50,16 @@ class Inexact(Protocol):
     """What an iterative backend gives beyond `Backend`: solves that stop as soon as the next sets are known."""
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
-        """Solve from the last solution, to the tolerance or until enough is said (collective).
+        """Solve from the last solution, to the tolerance or until `enough` returns True (collective).
 
-        `Backend.solve` under the same conditions goes on from there.
+        `Backend.solve` under the same conditions goes on from the result.
 
         Args:
             conditions: Conditions on the sites.
-            enough: Called on all ranks after each iteration with what would be `Pairs.p` and `Pairs.flux`.
+            enough: Called on all ranks after each iteration, with `Pairs.p` and `Pairs.flux` of the current iterate.
 
         Returns:
-            `Pairs.p` and `Pairs.flux` in the end.
+            `Pairs.p` and `Pairs.flux` of the last iterate.
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -69,26 +69,26 @@ class Inexact(Protocol):
     def solve_near(
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
-        """Exact solves near some sites that leave the last solution elsewhere as it is (collective).
+        """Prepare exact solves near some sites, which leave the last solution unchanged elsewhere (collective).
 
         Args:
-            sites: Tells which sites of this rank.
-            layers: Cells in each direction.
-            share: Part of all unknowns up to which such solves are worth it.
+            sites: Mask of these sites on this rank.
+            layers: How many layers of cells around them take part.
+            share: Such solves are worth their cost up to this share of all unknowns.
 
         Returns:
-            From conditions to `Pairs.p` and `Pairs.flux` (collective; raises LinearSolveFailure if a factorisation
-            fails); None if there would be more unknowns than that.
+            A function from conditions to `Pairs.p` and `Pairs.flux` (collective; raises LinearSolveFailure if a
+            factorisation fails); None if it would have more unknowns than `share` allows.
         """
         ...
 
 
 class Backend[I: Pairs](Protocol):
-    """A linear problem with conditions on sites, set up once. Sites are numbered per rank and owned; there may be none.
+    """A linear problem with conditions on sites, set up once. Each rank numbers the sites that it owns, possibly none.
 
     Attributes:
-        name: Of the discrete system, as results call it.
-        noun: What a site is, in the singular and in the plural.
+        name: Name of the discrete system in results.
+        noun: What a site is called, in the singular and in the plural.
         comm: Communicator.
         sites: Number of sites of this rank.
         chains: The law of each site.
@@ -104,14 +104,14 @@ class Backend[I: Pairs](Protocol):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Its early stops, if its linear solver iterates."""
+        """Its inexact solves; None if its linear solver does not iterate."""
         ...
 
     @property
     def precise(self) -> "Callable[[], Backend[I]] | None":
-        """Makes a backend for the same problem whose flux stays precise where κ jumps by many orders on bad cells.
+        """Makes a backend for the same problem with a precise flux even if κ jumps by many orders on bad cells.
 
-        None if that of this one does, or if such a one would cost too much.
+        None if the flux of this backend is as precise, or if such a backend would cost too much.
         """
         ...
 
@@ -129,11 +129,15 @@ class Backend[I: Pairs](Protocol):
         ...
 
     def without_flux(self, iterate: I, where: Mask) -> I:
-        """The iterate with σ·n = q_S on these sites, and p that belongs to it (collective); refused by some."""
+        """The iterate with σ·n = q_S on these sites, and the p that belongs to it (collective).
+
+        Raises:
+            InputError: If the backend cannot do this.
+        """
         ...
 
     def scales(self, iterate: I) -> tuple[Array, Array]:
-        """Sizes per site of the terms whose sums p and σ·n are: what is small beside them is rounding (collective)."""
+        """Per site, the size of the terms that add up to p and to σ·n; values far below are rounding (collective)."""
         ...
 
     def change(self, iterate: I, before: I) -> tuple[float, float]:
@@ -141,7 +145,7 @@ class Backend[I: Pairs](Protocol):
         ...
 
     def places(self) -> Array:
-        """A row per site that no other site has, the same bits on any number of ranks."""
+        """One row per owned site that identifies it: no two are equal, and the bits do not depend on the ranks."""
         ...
 
     def in_mixed_spaces(self, iterate: I, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
@@ -150,7 +154,7 @@ class Backend[I: Pairs](Protocol):
 
 
 class BackendFactory(Protocol):
-    """Makes a backend: a class of them, or a function (collective)."""
+    """Makes a backend: a class of backends, or a function (collective)."""
 
     def __call__(self, spaces: Spaces, data: Data) -> Backend[Iterate]:
         """Assemble.

@@ -1,4 +1,4 @@
-"""The facet system: one SPD problem with one unknown per facet, and the mixed solution recovered from it."""
+"""The facet system: one SPD problem with one unknown per facet, from which the mixed solution is recovered."""
 
 import numpy as np
 import numpy.typing as npt
@@ -29,10 +29,10 @@ class FacetSystem:
         space: Crouzeix-Raviart functions.
         matrix: The Crouzeix-Raviart matrix under the conditions last applied.
         b: Its right side.
-        x: Its solution, u_CR less the lift of u_D and ψ; the start of the next iterative solve.
+        x: Its solution, u_CR minus the lift of u_D and ψ; the start of the next iterative solve.
         trace_dofs: The unknown of each Γ_S facet.
         dofs: Unknowns over all ranks.
-        large: Whether iterative solvers are the default at this size.
+        large: Whether an iterative solver is the default at this size.
     """
 
     def __init__(self, spaces: Spaces, data: Data, tuning: Tuning):
@@ -41,7 +41,7 @@ class FacetSystem:
         Args:
             spaces: The discrete spaces.
             data: The data and their means over cells and facets.
-            tuning: For the size from which it is large.
+            tuning: Has the size from which it is large.
         """
         self.spaces, self._data = spaces, data
         self.space = data.u_lift.function_space
@@ -62,7 +62,7 @@ class FacetSystem:
         self._recovery = _Recovery(spaces, data)
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
-        """Make `matrix`, `b` and `x` those of these conditions and return the owned unknowns they fix (collective)."""
+        """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
         zero_trace, robin = conditions.kind == Condition.ZERO_TRACE, conditions.kind == Condition.ROBIN
         essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
         added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
@@ -90,7 +90,7 @@ class FacetSystem:
             vector.destroy()
 
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
-        """σ_h, u_h and p_h from the present `x`, a solution under these conditions (collective)."""
+        """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
         spaces = self.spaces
         sigma, u = self._recovery.fields(self.x)
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
@@ -101,7 +101,7 @@ class FacetSystem:
         return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
-        """What `recover` would give per Γ_S facet for this x, which need not be a solution (collective)."""
+        """Trace and flux per Γ_S facet as `recover` gives them, for an x that need not be a solution (collective)."""
         flux = self._recovery.normal_flux(x) - self._data.q_Sh
         return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.conductance)
 
@@ -123,7 +123,7 @@ class _Recovery:
         self._measures = cell_measures(spaces.Q)
 
     def fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
-        """σ_h and u_h; on a facet between two cells the flux of the last one, equal up to the linear residual."""
+        """σ_h and u_h. A facet between two cells gets the flux of one of them; both agree up to the linear residual."""
         self._set(x)
         sigma, u = fem.Function(self._spaces.V, name="sigma"), fem.Function(self._spaces.Q, name="u")
         sigma.interpolate(self._flux)

@@ -1,4 +1,4 @@
-"""What the backends share whose sites are the facets of Γ_S."""
+"""What the backends have in common whose sites are the facets of Γ_S."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -38,7 +38,7 @@ class FieldChange:
 
 
 class FacetBackend(ABC):
-    """A `Backend` for RT0/P0 with a condition per facet of Γ_S. What is left is its `solve`, its name and its size."""
+    """A `Backend` for RT0/P0 with a condition per facet of Γ_S; subclasses add `name`, `dofs`, `solver` and `solve`."""
 
     name: str
     noun = ("facet", "facets")
@@ -46,7 +46,7 @@ class FacetBackend(ABC):
     precise: Callable[[], Backend[Iterate]] | None = None
 
     def __init__(self, spaces: Spaces, data: Data):
-        """Take note of the problem.
+        """Keep the problem.
 
         Args:
             spaces: The discrete spaces.
@@ -59,7 +59,7 @@ class FacetBackend(ABC):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Its early stops, if it has some."""
+        """Its inexact solves; None here."""
         return None
 
     @abstractmethod
@@ -76,10 +76,10 @@ class FacetBackend(ABC):
         return FieldChange(self.spaces)
 
     def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
-        """σ·n := q_S on some facets, and the trace that belongs to it (37) (collective).
+        """The iterate with σ·n = q_S on some facets, and the trace that belongs to it by (37) (collective).
 
-        A flux that changes by δσ moves p on every Γ_S facet of its cell, by (κ_h⁻¹δσ, τ_h) of that facet's basis
-        function τ_h.
+        If the flux changes by δσ on a facet, p changes on every Γ_S facet of the same cell: by (κ_h⁻¹δσ, τ_h), where
+        τ_h is the basis function of that Γ_S facet.
         """
         spaces = self.spaces
         change, moved_by = self._trace_of_flux
@@ -101,10 +101,10 @@ class FacetBackend(ABC):
     def scales(self, iterate: Iterate) -> tuple[Array, Array]:
         """Sizes of p and σ·n per facet (collective).
 
-        The scale of p is the largest |u| in Ω or |p| on Γ_S, that of σ·n the largest flux, per |e|, through any facet
-        of a cell behind Γ_S: the terms whose sums p and σ·n are. Where κ jumps, rounding is the same in the energy, so
-        that the scale of p is also at most the largest √κ|u| or √κ|p| over √κ of the facet's cell, that of σ·n the
-        largest flux/√κ times that.
+        These are the sizes of the terms that add up to p and to σ·n. For p it is the largest |u| in Ω or |p| on Γ_S.
+        For σ·n it is the largest flux, per |e|, through any facet of a cell behind Γ_S. Where κ jumps, rounding has the
+        same size everywhere in the energy. So the scale of p is also at most the largest √κ|u| or √κ|p|, divided by √κ
+        of the facet's cell, and that of σ·n at most the largest flux/√κ, times this √κ.
         """
         spaces = self.spaces
         roots = np.sqrt(self.data.conductivities(spaces))
@@ -118,12 +118,12 @@ class FacetBackend(ABC):
         return np.minimum(largest[0], largest[1] / root), np.minimum(largest[2], largest[3] * root)
 
     def places(self) -> Array:
-        """The sum of each facet's vertices."""
+        """The sum of each facet's vertices, shape (facets, 3)."""
         gamma, dofmap = self.spaces.Lambda.mesh, self.spaces.Lambda.dofmap.list[:, 0]
         corners = np.empty((len(dofmap), gamma.geometry.dofmaps[0].shape[1], 3))
         corners[dofmap] = gamma.geometry.x[gamma.geometry.dofmaps[0]]
         return np.sort(corners, axis=1).sum(axis=1)[: self.sites]  # sorted: the same bits on any rank
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """Both are there."""
+        """Both unchanged: they are in the mixed spaces already."""
         return iterate, conditions

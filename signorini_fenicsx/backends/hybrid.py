@@ -23,8 +23,9 @@ from signorini_fenicsx.discrete.spaces import Spaces
 class HybridBackend(FacetBackend):
     """The facet system with its linear solver, set up once.
 
-    Small systems go to MUMPS (Cholesky), larger ones to CG with auxiliary-space multigrid; PETSc options override
-    either. A factorised system is as precise as the saddle point but for κ∇u where κ is large and cells are bad.
+    Small systems are solved by MUMPS (Cholesky), larger ones by CG with auxiliary-space multigrid; PETSc options
+    override both. With a factorisation the results are as precise as those of the saddle point, except κ∇u where κ is
+    large and cells are badly shaped.
     """
 
     name = "hybrid"
@@ -43,9 +44,9 @@ class HybridBackend(FacetBackend):
         Args:
             spaces: The discrete spaces.
             data: The data and their means over cells and facets.
-            tuning: For the size from which multigrid is the default.
+            tuning: Has the size from which multigrid is the default.
             multigrid: Whether multigrid is the default at any size.
-            prefix: Of its PETSc options.
+            prefix: Prefix of its PETSc options.
 
         Raises:
             InputError: If PETSc refuses an option.
@@ -66,7 +67,7 @@ class HybridBackend(FacetBackend):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Itself, if its linear solver iterates."""
+        """The backend itself if its linear solver iterates, otherwise None."""
         return None if self._ksp.getType() == "preonly" else self
 
     def solver(self) -> str:
@@ -110,7 +111,10 @@ class HybridBackend(FacetBackend):
         return None if patch.size > share * self.dofs else solve_on_patch
 
     def _solve(self, conditions: SiteConditions) -> None:
-        """Apply the conditions and solve, unless that is done; go on if the last solve under them stopped early."""
+        """Apply the conditions and solve.
+
+        Nothing is done if the last solve under the same conditions converged; one that stopped early goes on.
+        """
         if conditions.same(self._applied, self.comm):
             reason = self._ksp.getConvergedReason()
             if reason > 0 and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
@@ -125,7 +129,7 @@ class HybridBackend(FacetBackend):
         self._iterations += self._ksp.getIterationNumber()
 
     def _set_up_solver(self, *, multigrid: bool) -> AuxiliarySpace | None:
-        """Defaults by size, then the user's options; the coarse space, if multigrid is what came out."""
+        """Set defaults by size, then the user's options; return the coarse space if the result is multigrid."""
         ksp, pc = self._ksp, self._ksp.getPC()
         if multigrid:
             ksp.setType("cg")
@@ -142,19 +146,21 @@ class HybridBackend(FacetBackend):
 
 
 class _EarlyStop:
-    """What PETSc asks before its own test of convergence; no part of the backend, which PETSc would keep alive.
+    """A test that PETSc calls before its own test of convergence.
+
+    It holds no reference to the backend, because PETSc would keep the backend alive.
 
     Attributes:
-        asks: Whether an iterate is good enough, if anybody wants to know.
+        asks: Returns whether an iterate is good enough; None while there is no such test.
     """
 
     asks: Callable[[PETSc.Vec], bool] | None = None
 
     def __call__(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
-        """Stop, or leave it to PETSc (collective)."""
+        """Stop, or leave the decision to PETSc (collective)."""
         stop = False
         if self.asks is not None and iteration > 0:
             x = ksp.buildSolution()
             stop = self.asks(x)
-            x.destroy()  # this reference; by PETSc's queue for several ranks it would keep the solver alive
+            x.destroy()  # only this reference; waiting for garbage collection, it would keep the solver alive
         return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING

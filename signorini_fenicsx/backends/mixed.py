@@ -18,16 +18,16 @@ from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, tra
 
 
 class MixedBackend(FacetBackend):
-    """The mixed method as it is written: unknowns σ_h and u_h, then p_h from the identity (12).
+    """The mixed method as the slides state it: unknowns σ_h and u_h, then p_h from the identity (12).
 
         (κ_h⁻¹σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,      (∇·σ, v) − ε(u, v) = −(f_h, v) − ε(u_before, v).
 
-    ε = 0 is the mixed method. ε > 0 is Slimane's stabilisation of it for u_before = 0, and a step of the proximal
-    iteration u = u_before + (1/ε)(∇·σ + f_h) otherwise.
+    ε = 0 is the mixed method. ε > 0 with u_before = 0 is Slimane's stabilisation of it. ε > 0 with another u_before is
+    a step of the proximal iteration u = u_before + (1/ε)(∇·σ + f_h).
 
-    The matrix is assembled once; what is solved for is σ − σ_lift and u. A NO_FLUX facet is an essential condition on
-    its flux degree of freedom, a ZERO_TRACE facet a natural one, a ROBIN facet adds to the diagonal: a step changes
-    rows and columns of facets only and the sparsity pattern, with its symbolic factorisation, stays.
+    The matrix is assembled once; the unknowns are σ − σ_lift and u. A NO_FLUX facet is an essential condition on its
+    flux degree of freedom, a ZERO_TRACE facet is a natural one, and a ROBIN facet adds to the diagonal. So a step
+    changes only rows and columns of facets, and the sparsity pattern with its symbolic factorisation stays.
 
     Attributes:
         before: u_before.
@@ -73,13 +73,13 @@ class MixedBackend(FacetBackend):
         return self.respond(conditions, flux=values, trace=values)
 
     def respond(self, conditions: SiteConditions, *, flux: Array, trace: Array, loaded: bool = True) -> Iterate:
-        """Solve with these values of σ·n on NO_FLUX and of p on ZERO_TRACE facets (collective).
+        """Solve with given values of σ·n on NO_FLUX facets and of p on ZERO_TRACE facets (collective).
 
         Args:
             conditions: Facet conditions, whose own values are those of ROBIN facets only.
             flux: σ·n − q_S per facet.
             trace: p − ψ per facet.
-            loaded: Whether with the data and u_before, or with 0 instead of all of them.
+            loaded: If False, all data and u_before are replaced by 0.
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -121,7 +121,7 @@ class MixedBackend(FacetBackend):
         )
 
     def _impose(self, conditions: SiteConditions) -> None:
-        """Change the matrix, unless it is that of these conditions (collective)."""
+        """Make the matrix that of these conditions (collective)."""
         if conditions.same(self._imposed, self.comm):
             return
         spaces = self.spaces

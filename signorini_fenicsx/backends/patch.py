@@ -1,4 +1,4 @@
-"""A small exact solve inside a large system: near a few unknowns, while all others stay as they are."""
+"""A small exact solve inside a large system: near a few unknowns, while all others stay unchanged."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,21 +8,22 @@ from signorini_fenicsx.backends.petsc import LinearSolver, set_direct
 
 
 class Patch:
-    """The unknowns within some layers of given ones: a step of restricted additive Schwarz.
+    """The unknowns within some layers around given ones. A solve is one step of restricted additive Schwarz.
 
-    Each rank has its own patch, around its own unknowns; it reaches over to other ranks, but changes only what it owns.
+    Each rank has a patch around its own unknowns. The patch may contain unknowns of other ranks, but the rank changes
+    only those that it owns.
 
     Attributes:
-        size: Unknowns of all patches.
+        size: Unknowns of all patches, over all ranks.
     """
 
     def __init__(self, matrix: PETSc.Mat, around: npt.NDArray[np.int32], layers: int):
         """Find the unknowns (collective).
 
         Args:
-            matrix: Has the system's sparsity pattern.
-            around: Owned unknowns.
-            layers: Cells in each direction.
+            matrix: A matrix with the system's sparsity pattern.
+            around: Owned unknowns in the middle of the patch.
+            layers: How many layers of cells around them belong to the patch.
         """
         first, end = matrix.getOwnershipRange()
         self._unknowns = PETSc.IS().createGeneral(first + around, comm=PETSc.COMM_SELF)

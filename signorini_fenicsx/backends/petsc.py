@@ -1,8 +1,9 @@
-"""PETSc's solvers with the program's defaults, the user's options, and failures that are told.
+"""PETSc's solvers with the program's defaults and the user's options; failures are raised.
 
-An option is taken by every solver of the program; one with a prefix by some, and there it wins: `facet_` by the facet
-system, `mixed_` by the saddle point, `coarse_` by the facet systems of coarser meshes, `primal_` by conforming P1,
-`vi_` by SNESVI, `newton_` by SNES. What is put into PETSc's database for a solver is taken out again.
+An option without prefix reaches every solver of the program. An option with a prefix reaches only some, where it
+overrides the one without: `facet_` the facet system, `mixed_` the saddle point, `coarse_` the facet systems of coarser
+meshes, `primal_` conforming P1, `vi_` SNESVI, `newton_` SNES. Entries that are put into PETSc's database for a solver
+are removed again.
 """
 
 import contextlib
@@ -14,7 +15,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 
 MUMPS_WORKSPACE = {"mat_mumps_icntl_14": "100"}
-"""MUMPS gets twice the workspace that it estimates, which on several ranks and small meshes is sometimes too little."""
+"""MUMPS gets twice the workspace that it estimates: on several ranks and small meshes the estimate can be too small."""
 OPTION_ERRORS = (56, 62, 63, 83, 86, 92)
 """PETSc's codes for: not supported, wrong value, out of range, unusable, unknown type, no such factorisation."""
 
@@ -25,14 +26,14 @@ class LinearSolveFailure(NumericalFailure):
 
 @contextlib.contextmanager
 def options_of(prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> Iterator[None]:
-    """While a solver is set up or runs: the user's options with this prefix as if they had none.
+    """While a solver is set up or runs, give it the user's options with this prefix as options without prefix.
 
-    PETSc reads some options only when it factors or builds a hierarchy, so that a solver's own prefix would hide
-    options without one from it.
+    PETSc's own prefixes are not used: a solver with such a prefix does not see options without it, and some options are
+    read only when PETSc factors or builds a hierarchy.
 
     Args:
         prefix: Such as "facet_"; empty for none.
-        defaults: Options that there is no call for, taken where the user has none.
+        defaults: Options that no call can set; the user's values override them.
     """
     options = PETSc.Options()
     given = options.getAll()
@@ -41,7 +42,7 @@ def options_of(prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> It
     for name, value in put.items():
         options.setValue(name, value or None)
         for used in (name, prefix + name):
-            options.hasName(used)  # or PETSc complains at its end where nobody has asked for it
+            options.hasName(used)  # mark as used; PETSc warns of unused options at its end
     try:
         yield
     finally:
@@ -53,9 +54,10 @@ def options_of(prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> It
 
 
 class LinearSolver:
-    """A KSP that takes the options of its prefix.
+    """A KSP that takes the options with its prefix.
 
     Attributes:
+        prefix: Prefix of its options.
         ksp: The solver.
     """
 
@@ -63,8 +65,8 @@ class LinearSolver:
         """Create it, without a type (collective).
 
         Args:
-            matrix: Its operator; None if that comes later.
-            prefix: Of its options.
+            matrix: Its operator; None if it is set later.
+            prefix: Prefix of its options.
             comm: Communicator, if there is no matrix.
         """
         self.prefix = prefix
@@ -81,14 +83,14 @@ class LinearSolver:
         take_options(self.ksp, self.prefix)
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve and make sure of it (collective).
+        """Solve, and raise if the solver failed (collective).
 
         Args:
             b: Right side.
             x: Solution, and the start if the solver takes one.
 
         Raises:
-            InputError: If PETSc does not know what its options ask for.
+            InputError: If PETSc cannot do what the user's options ask for.
             LinearSolveFailure: If the solver does not converge or PETSc gives up.
         """
         try:
@@ -105,12 +107,12 @@ class LinearSolver:
             )
 
     def name(self) -> str:
-        """Krylov method, preconditioner and, if it factors, the package that does."""
+        """Krylov method, preconditioner and, if there is a factorisation, its package."""
         return solver_name(self.ksp)
 
 
 def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:
-    """Factor with MUMPS, "lu" or "cholesky", unless the user's options say otherwise."""
+    """Make a factorisation with MUMPS, "lu" or "cholesky", the default."""
     ksp.setType("preonly")
     ksp.getPC().setType(factorisation)
     ksp.getPC().setFactorSolverType("mumps")
@@ -133,7 +135,7 @@ def take_options(solver: PETSc.KSP | PETSc.SNES, prefix: str, defaults: Mapping[
 
     Args:
         solver: The solver.
-        prefix: Of its options.
+        prefix: Prefix of its options.
         defaults: See `options_of`.
 
     Raises:
@@ -147,7 +149,7 @@ def take_options(solver: PETSc.KSP | PETSc.SNES, prefix: str, defaults: Mapping[
 
 
 def solver_name(ksp: PETSc.KSP) -> str:
-    """Krylov method, preconditioner and, if it factors, the package that does."""
+    """Krylov method, preconditioner and, if there is a factorisation, its package."""
     pc = ksp.getPC()
     package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky") else None
     return "+".join(part for part in (ksp.getType(), pc.getType(), package) if part)
@@ -160,10 +162,10 @@ def petsc_reason(error: PETSc.Error) -> str:
 
 
 def refuse_options(error: RuntimeError) -> None:
-    """Say that an error, raised by PETSc or by DOLFINx for it, is one of the user's options, if it is one.
+    """Raise an error of PETSc, or of DOLFINx about PETSc, as bad input if the user's options caused it.
 
     Raises:
-        InputError: If PETSc does not know what its options ask for.
+        InputError: If PETSc cannot do what the user's options ask for.
     """
     told = re.search(r"PETSc error code is: (\d+), *(.*?)(\. |$)", str(error))
     code = int(told[1]) if told else getattr(error, "ierr", 0)

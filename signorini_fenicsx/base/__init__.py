@@ -1,1 +1,1 @@
-"""What every part may use: errors, MPI, signals, files that are not lost, sealed processes."""
+"""Tools for every part of the program: errors, MPI, signals, results folders, confined processes."""

@@ -1,13 +1,14 @@
-"""DOLFINx's compiler of forms, made to go on after a killed run and to say in a sentence what it lacks.
+"""DOLFINx's compiler of forms, extended: it survives killed runs, and tells failures in one sentence.
 
-In DOLFINx's cache a file `<form>.c` says that somebody compiles the form, `<form>.c.cached` that it is ready. A process
-that is killed in between leaves the first one, and all later runs wait for the second one in vain. Here each process
-that compiles holds a shared lock on a file of the cache, which the system lifts when the process dies, for all nodes
-that see the cache. A file that has not changed for a while is taken for left behind, and removed, only while nobody
-holds that lock; the while is for programs that do not know of it, and for a compiler that has survived its parent.
+In DOLFINx's cache the file `<form>.c` means that some process compiles the form, and `<form>.c.cached` that the form is
+ready. A process that is killed in between leaves only the first file, and all later runs wait for the second one in
+vain. Here each process that compiles holds a shared lock on a file of the cache; the system releases the lock when the
+process dies, on all nodes that see the cache. A `<form>.c` is removed as left behind if nobody holds the lock and the
+file has not changed for some time. The waiting time is for programs that do not use the lock, and for a compiler that
+outlives its parent.
 
-DOLFINx looks for each form in its cache again, also for one that the process has, and lists the whole cache for that,
-which takes most of the time of a small solve. Here a process keeps what it has loaded.
+DOLFINx looks up each form in its cache again, even if the process has loaded it, and lists the whole cache to do so.
+This takes most of the time of a small solve. Here a process keeps the forms that it has loaded.
 """
 
 import contextlib
@@ -30,19 +31,19 @@ from signorini_fenicsx.base.parallel import on_root
 
 LOCK = "signorini.lock"
 QUIET = 30.0
-"""Seconds without a change after which a file is left behind, if nobody holds the lock."""
+"""Seconds without a change after which a file counts as left behind, if nobody holds the lock."""
 PATIENCE = 600.0
-"""Seconds to wait for somebody else's compiler."""
+"""Seconds to wait for the compiler of another process."""
 PAUSE = 0.1
 
 LOADED: dict[str, Any] = {}
-"""What this process has loaded or compiled, by signatures of forms and options."""
+"""The forms that this process has loaded or compiled, by signature of form and options."""
 
-_compile_here: Callable[..., Any] = dolfinx.jit.ffcx_jit.__wrapped__  # without its own broadcasts, which lose the error
+_compile_here: Callable[..., Any] = dolfinx.jit.ffcx_jit.__wrapped__  # without its own broadcasts, which lose errors
 
 
 def guard_compiler() -> None:
-    """Let all forms of this process pass through `compiled`; doing it again changes nothing."""
+    """Let DOLFINx compile all forms of this process by `compiled`; a second call changes nothing."""
     dolfinx.jit.ffcx_jit = compiled
 
 
@@ -52,11 +53,11 @@ def compiled(
     form_compiler_options: dict[str, Any] | None = None,
     jit_options: dict[str, Any] | None = None,
 ) -> Any:
-    """Stands for `dolfinx.jit.ffcx_jit`: rank 0 compiles what the cache does not hold, all load it (collective).
+    """Replaces `dolfinx.jit.ffcx_jit`: rank 0 compiles forms that are not in the cache, all ranks load (collective).
 
     Raises:
-        OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or somebody else's compiler
-            does not end.
+        OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
+            process does not end.
     """
     options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
@@ -77,7 +78,7 @@ def compiled(
 
 
 def clear_if_left(form: Path) -> bool:
-    """Remove the `<form>.c` of a dead process; returns whether it has gone.
+    """Remove the `<form>.c` of a dead process; return whether there is none now.
 
     Raises:
         OSError: If it cannot be removed.
@@ -90,14 +91,14 @@ def clear_if_left(form: Path) -> bool:
 
 
 def _kept(signature: str, work: Callable[[], Any]) -> Any:
-    """What this process has, or else what work gives; other processes may have other forms."""
+    """The form that this process keeps under this signature, or the result of `work`, which is then kept."""
     if signature not in LOADED:
         LOADED[signature] = work()
     return LOADED[signature]
 
 
 def _patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
-    """Load a form, or compile it if this is the process that may, waiting for others that do."""
+    """Load a form, or compile it if this process may; wait while another process compiles it."""
     until = time.monotonic() + PATIENCE
     while True:
         try:
@@ -119,7 +120,7 @@ def _patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
 
 
 def _await(form: Path, until: float) -> None:
-    """Return when a form that somebody compiles is ready, given up or left behind, or at the latest at a time."""
+    """Wait until a form that another process compiles is ready, given up or left behind, at most until a time."""
     while form.exists() and not _ready(form) and time.monotonic() < until and not clear_if_left(form):
         time.sleep(PAUSE)
 
@@ -129,7 +130,7 @@ def _ready(form: Path) -> bool:
 
 
 def _last_change(form: Path) -> float:
-    """Time of the last change of all files of a form; now if there is none any more."""
+    """Time of the last change of the files of a form; now if there are none."""
     times = []
     for path in form.parent.glob(f"{form.stem}.*"):
         with contextlib.suppress(FileNotFoundError):
@@ -139,14 +140,14 @@ def _last_change(form: Path) -> float:
 
 @contextlib.contextmanager
 def _lock(cache: Path, kind: int) -> Iterator[tuple[bool, float]]:
-    """Hold the lock of a cache; yields whether it is held, and the time by the clock that dates its files.
+    """Hold the lock of a cache. Yields whether it is held, and the present time by the clock of the cache's files.
 
-    A cache that cannot be written, or locked on its file system, is used without.
+    A cache that cannot be written, or whose file system has no locks, is used without the lock.
     """
     try:
         cache.mkdir(parents=True, exist_ok=True)
         file = os.open(cache / LOCK, os.O_CREAT | os.O_RDONLY, 0o666)
-    except OSError:  # DOLFINx says what is wrong, if it has to write
+    except OSError:  # if DOLFINx has to write, it raises a better error
         yield True, time.time()
         return
     try:

@@ -1,9 +1,9 @@
-"""A Python module in a process that can do little: for files by unknown people, and for libraries that they can crash.
+"""Runs a Python module in a confined process, for files by unknown people, which may also crash the libraries.
 
-The process has limits of time, memory and file size and an empty environment and working folder, and it dies with its
-parent. Before it reads what it does not trust it gives up, on Linux with x86-64 or ARM, to start programs, to open
-sockets or files for writing, to change, move or delete files, and to signal or trace other processes (`seal`); what it
-has to say goes into a file that its parent opened. On other systems the limits hold, and the rest does not.
+The process has limits of time, memory and file size, an empty environment and an empty working folder, and it dies with
+its parent. Before it reads an untrusted file it gives up rights (`seal`, on Linux with x86-64 or ARM): to start
+programs, to open sockets, to open files for writing, to change, move or delete files, and to signal or trace other
+processes. Its result goes into a file that the parent has opened. On other systems only the limits hold.
 """
 
 import contextlib
@@ -24,14 +24,14 @@ from typing import BinaryIO
 from signorini_fenicsx.base.errors import InputError
 
 SECONDS = 600
-"""Of wall time, and of CPU time."""
+"""Limit of wall time, and of CPU time."""
 LARGEST_RESULT = 2**34
-"""Bytes of any file that is written."""
+"""Limit of the bytes of any file that is written."""
 LEAST_MEMORY = 2**31
-"""Bytes that the process may have even where less is free."""
+"""Bytes of memory that the process may use even if less is free."""
 SLOW = f"takes more than {SECONDS} s to read or to mesh, the limit for one file"
 KEPT = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
-"""Of the environment, what libraries are found by."""
+"""Variables of the environment by which libraries are found."""
 LAST_WORDS = 4096
 
 
@@ -39,12 +39,12 @@ def run(module: str, arguments: list[str], result: BinaryIO) -> None:
     """Run `main(arguments, result)` of a module, confined, and wait for it.
 
     Args:
-        module: Its name.
-        arguments: Paths among them have to be absolute.
-        result: An open file, where `main` writes what it has found.
+        module: Name of the module.
+        arguments: Arguments of `main`; paths among them have to be absolute.
+        result: An open file, into which `main` writes its result.
 
     Raises:
-        InputError: If it raises one or OSError, crashes, or runs into a limit.
+        InputError: If `main` raises InputError or OSError, crashes, or exceeds a limit.
     """
     with tempfile.TemporaryDirectory(prefix="signorini-") as folder, tempfile.TemporaryFile() as said:
         number = result.fileno()
@@ -73,7 +73,7 @@ def run(module: str, arguments: list[str], result: BinaryIO) -> None:
 
 
 def _environment(folder: str) -> dict[str, str]:
-    """The libraries of this process, its own folder for everything else, one thread, and no plug-ins of HDF5."""
+    """The environment: the library paths of this process, `folder` for all files, one thread, no plug-ins of HDF5."""
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
     own = {"PYTHONPATH": paths, "HOME": folder, "TMPDIR": folder, "LC_ALL": "C.UTF-8", "HDF5_PLUGIN_PRELOAD": "::"}
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -81,11 +81,13 @@ def _environment(folder: str) -> dict[str, str]:
 
 
 def _reason(status: int, words: str) -> str:
-    """Why it ended, in one sentence."""
+    """Why the process ended, in one sentence."""
     if status == -signal.SIGXCPU:
         return SLOW
     if any(sign in words for sign in ("bad_alloc", "MemoryError", "Cannot allocate memory", "Unable to allocate")):
-        return f"needs more than the {_memory() / 2**30:.1f} GB of memory that are free to be read or meshed"
+        return f"needs more than the {_memory() / 2**30:.1f} GB of memory that it may have, half of what is free"
+    if status == -signal.SIGKILL:
+        return "was ended by the system while it was read or meshed, most often for want of memory"
     if "File too large" in words:
         return f"gives more than {LARGEST_RESULT >> 30} GB of data, the limit for one file"
     return words.splitlines()[-1] if status > 0 and words else f"makes its reader crash ({_name(-status)})"
@@ -98,16 +100,16 @@ def _name(number: int) -> str:
 
 
 def _memory() -> int:
-    """Bytes of memory that are free, or LEAST_MEMORY."""
+    """Half of the bytes of memory that are free, or LEAST_MEMORY: others need some as well."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
-                return max(1024 * int(line.split()[1]), LEAST_MEMORY)
+                return max(512 * int(line.split()[1]), LEAST_MEMORY)
     return LEAST_MEMORY
 
 
 def main(parent: int, result: int, module: str, arguments: list[str]) -> None:
-    """What the process does: set its limits before anything else, then import the module and run it."""
+    """The program of the process: set the limits first, then import the module and run it."""
     limit(parent)
     try:
         with os.fdopen(result, "wb") as file:
@@ -127,7 +129,7 @@ def limit(parent: int) -> None:
         parent: The parent's process number; if that has died already, so does this process.
     """
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS, resource.RLIMIT_FSIZE: LARGEST_RESULT}
-    if sys.platform == "linux":  # elsewhere, addresses that are only reserved count too
+    if sys.platform == "linux":  # on other systems, reserved addresses count as well
         limits[resource.RLIMIT_AS] = _memory()
         _prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     for kind, most in limits.items():
@@ -150,7 +152,7 @@ def _prctl(option: int, value: int) -> int:
 
 
 MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}
-"""Column in CALLS, what the kernel calls the machine, and its call seccomp."""
+"""Per machine: its column in CALLS, the kernel's number for it, and the number of the call seccomp."""
 
 CALLS = {  # name: number on x86-64 and on ARM, −1 for none
     **{"fork": (57, -1), "vfork": (58, -1), "execve": (59, 221), "execveat": (322, 281)},
@@ -187,18 +189,18 @@ CALLS = {  # name: number on x86-64 and on ARM, −1 for none
     **{"setuid": (105, 146), "setgid": (106, 144), "setreuid": (113, 145), "setregid": (114, 143)},
     **{"setresuid": (117, 147), "setresgid": (119, 149), "setgroups": (116, 159), "capset": (126, 91)},
 }
-"""Calls that are refused whatever they are given."""
+"""Calls that are refused with any arguments."""
 
 MISSING = {"clone3": (435, 435), "openat2": (437, 437)}
-"""Calls whose arguments cannot be looked at; they are said to be missing, and libraries then use the older ones."""
+"""Calls whose arguments the filter cannot read. They are reported as missing, so libraries use the older calls."""
 
 WRITING = 0o1 | 0o2 | 0o100 | 0o1000
 """Flags of open: O_WRONLY, O_RDWR, O_CREAT, O_TRUNC."""
 
-CHECKED = {  # name: numbers, which argument, and the bits that are refused in it
+CHECKED = {  # name: numbers, index of an argument, and the bits that are refused in it
     "open": ((2, -1), 1, WRITING),
     "openat": ((257, 56), 2, WRITING),
-    "prlimit64": ((302, 261), 2, 0xFFFFFFFF),  # to set limits; 0 is to ask for them
+    "prlimit64": ((302, 261), 2, 0xFFFFFFFF),  # refused to set limits; 0 only reads them
 }
 OWN = {"kill": (62, 129), "tgkill": (234, 131)}
 """Calls whose first argument has to be this process."""
@@ -207,7 +209,7 @@ NEW_THREAD = 0x10000
 
 
 def seal() -> None:
-    """Give up, for good, what reading a file does not need; without effect where the system does not know how."""
+    """Give up for good all rights that reading a file does not need; no effect on systems that cannot do this."""
     machine = MACHINES.get(platform.machine())
     if sys.platform != "linux" or machine is None:
         return
@@ -229,7 +231,7 @@ KILL, ALLOW, REFUSE, IS_MISSING = 0x80000000, 0x7FFF0000, 0x50000 | errno.EPERM,
 
 
 def _filter(column: int, architecture: int) -> bytes:
-    """Instructions for the kernel, each a code, jumps if true and if false, and a number."""
+    """Instructions for the kernel: each is a code, a jump if true, a jump if false, and a number."""
 
     def step(code: int, number: int, true: int = 0, false: int = 0) -> bytes:
         return struct.pack("=HBBI", code, true, false, number)
@@ -238,7 +240,7 @@ def _filter(column: int, architecture: int) -> bytes:
         return step(LOAD, 16 + 8 * index)  # its lower half
 
     def verdict(wanted: bytes, last: int = ALLOW) -> bytes:
-        """If the call just compared with is the one: refuse unless `wanted` jumps over that."""
+        """After a comparison of the call: if it is equal, refuse, unless `wanted` jumps over the refusal."""
         return wanted + step(RETURN, REFUSE) + step(RETURN, last)
 
     code = step(LOAD, 4) + step(EQUAL, architecture, 1) + step(RETURN, KILL) + step(LOAD, 0)

@@ -1,17 +1,17 @@
-"""The two ways a run can end badly, and the exit statuses they map to."""
+"""Errors of a run, and their exit statuses."""
 
 from typing import Any
 
 
 class InputError(Exception):
-    """The user asked for something that cannot be: one clear sentence, exit status 2, nothing written."""
+    """The user asked for something impossible: one clear sentence, exit status 2, nothing is written."""
 
 
 class NumericalFailure(Exception):
     """The computation ended without a solution that satisfies the Signorini conditions: exit status 1.
 
     Attributes:
-        solution: The last state reached, a `solving.solution.Solution` for inspection, or None if there is none.
+        solution: The last state as a `solving.solution.Solution`, for inspection; None if there is none.
     """
 
     def __init__(self, reason: str, solution: Any = None):
@@ -20,4 +20,4 @@ class NumericalFailure(Exception):
 
 
 class WriteFailure(Exception):
-    """A library could not write on this rank; the others may never stop waiting for it: exit status 1."""
+    """A library could not write on this rank, and the other ranks may wait for it forever: exit status 1."""

@@ -1,10 +1,10 @@
-"""How finished files come to their place, whenever the program is killed, while files of the user stay where they are.
+"""Moves finished files to their place, safely even if the program is killed, and without touching files of the user.
 
-A run into `x` works in `.x.partial` beside it: a lock, which dies with the process that holds it, and a folder that the
-files are written into. When all are there that folder is renamed, to `done` or `failed`. From then on the result is
-complete, and its files are moved one by one to `x` or `x.failed`; if that is cut short, whoever looks at `x` next goes
-on with it (`repair`). The list of the files is moved last: only what the list of an earlier run names is ever replaced
-or removed. All of this is for rank 0.
+A run with results in `x` works in the folder `.x.partial` beside it. There is a lock, which the system releases when
+the process dies, and a folder into which the files are written. When all files are there, this folder is renamed to
+`done` or `failed`. From then on the result is complete, and its files are moved one by one to `x` or `x.failed`. If the
+program is killed during this, the next program that looks at `x` goes on with it (`repair`). The list of the files is
+moved last; only files on the list of an earlier run are ever replaced or removed. All functions are for rank 0.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from signorini_fenicsx.base.errors import InputError
 MANIFEST = "files.json"
 """Lists the files in a results folder that the program wrote."""
 MARK = "summary.json"
-"""Marks a results folder of a version that wrote no list."""
+"""Identifies a results folder of an old version that wrote no list."""
 
 OWN = (
     *(MARK, "checkpoint.npz", "history.csv", "facets.csv", "solution.xdmf", "solution.h5"),
@@ -29,26 +29,26 @@ OWN = (
     *("u.png", "sigma.png", "signorini.png", "iterations.png", "certificate.png"),
     *("convergence.csv", "convergence.png", "adapt.csv", "adapt.png", "mesh.png"),
 )
-"""Names of what the program writes; in a folder without a list, what it wrote."""
+"""Names of files that the program writes; in a folder without a list, files with these names are the program's."""
 
 PARTIAL, LOCK, DONE, FAILED = ".partial", "lock", "done", "failed"
 
 
 def failed_place(target: Path) -> Path:
-    """Where the state of a failed run is kept."""
+    """The folder in which the state of a failed run is kept."""
     return target.with_name(target.name + ".failed")
 
 
 def area_of(target: Path) -> Path:
-    """Where runs into a target work."""
+    """The folder in which runs with this target work."""
     return target.with_name(f".{target.name}{PARTIAL}")
 
 
 def locked(area: Path, patience: float) -> int | None:
-    """Make an area, if there is none, and lock it; the lock, or None if somebody else keeps it.
+    """Make an area, if there is none, and lock it. Returns the lock, or None if another process keeps it.
 
     Raises:
-        OSError: If that cannot be done, say because the file system has no locks.
+        OSError: If this is not possible, for example because the file system has no locks.
     """
     until = time.monotonic() + patience
     while True:
@@ -56,7 +56,7 @@ def locked(area: Path, patience: float) -> int | None:
             area.mkdir()
         try:
             lock = os.open(area / LOCK, os.O_CREAT | os.O_RDWR, 0o666)
-        except FileNotFoundError:  # the one before has just removed the area
+        except FileNotFoundError:  # the process before has just removed the area
             continue
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -76,17 +76,17 @@ def locked(area: Path, patience: float) -> int | None:
 
 
 def release(area: Path, lock: int) -> None:
-    """Remove all of an area that is not complete, and let others in."""
+    """Remove everything in an area that is not complete, and release its lock."""
     tidy(area)
     if [entry.name for entry in area.iterdir()] == [LOCK]:
         (area / LOCK).unlink()
-        with contextlib.suppress(OSError):  # the next one is in already
+        with contextlib.suppress(OSError):  # another process is in it already
             area.rmdir()
     os.close(lock)
 
 
 def tidy(area: Path) -> None:
-    """Remove what killed runs have left in an area, complete results apart."""
+    """Remove what killed runs have left in an area, except complete results."""
     for entry in area.iterdir():
         if entry.name not in (LOCK, DONE, FAILED):
             delete(entry)
@@ -105,21 +105,21 @@ def commit(staging: Path, end: str, *, add: bool = False) -> None:
 
     Args:
         staging: A folder in the area of the target, which is locked.
-        end: Which of both.
-        add: Keep earlier results of other names.
+        end: `DONE` or `FAILED`.
+        add: Keep earlier results with other names.
     """
     area = staging.parent
     files = [path for path in staging.rglob("*") if path.is_file()]
     names = {path.relative_to(staging).as_posix() for path in files}
     _write_manifest(staging, names | (listed(_target(area)) if add else set()))
     for path in (*files, staging / MANIFEST):
-        _flush(path)  # some file systems tell only now that there was no room
+        _flush(path)  # some file systems report only now that the disk is full
     staging.rename(area / end)
     settle(area)
 
 
 def settle(area: Path) -> None:
-    """Put what is complete into its place."""
+    """Move complete results to their place."""
     target = _target(area)
     for end, place in ((DONE, target), (FAILED, failed_place(target))):
         ready = area / end
@@ -135,7 +135,7 @@ def settle(area: Path) -> None:
 
 
 def _exchange(ready: Path, place: Path) -> None:
-    """Replace the files of the run before; doing it again goes on where it ended."""
+    """Replace the files of the run before. If this was interrupted, a second call goes on from there."""
     new, old = listed(ready), listed(place)
     for name in sorted(new):
         if (ready / name).exists():
@@ -146,13 +146,13 @@ def _exchange(ready: Path, place: Path) -> None:
 
 
 def repair(folder: Path | str) -> None:
-    """Bring to its end what a killed run has left of a results folder, or of its failure."""
+    """Complete the results or the failure that a killed run has left for this folder."""
     place = Path(os.path.realpath(folder))
     if place == place.parent:
-        return  # the root folder, beside which there is nothing
+        return  # the root folder has nothing beside it
     for target in {place, place.with_name(place.name.removesuffix(".failed") or place.name)}:
         area = area_of(target)
-        with contextlib.suppress(OSError):  # somebody else's, which may only be read
+        with contextlib.suppress(OSError):  # a folder of another user, which may only be read
             if area.is_dir() and (lock := locked(area, patience=1.0 if _is_complete(area) else 0.0)) is not None:
                 try:
                     settle(area)
@@ -161,7 +161,7 @@ def repair(folder: Path | str) -> None:
 
 
 def clear(place: Path) -> None:
-    """Remove a results folder, but for files of the user in it.
+    """Remove a results folder, but keep files of the user in it.
 
     Raises:
         InputError: If its list is damaged.
@@ -171,7 +171,7 @@ def clear(place: Path) -> None:
         return
     _remove(place, names)
     if any(entry.name != MANIFEST for entry in place.iterdir()):
-        _write_manifest(place, set())  # so that it is still known as a results folder
+        _write_manifest(place, set())  # so it is still recognised as a results folder
     else:
         (place / MANIFEST).unlink(missing_ok=True)
         place.rmdir()
@@ -197,10 +197,10 @@ def listed(place: Path) -> set[str]:
 
 
 def check(place: Path) -> None:
-    """Refuse a place for results in which there is something else, or in the way (rank 0).
+    """Refuse a place for results that is used for something else, or where something is in the way (rank 0).
 
     Raises:
-        InputError: If so.
+        InputError: If it is.
     """
     if place.is_symlink():
         raise InputError(f"output {place}: is a link; name the folder that it leads to")
@@ -240,11 +240,11 @@ def _write_manifest(folder: Path, names: set[str]) -> None:
 
 
 def _remove(place: Path, names: set[str]) -> None:
-    """Remove files of a folder, and folders in it that are then empty."""
+    """Remove these files of a folder, and subfolders that are then empty."""
     for name in names:
         (place / name).unlink(missing_ok=True)
     for folder in {folder for name in names for folder in PurePosixPath(name).parents[:-1]}:
-        with contextlib.suppress(OSError):  # something of the user's is in it
+        with contextlib.suppress(OSError):  # it holds files of the user
             (place / folder).rmdir()
 
 

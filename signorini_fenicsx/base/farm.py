@@ -1,4 +1,4 @@
-"""Tasks handed out dynamically to groups of ranks within one mpirun."""
+"""Distributes tasks dynamically to groups of ranks within one mpirun."""
 
 import os
 import time
@@ -12,9 +12,9 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, on_root
 
 STOP = "stop"
-"""A claim of this name tells all groups to take no further task."""
+"""A claim with this name tells all groups to take no further task."""
 PAUSE = 0.02
-"""Seconds between two looks at whether the others are done: a waiting rank leaves its core to them."""
+"""Seconds between two checks whether the others are done; between the checks a waiting rank leaves its core free."""
 
 
 def hand_out(
@@ -22,8 +22,8 @@ def hand_out(
 ) -> None:
     """Run `work` for each name once, on the group of ranks that is free next (collective).
 
-    A group claims a task by creating a file, which only one can, so no rank is spent on handing out. Ranks that do not
-    fill a group stay idle; with fewer ranks than a task wants, all of them are the one group.
+    A group claims a task by creating a file, which only one group can do, so no rank is needed to distribute the tasks.
+    Ranks that do not fill a group stay idle. If there are fewer ranks than a task wants, all ranks are one group.
 
     Args:
         comm: Communicator to split.
@@ -33,8 +33,8 @@ def hand_out(
         work: Called with a name and the group's communicator, on all ranks of the group.
 
     Raises:
-        InputError: If a group met one; all groups end after their present task.
-        OSError: Likewise, say with a full disk.
+        InputError: If `work` raised it in a group; all groups end after their current task.
+        OSError: Likewise, for example on a full disk.
     """
     size = min(ranks_per_task, comm.size)
     index = comm.rank // size
@@ -45,7 +45,7 @@ def hand_out(
             for name in names:
                 if on_root(group, partial(_claimed, claims, name)):
                     work(name, group)
-                    collect_garbage(group)  # else communicators grow from run to run
+                    collect_garbage(group)  # otherwise the number of communicators grows from run to run
         except (InputError, OSError) as error:
             failure = error
             (claims / STOP).touch()
@@ -59,7 +59,7 @@ def hand_out(
 
 
 def _claimed(claims: Path, name: str) -> bool:
-    """Whether this group is the first to ask for the task (on a group's first rank)."""
+    """Whether this group is the first to claim the task (on the first rank of the group)."""
     if (claims / STOP).exists():
         return False
     try:

@@ -1,6 +1,6 @@
-"""The order in which the wheel `dolfinx-solver-real` must be imported, kept whoever imports DOLFINx and when.
+"""Keeps the import order that the wheel `dolfinx-solver-real` needs, wherever DOLFINx is imported.
 
-It needs `dolfinx_solver`, which loads MPI, before DOLFINx, PETSc and Basix. Debian's DOLFINx has no such module.
+The wheel needs `dolfinx_solver`, which loads MPI, before DOLFINx, PETSc and Basix. Debian's DOLFINx has no such module.
 """
 
 import sys
@@ -10,10 +10,10 @@ LATER = ("basix", "dolfinx", "petsc4py", "slepc4py")
 
 
 class _MpiFirst:
-    """A finder that finds nothing, but imports `dolfinx_solver` when the first of the others is looked for."""
+    """A finder that finds no module, but imports `dolfinx_solver` when the first of the others is imported."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """Import what must be first, once."""
+        """Import `dolfinx_solver` once."""
         if name in LATER:
             sys.meta_path.remove(self)
             try:
@@ -24,6 +24,6 @@ class _MpiFirst:
 
 
 def keep_order() -> None:
-    """From now on import `dolfinx_solver` first, if there is one; costs nothing until then."""
+    """From now on import `dolfinx_solver` first, if it exists; this costs nothing until DOLFINx is imported."""
     if FIRST not in sys.modules and not any(isinstance(finder, _MpiFirst) for finder in sys.meta_path):
         sys.meta_path.insert(0, _MpiFirst())

@@ -1,4 +1,4 @@
-"""What every MPI program needs: decisions of rank 0 shared by all, and no rank left waiting for a dead one."""
+"""Tools for MPI: sharing results of rank 0, ending all ranks together, time and memory over all ranks."""
 
 import contextlib
 import gc
@@ -18,7 +18,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 
 FORWARDING = 0.5
-"""Seconds that mpirun gets to pass on the last words of a rank, which it would lose when the rank aborts."""
+"""Seconds in which mpirun can forward the last message of a rank; it loses the message when the rank aborts at once."""
 
 
 def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
@@ -48,22 +48,22 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
 
 
 def scatter_rows(comm: MPI.Comm, wanted: npt.NDArray[np.int64], rows: npt.NDArray | None) -> npt.NDArray:
-    """Rows of an array of rank 0, to each rank those it wants (collective)."""
+    """Send to each rank the rows that it wants of an array of rank 0 (collective)."""
     lists = comm.gather(wanted)
     return comm.scatter(None if rows is None or lists is None else [rows[each] for each in lists])
 
 
 LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
-"""Numbers of ranks that launchers tell their processes, the first one that is set being the nearest launcher's."""
+"""Variables in which launchers give the number of ranks; the first one that is set is the innermost launcher's."""
 
 
 def refuse_lone_copies(comm: MPI.Comm) -> None:
-    """Refuse to be one of several copies that know nothing of each other, as another MPI's mpirun starts them.
+    """Refuse to run as one of several separate copies, as the mpirun of another MPI starts them.
 
-    A single task of an allocation, or of `mpirun -n 1`, is none: there the launcher tells 1 or nothing.
+    A single task of an allocation or of `mpirun -n 1` is accepted: there the launcher gives 1 or nothing.
 
     Raises:
-        InputError: If a launcher has started several processes and MPI here sees one.
+        InputError: If a launcher has started several processes, but MPI has one rank here.
     """
     told = next((name for name in LAUNCHED if os.environ.get(name)), None)
     size = os.environ[told] if told else "1"
@@ -76,7 +76,7 @@ def refuse_lone_copies(comm: MPI.Comm) -> None:
 
 
 def abort_all_on_exception(comm: MPI.Comm) -> None:
-    """Make an uncaught exception on one rank end all of them, instead of leaving the others in a collective call."""
+    """Let an uncaught exception on one rank end all ranks, which otherwise wait forever in a collective call."""
     if comm.size == 1:
         return
 
@@ -88,7 +88,7 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
 
 
 def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
-    """End all ranks from the one that calls, whatever the others are doing, once mpirun has passed on what it said."""
+    """Print the last words and end all ranks, whatever the others are doing (called by one rank)."""
     if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
         sys.__stderr__.write(last_words)
         sys.__stderr__.flush()
@@ -99,10 +99,10 @@ def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
 
 
 class Stopwatch:
-    """Wall time per phase; each phase is a stage of PETSc's log as well, so that `-log_view` reads like the program.
+    """Wall time per phase. Each phase is also a stage of PETSc's log, so `-log_view` shows the parts of the program.
 
     Attributes:
-        seconds: Time of each phase that has ended, without that of the phases within it.
+        seconds: Time of each phase that has ended, without the phases inside it.
     """
 
     def __init__(self) -> None:
@@ -111,7 +111,7 @@ class Stopwatch:
 
     @contextlib.contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Measure what is done inside; a phase within another one interrupts it."""
+        """Measure the time inside this context; an inner phase interrupts the outer one."""
         from petsc4py import PETSc  # not before the command line has given PETSc its options
 
         stage, began, before = PETSc.Log.Stage(name), time.perf_counter(), self._within
@@ -133,17 +133,30 @@ class Stopwatch:
 
 
 def peak_memory(comm: MPI.Comm) -> int:
-    """Bytes of memory that the processes have held at most since they began, summed over ranks (collective)."""
+    """Peak memory of the processes since their start in bytes, summed over ranks (collective)."""
     return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
 
 
 def collect_garbage(comm: MPI.Comm) -> None:
-    """Free what Python and PETSc have let go, on all ranks at the same point (collective).
+    """Free the unused objects of Python and PETSc, on all ranks at the same point (collective).
 
-    A mesh frees its communicator, for which mpi4py wants a lock that it may hold just when Python's collector strikes:
-    a deadlock. So programs switch the automatic collector off and call this between solves.
+    When a mesh is freed, it frees its communicator, for which mpi4py takes a lock. If Python's automatic collector runs
+    while mpi4py holds this lock, there is a deadlock. So programs switch the automatic collector off and call this
+    between solves.
     """
     from petsc4py import PETSc  # not before the command line has given PETSc its options
 
     gc.collect()
     PETSc.garbage_cleanup(comm)
+
+
+@contextlib.contextmanager
+def collector_off() -> Iterator[None]:
+    """Without Python's automatic collector, which may strike while MPI is called, see `collect_garbage`."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

@@ -28,17 +28,17 @@ from signorini_fenicsx.base.parallel import end_all, on_root
 from signorini_fenicsx.base.signals import on_abort, postponed
 
 PATIENCE = 1.0
-"""Seconds to wait for a folder: one who repairs it has done so soon."""
+"""Seconds to wait for a folder; a process that repairs it needs less."""
 STATE = "checkpoint.npz"
-"""What is kept when nothing else can be written."""
+"""The file that is kept if the others cannot be written."""
 
 
 class ResultsFolder:
     """Staging area of one results folder; a context manager whose methods are all collective.
 
     Write into `path`, then call `publish` or `keep_failed`. If neither is called before the context ends, nothing
-    stays: neither the staging area nor parents made for it. Only a checkpoint stays, as `<target>.failed`, if the
-    context ends because the rest cannot be written.
+    stays: the staging area is removed, and parent folders made for it too. There is one exception: if the context ends
+    because files cannot be written, a finished checkpoint stays as `<target>.failed`.
     """
 
     def __init__(self, comm: MPI.Comm, target: Path | str, *, saves_state: bool = True):
@@ -50,8 +50,8 @@ class ResultsFolder:
             saves_state: Whether a checkpoint stays if the rest cannot be written.
 
         Raises:
-            InputError: If the target is a file, is not writable, is a folder with something else in it, or another run
-                is at work in it.
+            InputError: If the target is a file, is not writable, is a folder with other files in it, or another run is
+                writing into it.
         """
         self._comm, self._saves_state = comm, saves_state
         self._area: _Area | None = None  # on rank 0
@@ -77,18 +77,19 @@ class ResultsFolder:
             if isinstance(error, OSError):
                 error.strerror = f"{error.strerror or error}{self._state_saved()}"
                 if Path(error.filename or self.path).is_relative_to(self.path):
-                    error.filename = str(self.target)  # the staging area is nothing that the user knows
+                    error.filename = str(self.target)  # the user does not know the staging area
             self._area.close()
 
     def publish(self, *, add: bool = False) -> None:
-        """Put the files in their place, instead of those of the run before or, with `add`, beside its others.
+        """Move the files to their place.
 
-        An earlier failure is then out of date and goes.
+        They replace the files of the run before; with `add`, only those with the same names. The folder of an earlier
+        failure is removed.
         """
         self._end(DONE, add=add)
 
     def keep_failed(self) -> Path:
-        """Keep the files as `<target>.failed`, leave the target alone and return the new path."""
+        """Keep the files as `<target>.failed`, leave the target unchanged and return the new path."""
         self._end(FAILED)
         return failed_place(self.target)
 
@@ -98,7 +99,7 @@ class ResultsFolder:
             on_root(self._comm, lambda: commit(self.path, end, add=add))
 
     def _give_up(self, reason: str) -> NoReturn:
-        """End all ranks from the one that calls; what the others are doing is not known."""
+        """End all ranks, whatever the others are doing (called by one rank)."""
         with contextlib.suppress(OSError):
             reason += f"; free on the disk: {shutil.disk_usage(self.target.parent).free >> 10} kB"
         reason += self._state_saved()
@@ -108,7 +109,7 @@ class ResultsFolder:
         end_all(self._comm, f"failed: {self.target}: {reason}\n")
 
     def _state_saved(self) -> str:
-        """Keep the checkpoint alone, if there is one, and say where (on any rank, by itself)."""
+        """Keep only the checkpoint, if there is one, and tell where it is (on any rank, not collective)."""
         if not self._saves_state or not (self.path / STATE).is_file():
             return ""
         try:
@@ -122,13 +123,13 @@ class ResultsFolder:
 
 
 class _Area:
-    """Where a run works until its results are in place (rank 0)."""
+    """The folder in which a run works until its results are in place (rank 0)."""
 
     def __init__(self, wanted: Path):
-        """Lock the area of a target, finish what a killed run has left there, and create the staging folder.
+        """Lock the area of a target, complete what a killed run has left there, and create the staging folder.
 
         Raises:
-            InputError: If it cannot be a results folder, or another run is at work in it.
+            InputError: If the target cannot be a results folder, or another run is writing into it.
         """
         self._lock: int | None = None
         self._new_parents: list[Path] = []
@@ -144,7 +145,7 @@ class _Area:
             raise
 
     def _open(self, wanted: Path) -> None:
-        self.target = Path(os.path.realpath(wanted))  # other than resolve, it treats loops alike in all versions
+        self.target = Path(os.path.realpath(wanted))  # unlike resolve, the same for loops in all versions
         if self.target.is_symlink():  # all others are resolved
             raise InputError(f"output {self.target}: is a symlink loop")
         if os.path.ismount(self.target):
@@ -163,8 +164,8 @@ class _Area:
         self.staging.mkdir()
 
     def close(self) -> None:
-        """Remove what is not complete, and parents made for nothing, and let others in."""
-        with contextlib.suppress(OSError):  # somebody has removed the folder, or uses the parents by now
+        """Remove what is not complete and empty parents that were made for it, and release the lock."""
+        with contextlib.suppress(OSError):  # the folder is gone, or the parents are in use by now
             if self._lock is not None:
                 lock, self._lock = self._lock, None
                 release(self._path, lock)

@@ -1,4 +1,4 @@
-"""What comes with the program: cases, studies, tables, and the names of the cases and studies."""
+"""Data shipped with the program: cases, studies, tables, and the names of the cases and studies."""
 
 import sysconfig
 from pathlib import Path
@@ -8,7 +8,7 @@ from signorini_fenicsx.base.text import did_you_mean
 
 
 def data_folder(kind: str) -> Path:
-    """Folder of the shipped data (`cases`, `tables`): the checkout's, or that of the installed package."""
+    """Folder of the shipped data (`cases`, `tables`), in the checkout or in the installed package."""
     checkout = Path(__file__).parents[2] / "data" / kind
     return checkout if checkout.is_dir() else Path(sysconfig.get_path("data"), "share", "signorini_fenicsx", kind)
 
@@ -24,14 +24,14 @@ def study_names() -> list[str]:
 
 
 def file_of(kind: str, name_or_path: str | Path) -> Path:
-    """The file of a case or study: a shipped one by its name, any by its path.
+    """The file of a case or study, by the name of a shipped one or by a path.
 
     Args:
         kind: "case" or "study".
-        name_or_path: What the user calls it; a path ends in `.toml` or has a slash.
+        name_or_path: What the user gave; it is a path if it ends in `.toml` or has a slash.
 
     Raises:
-        InputError: If a name is not that of a shipped one.
+        InputError: If there is no shipped one with this name.
     """
     text = str(name_or_path)
     if text.endswith(".toml") or "/" in text:

@@ -1,4 +1,4 @@
-"""What the system tells the program: end (SIGINT, SIGTERM), nobody reads your output, a library has aborted."""
+"""Signals: a request to end (SIGINT, SIGTERM), a closed reader of the output, a library that aborts."""
 
 import contextlib
 import ctypes
@@ -15,7 +15,7 @@ from typing import Any
 from mpi4py import MPI
 
 AGAIN = 1.0
-"""Seconds after which a second signal is meant as one; mpirun may pass on the first that the process has already."""
+"""A second signal counts only after this many seconds, because mpirun may forward the first one once more."""
 
 
 class Interruption(BaseException):
@@ -26,17 +26,17 @@ class Interruption(BaseException):
 
 
 class LoopInterruption(Interruption):
-    """The same between two iterations, raised on all ranks.
+    """The program was told to end between two iterations; raised on all ranks.
 
     Attributes:
-        state: What the loop had reached: iterate, facet conditions and history.
+        state: The state of the loop: iterate, facet conditions and history.
     """
 
     state: tuple[Any, Any, Any]
 
 
 class _Request:
-    """The signal that came, if any, and whether something is under way that has an orderly end of its own."""
+    """The signal that was received, if any, and whether it has to wait for an orderly end of what is under way."""
 
     number = 0
     came = 0.0
@@ -45,7 +45,7 @@ class _Request:
 
 @contextlib.contextmanager
 def listening() -> Iterator[None]:
-    """End in order at SIGINT and SIGTERM; at a second one at once, whatever is under way."""
+    """At SIGINT or SIGTERM end in order; at a second signal end at once, whatever is under way."""
     _Request.number, _Request.deferred = 0, False
     before = {number: signal.signal(number, _take) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -53,12 +53,12 @@ def listening() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        _Request.number, _Request.deferred = 0, False  # what this run was told is not for the next one
+        _Request.number, _Request.deferred = 0, False  # a signal to this run is not for the next one
 
 
 def listen_again() -> None:
-    """Put the handlers that Python knows of back, when PETSc or Gmsh has replaced them."""
-    with contextlib.suppress(ValueError):  # not in the main thread, where no handler is set
+    """Restore Python's handlers after PETSc or Gmsh has replaced them."""
+    with contextlib.suppress(ValueError):  # in other threads than the main one there are no handlers
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPIPE):
             signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)
 
@@ -78,7 +78,7 @@ def _take(number: int, frame: FrameType | None) -> None:
 
 
 def _swallows(frame: FrameType | None) -> bool:
-    """Whether Python would print an exception raised here and go on: in a destructor."""
+    """Whether an exception raised here would be lost: in a destructor Python only prints it and goes on."""
     while frame is not None:
         if frame.f_code.co_name == "__del__":
             return True
@@ -87,10 +87,10 @@ def _swallows(frame: FrameType | None) -> bool:
 
 
 def end_if_told(comm: MPI.Comm) -> None:
-    """After an iteration: end on all ranks if one of them was told to (collective).
+    """After an iteration: end on all ranks if one of them received a signal (collective).
 
-    From the first call on there is something to keep. So no signal ends the program elsewhere any more: not while
-    that is written, and not after the last iteration, when the results are as good as there.
+    After the first call there is a state to keep. So from then on signals end the program only here: not while the
+    state is written, and not after the last iteration, when the results are nearly complete.
 
     Raises:
         LoopInterruption: On all ranks.
@@ -102,7 +102,10 @@ def end_if_told(comm: MPI.Comm) -> None:
 
 
 def pass_on(error: Exception) -> None:
-    """Raise the interruption that is behind a library's error, if there is one: it came in a function it called."""
+    """Raise the interruption that caused a library's error, if there is one.
+
+    It happens when a signal arrives in a Python function that the library called.
+    """
     if isinstance(error.__cause__, Interruption):
         raise error.__cause__
 
@@ -121,13 +124,13 @@ def postponed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def on_abort(last_words: Callable[[], None]) -> Iterator[None]:
-    """Call something when a library aborts the process, as HDF5 and ADIOS2 do on a full disk.
+    """Call a function when a library aborts the process, as HDF5 and ADIOS2 do on a full disk.
 
-    A handler of Python's own would wait for the library to return, which it never does; this one is called by the C
-    library, in `abort` itself.
+    A signal handler in Python would run only after the library returns, which never happens. This handler is called by
+    the C library inside `abort`.
 
     Args:
-        last_words: Must end the process.
+        last_words: The function; it must end the process.
     """
     libc_signal = ctypes.CDLL(None).signal
     libc_signal.argtypes, libc_signal.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
@@ -140,7 +143,7 @@ def on_abort(last_words: Callable[[], None]) -> Iterator[None]:
 
 
 class _Pipe(io.FileIO):
-    """A file whose reader may go away, as `head` does: then the rest is for nobody."""
+    """A file whose reader may close it, as `head` does; then the rest is dropped."""
 
     def write(self, data: Any) -> int:
         try:
@@ -152,7 +155,7 @@ class _Pipe(io.FileIO):
 
 
 def outlive_readers() -> None:
-    """Let the program go on when the reader of its output ends; to be called when PETSc has set its handlers."""
+    """Let the program go on when the reader of its output ends; call this after PETSc has set its handlers."""
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)

@@ -1,4 +1,4 @@
-"""Results as text: tables in CSV, summaries in JSON; and the name that a wrong one may have meant."""
+"""Results as text: tables in CSV, summaries in JSON; and suggestions for misspelt names."""
 
 import csv
 import difflib
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def write_table[Row: DataclassInstance](path: Path, kind: type[Row], rows: Iterable[Row]) -> None:
-    """Write dataclasses as CSV, a row each and a column for each field (rank 0).
+    """Write dataclasses as CSV, one row for each and one column for each field (rank 0).
 
     Args:
-        path: Where.
-        kind: Their type, whose fields are named even where there are no rows.
-        rows: What to write.
+        path: The file.
+        kind: Their type; its fields are the header, also if there are no rows.
+        rows: The dataclasses.
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(kind)])
@@ -28,18 +28,18 @@ def write_table[Row: DataclassInstance](path: Path, kind: type[Row], rows: Itera
 
 
 def did_you_mean(wrong: str, known: Iterable[str]) -> str:
-    """A question, in brackets and after a space, that names the closest of the known names; empty if none is close."""
+    """A question in brackets with the closest of the known names, after a space; empty if none is close."""
     close = difflib.get_close_matches(wrong, list(known), 1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def json_text(values: Mapping[str, Any]) -> str:
-    """Values as JSON, with null for a number that is not finite."""
+    """Values as JSON, with null for numbers that are not finite."""
     return json.dumps(_without_nan(values), indent=2, allow_nan=False)
 
 
 def _without_nan(value: Any) -> Any:
-    """Replace numbers that JSON does not know by null, at any depth: a failed state may hold them."""
+    """Replace numbers that are not finite by None, at any depth; a failed state may contain them."""
     if isinstance(value, Mapping):
         return {key: _without_nan(entry) for key, entry in value.items()}
     if isinstance(value, list):

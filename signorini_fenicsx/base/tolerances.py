@@ -1,19 +1,20 @@
-"""What counts as zero, from the linear solver up to what is called a solution: each leaves room for the one before.
+"""Tolerances, from rounding to the residual of a solution. Each is larger than the errors that the one before allows.
 
     ROUNDING 1e-14  <  LINEAR 1e-12  <  TIE 1e-11  <  STEP 1e-10  <  KKT 1e-8
 
-All are shares of a size that the problem has itself, so that no unit enters.
+All are relative to sizes of the problem itself, so they do not depend on units.
 """
 
 ROUNDING = 1e-14
-"""What sums of numbers of size 1 leave."""
+"""Rounding of sums of numbers of size 1."""
 LINEAR = 1e-12
-"""Relative residual of an iterative linear solver, and what a direct one leaves. Newton and interior-point methods stop
-here too. Making the flux conforming amplifies what is left by 1/h: KKT residuals are 10 to 1000 times larger."""
+"""Relative residual at which an iterative linear solver stops; a direct solver reaches about the same. Newton and
+interior-point methods stop here too. Making the flux conforming multiplies this error by 1/h, so KKT residuals are 10
+to 1000 times larger."""
 TIE = 1e-11
-"""A value of p or σ·n below this is rounding and decides nothing: ten times LINEAR. A wrong sign of that size stays far
-below KKT."""
+"""Values of p and σ·n below this are rounding and decide nothing. It is ten times LINEAR; a wrong sign of this size is
+still far below KKT."""
 STEP = 1e-10
-"""Step of a projection iteration at which it stops: such a step is up to 100 times smaller than the error left."""
+"""A projection iteration stops at a step of this size. The error that remains may be up to 100 times larger."""
 KKT = 1e-8
-"""A result with a larger KKT residual is not a solution, and a run that ends with one has failed."""
+"""A result with a larger KKT residual is not a solution, and the run has failed."""

@@ -1,4 +1,4 @@
-"""Sizes at which the program changes its ways. They change what a run costs, not what it finds."""
+"""Sizes from which the program works differently. They change the cost of a run, not its results."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,23 +7,23 @@ from types import MappingProxyType
 
 @dataclass(frozen=True)
 class Tuning:
-    """What was measured to be fast.
+    """Sizes that were measured to be fast.
 
     Attributes:
-        direct_up_to: Facets up to which a direct factorisation takes tenths of a second, whatever κ and the cells are
-            like; larger facet systems go to CG with multigrid.
-        predict_from: Facets of the mesh from which the sets are predicted; below, a cold start takes tenths of a
-            second.
-        coarsening: Mesh size of the coarser mesh of a prediction, in multiples of the finer one's.
-        coarsen_from: Facets of a coarser mesh from which it gets a prediction itself; below, its own coarser mesh costs
-            more than it saves.
-        patience: Iterations of the linear solver over which the sets that it asks for must stand still.
-        leeway: Share of the sites that want to change whose condition need not stand still: where many change, the
-            next solve decides about them.
-        layers: Cells, by dimension, between a site that changes and the edge of the patch on which the sets then
-            settle.
-        patch_share: Share of all unknowns up to which a patch costs little beside a step of the solver.
-        patch_steps: Set updates on a patch at most; sets that move for longer leave the patch.
+        direct_up_to: Facet systems with at most this many facets are factorised, which takes tenths of a second for any
+            κ and any cells. Larger ones are solved by CG with multigrid.
+        predict_from: From this number of facets of the mesh on the sets are predicted; on smaller meshes a cold start
+            takes tenths of a second.
+        coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
+        coarsen_from: From this number of facets on, a coarser mesh gets a prediction itself; on smaller ones a
+            prediction costs more than it saves.
+        patience: A solve stops early if the sets that its iterates ask for are steady for this many iterations of the
+            linear solver.
+        leeway: The sets count as steady if at most this share of the sites that want to change still varies. Where many
+            sites change, the next solve decides about the rest.
+        layers: For each dimension, number of cells between a site that changes and the edge of its patch.
+        patch_share: A patch with at most this share of all unknowns costs little compared with a step of the solver.
+        patch_steps: Largest number of set updates on a patch; sets that change for longer leave the patch.
     """
 
     direct_up_to: int = 60_000

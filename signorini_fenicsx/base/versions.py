@@ -1,4 +1,4 @@
-"""Which versions of what computed a result."""
+"""Versions of the software that computed a result."""
 
 import platform
 from importlib.metadata import version

@@ -1,1 +1,1 @@
-"""Case files: reading them, what they mean, solving them."""
+"""Case files: reading, checking and solving them."""

@@ -1,4 +1,4 @@
-"""Cases: what to solve, on which domain, with which algorithm; read from TOML and validated before anything runs."""
+"""Cases: the problem, its domain and its algorithm, read from TOML and validated before anything runs."""
 
 import os
 from collections import Counter
@@ -32,7 +32,7 @@ class _Section(BaseModel):
 
 
 class Geometry(_Section):
-    """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or that Gmsh makes one of."""
+    """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
 
     shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
@@ -62,7 +62,7 @@ class Geometry(_Section):
 
 
 class Boundary(_Section):
-    """`[boundary]`: the parts that make up Γ_S and Γ_N; everything else is Γ_D, which may be listed to make sure.
+    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
 
     Parts with a `[[law]]` belong to Γ_S and are not listed here.
     """
@@ -77,7 +77,7 @@ class Boundary(_Section):
         return self
 
     def listed(self) -> list[str]:
-        """All parts that are named."""
+        """All parts that the section names."""
         return [*self.signorini, *self.neumann, *(self.dirichlet or [])]
 
 
@@ -93,7 +93,7 @@ def refuse_repetition(parts: list[str]) -> None:
 
 
 class ProblemTexts(_Section):
-    """`[problem]`: the data of a `data.Problem`, as text in x, y, z; κ as text, a matrix or one of them per region."""
+    """`[problem]`: the data of a `Problem` as text in x, y, z; κ as text, as a matrix, or as one of them per region."""
 
     f: Expression
     kappa: Conductivity = "1"
@@ -114,7 +114,7 @@ class ProblemTexts(_Section):
         return found
 
     def read(self, dim: int) -> Problem:
-        """The data in this dimension.
+        """The data as trees, in this dimension.
 
         Raises:
             InputError: If an expression cannot be read.
@@ -135,20 +135,20 @@ class ProblemTexts(_Section):
 
 
 class Exact(_Section):
-    """`[exact]`: the solution u, where it is known, as text in x, y, z; then σ = ∇u and p = u on Γ_S."""
+    """`[exact]`: the exact solution u, if it is known, as text in x, y, z."""
 
     u: Expression | None = None
 
 
 class Solve(_Section):
-    """`[solve]`: the algorithm and its parameters; `predict` starts large problems from a coarser mesh's sets.
+    """`[solve]`: the algorithm and its parameters; with `predict` large problems start from the sets of a coarser mesh.
 
-    Without ρ or a number of iterations the algorithm takes its own.
+    If rho or max_iterations is missing, the default of the algorithm is used.
     """
 
     algorithm: Annotated[str, choice("algorithm", tuple(METHODS))] = "alg1"
     backend: Annotated[str, choice("backend", tuple(BACKENDS))] = "hybrid"
-    h: Annotated[Positive, within(1e-90, 1e90)] = 2**-5  # its powers are numbers
+    h: Annotated[Positive, within(1e-90, 1e90)] = 2**-5  # powers of h must be floats
     rho: Annotated[Positive, within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, within(1e-14, 1e6)] = 1e-8
     max_iterations: Annotated[Whole, within(1, 10**6)] | None = None
@@ -156,7 +156,7 @@ class Solve(_Section):
 
 
 class Case(_Section):
-    """One Signorini problem, how to discretise and how to solve it.
+    """One Signorini problem, its discretisation and its algorithm.
 
     Attributes:
         name: Short name, used for the default output folder; not a key of the file.
@@ -179,9 +179,9 @@ class Case(_Section):
         if self.geometry.shape is not None:
             self._check_shape(SHAPES[self.geometry.shape])
         elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
-            raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' is as fine as it is; leave h out")
+            raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' has its own h; leave h out")
         else:
-            self._check_expressions(3)  # the file is not read yet
+            self._check_expressions(3)  # the mesh file has not been read yet
         return self
 
     @property
@@ -197,22 +197,22 @@ class Case(_Section):
 
     @property
     def file_h(self) -> float | None:
-        """Mesh size asked of a `.geo` file, if one is."""
+        """The h for the mesh of a `.geo` file, or None."""
         return self.solve.h if self.geometry.shape is None and "h" in self.solve.model_fields_set else None
 
     @property
     def fineness(self) -> str:
-        """What is known of the mesh size before there is a mesh."""
+        """The mesh size in words, before there is a mesh."""
         asked = self.solve.h if self.geometry.shape is not None else self.file_h
         return f"mesh {self.geometry.name}" if asked is None else f"h ≤ {asked:g}"
 
     @property
     def method(self) -> Method:
-        """What it is solved with."""
+        """The method that solves it."""
         return METHODS[self.solve.algorithm]
 
     def data(self, dim: int) -> Problem:
-        """The data in this dimension, with the exact u where it is given.
+        """The data as trees, in this dimension, with the exact u if it is given.
 
         Raises:
             InputError: If an expression cannot be read.
@@ -224,7 +224,7 @@ class Case(_Section):
         """Refuse coordinates that a mesh read from a file does not have.
 
         Raises:
-            InputError: If an expression uses one.
+            InputError: If an expression uses such a coordinate.
         """
         try:
             self._check_expressions(dim)
@@ -259,7 +259,7 @@ class Case(_Section):
                 raise ValueError(f"{place}: {error}") from None
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
-        """Return a validated copy in which keys such as `solve.h` or `geometry.mesh` have new values.
+        """Return a validated copy with new values of keys such as `solve.h` or `geometry.mesh`.
 
         Raises:
             InputError: If a key or value is not valid.
@@ -288,7 +288,7 @@ def _below(branch: Any, section: str, key: str) -> Any:
 
 
 def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
-    """Coordinate of a domain that has a dimension but no mesh yet."""
+    """Coordinate of a domain of this dimension that has no mesh yet."""
     return ufl.SpatialCoordinate(ufl.Mesh(coordinate_element(dim)))
 
 

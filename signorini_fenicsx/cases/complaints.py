@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a file, in one sentence that names key and reason."""
+"""Errors that pydantic finds in a file, in one sentence with key and reason."""
 
 from typing import get_args
 
@@ -8,7 +8,7 @@ from signorini_fenicsx.base.text import did_you_mean
 
 
 def complaint(error: ValidationError, root: type[BaseModel]) -> str:
-    """The first complaint of pydantic about a file, as one sentence with the place in TOML's notation."""
+    """The first error that pydantic finds in a file, as one sentence with the place in TOML's notation."""
     first = error.errors(include_url=False)[0]
     *sections, last = [str(step) for step in first["loc"]] or [""]
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
@@ -44,12 +44,12 @@ def _place_of_key(sections: list[str]) -> str:
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
         annotation = model.model_fields[section].annotation
-        kinds = (annotation, *get_args(annotation))  # of a section that may be left out: a union with None
+        kinds = (annotation, *get_args(annotation))  # a section that may be left out is a union with None
         model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
     known = keys_of(model)
     return ", ".join(known) + did_you_mean(wrong, known)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:
-    """The keys of a section as a file may name them."""
+    """The keys of a section that a file may contain."""
     return [key for key, field in model.model_fields.items() if not field.exclude]

@@ -11,7 +11,7 @@ def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
     """Mesh the domain of a case, or read its mesh (collective).
 
     Raises:
-        InputError: If there is no mesh with the case's h, or the file's mesh does not suit the case.
+        InputError: If there is no mesh with the h of the case, or the mesh of the file does not fit the case.
     """
     geometry = case.geometry
     if geometry.shape is not None:
@@ -22,7 +22,7 @@ def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
 
 
 def rough_cells(case: Case) -> float:
-    """About how many cells the mesh of a case has, without making it; a file is read (rank 0).
+    """Rough number of cells of the mesh of a case. The mesh is not made, but a file is read (rank 0).
 
     Raises:
         InputError: If the file or its mesh cannot be used, or there are too many.

@@ -1,4 +1,4 @@
-"""A case looked at before it is solved: its sizes and parts, what a run will cost, and whether it could start."""
+"""Inspection of a case before it is solved: its sizes and parts, the cost of a run, and whether a run could start."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,29 +20,29 @@ from signorini_fenicsx.solving.solver import check_solvability
 FACETS_PER_CELL = {2: 1.5, 3: 2.0}
 PROCESS_BYTES = 180 * 2**20
 BYTES_PER_FACET = {2: 830.0, 3: 940.0}
-"""Of alg1 to alg4 with the hybrid backend, certificate and output included; measured on 395 000 and more facets."""
+"""For alg1 to alg4 with the hybrid backend, certificate and output included; measured on at least 395 000 facets."""
 SOLVER_RATE = {2: 177e3, 3: 196e3}
 """Facets per second and core from the assembled problem to the solution; see docs/measured/speed.md."""
 RUN_RATE = 5e4
 """Facets per second and core of a whole run, with a structured mesh, the certificate and output."""
 START_SECONDS = 3.0
-"""Until the libraries are loaded and the compiled forms found; more when they are compiled for the first time."""
+"""Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What a case is about and what solving it should take; sizes of named shapes and of `.geo` files are estimates.
+    """Sizes of a case and the expected cost of solving it. Sizes of named shapes and of `.geo` files are estimates.
 
     Attributes:
         dim: Dimension.
-        parts: For each boundary part its condition and, from a mesh file, its facets and measure.
-        regions: For each region of a mesh file its cells.
-        cells: Cells.
-        facets: Facets, which are the unknowns of the hybrid backend.
-        exact: Whether the numbers of cells are those of the mesh, not estimates.
-        memory: Bytes, for all ranks together.
-        solver_seconds: From the assembled problem to the solution.
-        run_seconds: Of the whole run, but for what Gmsh takes.
+        parts: For each boundary part its condition and, for a mesh file, number and measure of its facets.
+        regions: For each region of a mesh file the number of its cells.
+        cells: Number of cells.
+        facets: Number of facets, which are the unknowns of the hybrid backend.
+        exact: Whether the numbers are those of the mesh, not estimates.
+        memory: Bytes for all ranks together.
+        solver_seconds: Seconds from the assembled problem to the solution.
+        run_seconds: Seconds of the whole run without Gmsh.
     """
 
     dim: int
@@ -61,7 +61,7 @@ def expected(case: Case, ranks: int) -> Expected:
 
     Args:
         case: The case.
-        ranks: On how many ranks it will run.
+        ranks: Number of ranks of the run.
 
     Raises:
         InputError: If the file, its mesh or its parts cannot be used.
@@ -99,18 +99,18 @@ def expected(case: Case, ranks: int) -> Expected:
 
 
 def is_typical(case: Case) -> bool:
-    """Whether the measured rates are of the case's algorithm and backend."""
+    """Whether the measured rates hold for the algorithm and the backend of the case."""
     return case.method.starts_from_sets and case.solve.backend == "hybrid"
 
 
 def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
-    """Do all that a run does before it solves: make or read the mesh, find the parts, take the data (collective).
+    """Do everything that a run does before it solves: make or read the mesh, find parts, project data (collective).
 
     Returns:
         Numbers of cells and of facets of Γ_S, Γ_N and Γ_D.
 
     Raises:
-        InputError: If the case cannot be solved as it is.
+        InputError: If a run of the case would fail here.
     """
     domain = mesh_case(case, comm)
     spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -18,6 +18,7 @@ from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 
+@collector_off()
 def solve_case(
     case: Case,
     comm: MPI.Comm = MPI.COMM_WORLD,
@@ -31,16 +32,15 @@ def solve_case(
 
     Args:
         case: The problem, its discretisation and algorithm.
-        comm: Communicator to run on, if there is no mesh yet.
-        domain: Mesh to solve on, instead of the case's own; then no coarser mesh predicts the sets.
-        start: Solution whose contact set is taken for the first one.
-        tuning: From which size on the program changes its ways.
+        comm: Communicator, used if there is no mesh yet.
+        domain: Mesh to solve on; None for the mesh of the case. With a mesh given, no coarser mesh predicts the sets.
+        start: Solution whose contact set is the first one.
+        tuning: Sizes from which the program works differently; None for the defaults.
         on_step: Called on all ranks after each iteration.
 
     Raises:
         InputError: If the case cannot be discretised as asked.
-        NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
-            last state.
+        NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
     watch = Stopwatch()
 
@@ -78,8 +78,8 @@ def adapt_case(
     """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
 
     Raises:
-        InputError: If there is no first mesh, or one with too many cells.
-        NumericalFailure: If a mesh cannot be solved on or refined.
+        InputError: If the first mesh cannot be made or has too many cells.
+        NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
 
     def solve_on(domain: Domain, start: Solution | None) -> Solution:
@@ -100,10 +100,10 @@ def options_of(case: Case, tuning: Tuning | None = None) -> Options:
 
 
 def case_of(solution: Solution) -> Case:
-    """The case that a solution is of.
+    """The case of a solution.
 
     Raises:
-        InputError: If its problem was given in Python.
+        InputError: If the problem was given in Python.
     """
     if not isinstance(solution.source, Case):
         raise InputError(f"{solution.name} was given in Python, not by a case file")
@@ -111,7 +111,7 @@ def case_of(solution: Solution) -> Case:
 
 
 def shared_domain(start: Solution, case: Case) -> Domain | None:
-    """The mesh of an earlier solution if the case asks for the same one; a file may have changed since."""
+    """The mesh of an earlier solution, if the case has the same; None for files, which may have changed since."""
     if not isinstance(start.source, Case):
         return None
     earlier = start.source

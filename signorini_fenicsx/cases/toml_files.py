@@ -1,4 +1,4 @@
-"""TOML files that may be anything: read within limits, refused in one sentence."""
+"""TOML files from users: they are read within limits, and errors are told in one sentence."""
 
 import re
 import tomllib
@@ -8,9 +8,9 @@ from typing import Any
 from signorini_fenicsx.base.errors import InputError
 
 MAX_BYTES = 2**23
-"""Of a TOML file; Python reads about a million a second."""
+"""Largest size of a TOML file; Python reads about a million bytes per second."""
 MAX_DOTS = 500
-"""Of a dotted key, which takes Python a time that grows with the square of them."""
+"""Most dots of a dotted key; Python's time for a key grows with the square of this number."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -23,7 +23,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         if not path.is_file():
             raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
         if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, as no case or study has")
+            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, too many for a case or a study")
         text = path.read_text(encoding="utf-8")
         if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
             raise InputError(f"{path}: a key is nested too deeply")
@@ -32,5 +32,5 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not a TOML file: {error}") from None
-    except ValueError:  # Python reads no more than 4300 digits
+    except ValueError:  # Python reads at most 4300 digits
         raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None

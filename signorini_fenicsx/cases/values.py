@@ -1,4 +1,4 @@
-"""Values that keys of a case file take: numbers, names, expressions, matrices of them."""
+"""Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
 from typing import Annotated
 
@@ -10,7 +10,7 @@ from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.expressions import parse_number
 
 MAX_BITS = 1000
-"""Of an integer."""
+"""Largest size of an integer."""
 
 
 def _number(value: object) -> object:
@@ -30,14 +30,14 @@ def text_of(value: object) -> object:
 
 
 def _not_huge(value: object) -> object:
-    """Refuse integers of TOML that are no floating point numbers; Python cannot even print some of them."""
+    """Refuse integers of TOML that are too large for a float; some are even too large for Python to print."""
     if isinstance(value, int) and value.bit_length() > MAX_BITS:
         raise ValueError(f"must be a number of at most {MAX_BITS} bits")
     return value
 
 
 def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
-    """Accept one of the known names; otherwise a sentence that lists them."""
+    """Accept one of the known names; for other values the error lists them."""
 
     def check(value: object) -> object:
         if value not in known:
@@ -49,7 +49,7 @@ def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
 
 
 def within(low: float, high: float) -> AfterValidator:
-    """Accept numbers of this closed interval."""
+    """Accept numbers in this closed interval."""
 
     def check(value: float) -> float:
         if not low <= value <= high:
@@ -60,7 +60,7 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _conductivity(value: object) -> object:
-    """A number or text, a square matrix of them, or a table with one of them per region."""
+    """A number or text, a square matrix of these, or a table with one of these per region."""
     if isinstance(value, dict):
         if not value:
             raise ValueError("the table of regions is empty")

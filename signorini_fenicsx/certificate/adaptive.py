@@ -1,4 +1,4 @@
-"""Adaptive refinement: solve, certify, mark, refine, until the certified error or the number of cells says stop."""
+"""Adaptive refinement: solve, certify, mark, refine, until the certified error is small or there are too many cells."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
@@ -17,7 +17,7 @@ from signorini_fenicsx.solving.solution import Solution
 type SolveOn = Callable[[Domain, Solution | None], Solution]
 
 FIRST_MESH = 8.0
-"""The first mesh has h at most the diameter of the domain over this, unless the user says otherwise."""
+"""By default h of the first mesh is at most the diameter of the domain divided by this."""
 DEFAULT_THETA = 0.5
 DEFAULT_MAX_CELLS = 10**6
 
@@ -28,16 +28,16 @@ class AdaptRow:
 
     Attributes:
         refinement: "adaptive", or "uniform" if all cells are refined each time.
-        mesh: Its number, from 0.
-        cells: Cells.
+        mesh: Number of the mesh, from 0.
+        cells: Number of cells.
         unknowns: Unknowns of the linear system.
         h: Largest cell diameter.
-        contact_facets: Facets in contact.
+        contact_facets: Number of facets in contact.
         contact_measure: Their measure.
-        iterations: Iterations of the algorithm, from the sets of the mesh before.
-        bound: Certified energy error.
-        gap: The gap in it.
-        oscillation: The data oscillation in it.
+        iterations: Iterations of the algorithm, which starts from the sets of the mesh before.
+        bound: Bound of the energy error.
+        gap: The gap in the bound.
+        oscillation: The data oscillation in the bound.
         relative: bound/‖σ_h‖.
         seconds: Wall time since the start, all meshes included.
     """
@@ -57,6 +57,7 @@ class AdaptRow:
     seconds: float
 
 
+@collector_off()
 def adapt(
     domain: Domain,
     solve_on: SolveOn,
@@ -66,17 +67,17 @@ def adapt(
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
 ) -> tuple[Solution, Certificate]:
-    """Refine a mesh where the certificate of its solution says that the error is (collective).
+    """Refine a mesh where the certificate of its solution finds the error (collective).
 
-    Each mesh but the first starts from the contact set of the one before, if the algorithm works on sets.
+    If the algorithm works on sets, each later mesh starts from the contact set of the mesh before.
 
     Args:
         domain: The first mesh.
-        solve_on: Solves the problem on a mesh of the domain, from a solution on the mesh before or from none
+        solve_on: Solves the problem on a mesh of the domain, starting from the solution on the mesh before or from None
             (collective).
-        target: Relative certified error to stop at; without one only the number of cells stops it.
-        max_cells: A mesh with more cells is not solved on.
-        theta: Part of Σ η_T² whose cells are refined; 1 refines uniformly.
+        target: Relative bound at which to stop; with None only the number of cells ends the refinement.
+        max_cells: Meshes with more cells are not used.
+        theta: The refined cells have this share of Σ η_T²; 1 refines uniformly.
         on_row: Called on all ranks after each mesh.
 
     Returns:
@@ -84,7 +85,7 @@ def adapt(
 
     Raises:
         InputError: If the first mesh has too many cells.
-        NumericalFailure: If a mesh cannot be solved on or refined.
+        NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
     began, comm = time.perf_counter(), domain.mesh.comm
     cells = _cells(domain)
@@ -132,7 +133,7 @@ def _row(refinement: str, mesh: int, solution: Solution, certificate: Certificat
 
 
 def rate(rows: Sequence[AdaptRow]) -> float | None:
-    """Least-squares slope of the bound over the unknowns on logarithmic axes, over the finer half of the meshes."""
+    """Least-squares slope of the bound against the unknowns on logarithmic axes, from the finer half of the meshes."""
     fine = [row for row in rows[len(rows) // 2 :] if 0 < row.bound < np.inf]
     if len(fine) < 2:
         return None

@@ -1,8 +1,8 @@
-"""A flux near σ_h that balances f_h and leaves through Γ_S at least what q_S asks for, and how far it is from σ_h.
+"""A flux near σ_h that balances f_h and has y·n ≥ q_S on Γ_S in the mean, and its distance from σ_h.
 
-What σ_h leaves, c = ∇·σ_h + f_h, is mended by z ∈ RT0 with −∇·z = c, z·n = 0 on Γ_N and Γ_S: one more solve, needed
-only where c is more than rounding. Without Γ_D z leaves through those facets of Γ_S where y·n − q_S is large. So no
-constant of the domain enters the bound, but for rounding.
+The residual c = ∇·σ_h + f_h is corrected by a flux z ∈ RT0 with −∇·z = c, z·n = 0 on Γ_N and Γ_S. This is one more
+solve, needed only if c is more than rounding. Without Γ_D, z may be nonzero on those facets of Γ_S where y·n − q_S is
+large. In this way the bound contains no constant of the domain, except in a term for rounding.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.solving.solution import Solution
 
 ROUNDING = 1e-9
-"""L‖c‖/√κ of less than this part of ‖σ_h‖ is taken for rounding, and added to the bound as it is."""
+"""If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding; L‖c‖/√κ is then added to the bound."""
 WORTH = 0.5
-"""Part of a load that may be uncertain if the rest is to be balanced."""
+"""A load is balanced by a flux only if at most this share of it is uncertain."""
 CORRECTIONS = 4
-"""Solves after which c has to be rounding; one is enough but for linear solvers that stop early."""
+"""Largest number of solves until c is rounding; one is enough unless the linear solver stops early."""
 
 
 def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Function, float]:
     """The flux y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
     Returns:
-        It, and ‖y − σ_h‖ with what rounding may add; infinite if c cannot be mended.
+        y, and ‖y − σ_h‖ including the term for rounding; the latter is infinite if c cannot be corrected.
     """
     spaces, data = solution.spaces, solution.data
     comm, volume = spaces.mesh.comm, metric.volume
@@ -61,7 +61,7 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
 
 
 def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
-    """‖y − σ_h‖ ≤ ‖(low κ_h)^-½ (y − σ_h)‖ (collective)."""
+    """The bound ‖(low κ_h)^-½ (y − σ_h)‖ of ‖y − σ_h‖ (collective)."""
     if y is sigma:
         return 0.0
     low = fem.Function(spaces.Q)
@@ -70,7 +70,7 @@ def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, s
 
 
 def _without_penalty(solution: Solution) -> fem.Function:
-    """σ_h; for (MPε-II), where its flux is < q_S off the contact set, that after a step of Algorithm 1 (collective)."""
+    """σ_h; for (MPε-II), whose σ_h·n is < q_S off the contact set, the flux of a step of Algorithm 1 (collective)."""
     if solution.method.penalty is Penalty.FLUX:
         open_facets = solution.outcome.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
@@ -92,7 +92,7 @@ def _with_enough_flux(spaces: Spaces, data: Data, y: fem.Function) -> fem.Functi
 
 
 def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function) -> fem.Function:
-    """The flux z of the module (collective).
+    """The flux z of the module, for the load `imbalance` (collective).
 
     Raises:
         LinearSolveFailure: If the solve fails.
@@ -117,8 +117,9 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
 def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) -> float:
     """Bound of sup (c, w)/|w| over w = 0 on Γ_D for a load c that is enclosed per owned cell (collective).
 
-    What is in the middle of the enclosures is balanced by a flux z, (c, w) = (z, ∇w), if its constant says too much.
-    It is infinite without Γ_D, or if a linear solve fails.
+    The constant of `_load_constant` gives a bound. If the enclosures are narrow, a flux z with (c, w) = (z, ∇w) for c
+    in the middle of the enclosures may give a smaller one. The bound is infinite without Γ_D, or if a linear solve
+    fails.
     """
     comm, volume = spaces.mesh.comm, metric.volume
     ends = np.maximum(np.abs(load.lo), np.abs(load.hi))
@@ -143,7 +144,7 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
 
 
 def _load_constant(spaces: Spaces, data: Data, metric: CellMetric, z: fem.Function) -> float:
-    """C with ‖w‖ ≤ C|w| for w = 0 on Γ_D, see `resolution`, from the flux z for the load 1 (collective)."""
+    """C with ‖w‖ ≤ C|w| for all w = 0 on Γ_D, from the flux z for the load 1; see `resolution` (collective)."""
     mesh = spaces.mesh
     dim, number = mesh.topology.dim, len(metric.volume)
     corners = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))

@@ -1,13 +1,13 @@
-"""A continuous function near u that the gap identity takes: v = u_D on Γ_D and v ≥ ψ on Γ_S.
+"""A continuous function near u that is admissible in the gap identity: v = u_D on Γ_D and v ≥ ψ on Γ_S.
 
-v is quadratic on each cell, but near Γ_D and Γ_S where u_D and ψ are not. With w = v − I_hψ, written by Bernstein's
-coefficients, and I_h the interpolant in vertices and midpoints of edges, it is in general
+v is quadratic on each cell, except near Γ_D and Γ_S where u_D and ψ are not quadratic. Let I_h be the interpolant in
+vertices and midpoints of edges, and w = v − I_hψ, given by its Bernstein coefficients. Then in general
 
     v = I_hψ + max(w + w_⁺ + χ_t(ψ − I_hψ) + χ_D(u_D − I_hψ − χ_t(ψ − I_hψ) − w_D), ψ − I_hψ − ℓ on Γ_S).
 
-χ_D and χ_t are continuous and linear on each cell: χ_D is 1 on Γ_D, and w_D is w there. χ_t is 1 in vertices of Γ_S all
-of whose facets on it touch, w = 0. There v is ψ itself. Elsewhere it need not be: w_⁺, linear on each cell, lifts it by
-what it lacks in sampled points of the facets, and the maximum makes sure of the rest.
+χ_D, χ_t and w_⁺ are continuous and linear on each cell. χ_D is 1 on Γ_D, where w_D = w. χ_t is 1 in those vertices of
+Γ_S whose facets on Γ_S all touch (w = 0); where χ_t = 1, v is ψ itself. On the other facets w_⁺ raises v by as much as
+v is below ψ in sampled points, and the maximum ensures v ≥ ψ in all other points.
 """
 
 from __future__ import annotations
@@ -35,13 +35,15 @@ from signorini_fenicsx.solving.solution import Solution
 type Indices = npt.NDArray[np.int32]
 
 FAR_BELOW = 20.0
-"""A quadratic function on a cell that is ≥ 0 on Γ_S falls from there by less than this times its largest nodal value:
-its Lebesgue constant is at most 2, and Markov's inequality allows a slope of 8 times its maximum. The maximum in the
-module must not touch v there, nor on Γ_D, where u_D − ψ may fall faster: it is sampled."""
+"""The maximum in the module must not change v away from Γ_S, so ℓ has to grow fast enough. A quadratic function on a
+cell that is ≥ 0 on Γ_S falls from there by less than this times its largest nodal value: its Lebesgue constant is at
+most 2, and by Markov's inequality its slope is at most 8 times its maximum. On Γ_D u_D − ψ may fall faster and is
+sampled."""
 SAMPLES = 12
-"""Parts into which edges of facets are cut to find how far v is below ψ."""
+"""Parts of the edges of facets, for the points in which v is compared with ψ."""
 ROOM = 1.001, 2.0
-"""v is raised by this many times that, where the facet touches Γ_D by the second: there one vertex cannot rise."""
+"""v is raised by its sampled distance below ψ times the first factor, or the second if the facet touches Γ_D: there one
+vertex cannot rise."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,13 @@ class Trace:
 
     Attributes:
         v: Quadratic on cells, with the values of u_D in its nodes on Γ_D.
-        exact: The same with u_D itself on Γ_D and not below ψ itself on Γ_S.
-        above: On Γ_S, exact − ψ.
+        exact: The admissible function: v changed to be u_D itself on Γ_D and ≥ ψ itself on Γ_S.
+        above: exact − ψ on Γ_S.
         cells: Owned cells on which v and exact may differ.
-        at_dirichlet: Those of them in which v has u_D in it.
-        touching: Those of them in which v has ψ in it as it is.
+        at_dirichlet: Those of these cells where u_D itself enters.
+        touching: Those of these cells where χ_t > 0, so that ψ itself enters.
         lowest: Lower bound of v − I_hψ per facet of Γ_S.
-        feasible: Whether u_D allows the function to be ≥ ψ on all of Γ_S.
+        feasible: Whether u_D ≥ ψ where Γ_D meets Γ_S.
     """
 
     v: fem.Function
@@ -111,7 +113,7 @@ def _with_exact_data(
     *,
     feasible: bool,
 ) -> Trace:
-    """u_D and ψ themselves in the places of their interpolants (collective)."""
+    """The trace with u_D and ψ themselves instead of their interpolants (collective)."""
     mesh = spaces.mesh
     facet_dim = mesh.topology.dim - 1
     linear = fem.functionspace(mesh, ("Lagrange", 1))
@@ -152,7 +154,7 @@ def _with_exact_data(
 
 
 def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:
-    """∫ (y·n − q_Sh) φ per node of this rank, the same for all nodes of a facet (collective)."""
+    """∫ (y·n − q_Sh) φ per node of this rank; a facet adds the same to all its nodes (collective)."""
     nodes = facet_nodes(space, spaces)
     per_node = spaces.facet_measure * (spaces.normal_flux(y) - data.q_Sh) / nodes.shape[1]
     excess = fem.Function(space)
@@ -169,7 +171,7 @@ def facet_nodes(space: fem.FunctionSpace, spaces: Spaces) -> Indices:
 
 
 def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> Array:
-    """The largest of the values ≥ 0 of the facets around each node, 0 where there are none (collective)."""
+    """For values ≥ 0 per facet, the largest value of the facets around each node, or 0 without facets (collective)."""
     largest = fem.Function(space)
     np.maximum.at(largest.x.array, nodes.ravel(), np.repeat(values, nodes.shape[1]))
     vector = largest.x.petsc_vec
@@ -179,7 +181,7 @@ def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> 
 
 
 def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
-    """A continuous function in the vertices and midpoints of edges: values, not coefficients (collective)."""
+    """Values of a continuous function in vertices and midpoints of edges, not Bernstein coefficients (collective)."""
     function = fem.Function(space)
     if is_constant(value):
         function.x.array[:] = float(value)
@@ -191,9 +193,9 @@ def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
 
 
 def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
-    """The reconstruction, averaged over the cells around each node with weights κ_h: values, not yet coefficients.
+    """The reconstruction, averaged over the cells around each node with weights κ_h (collective).
 
-    Collective.
+    The result has values in the nodes, not yet Bernstein coefficients.
     """
     spaces, kappa = solution.spaces, solution.data.kappa_h
     mesh = spaces.mesh
@@ -221,7 +223,7 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
 
 
 def _weights(data: Data) -> Array:
-    """Mean eigenvalue of κ_h per cell of this rank."""
+    """Mean eigenvalue of κ_h per owned cell."""
     if is_constant(data.kappa_h):
         return np.ones(len(data.f_h.x.array))
     entries = data.kappa_h.x.array.reshape(len(data.f_h.x.array), *(data.kappa_h.ufl_shape or (1, 1)))

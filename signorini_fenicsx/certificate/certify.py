@@ -1,30 +1,30 @@
 """A guaranteed bound of the energy error of a solution, computed from that solution alone.
 
-y ∈ RT0, σ_h or near it, and a continuous v made of u_h and σ_h are admissible in the gap identity of
-`forms/certificate.py`, but for the load that RT0 does not see. All norms are those of the energy: ‖σ‖² = (κ⁻¹σ, σ),
-|∇w|² = (κ∇w, ∇w).
+A flux y ∈ RT0, which is σ_h or near it, and a continuous v made of u_h and σ_h are admissible in the gap identity of
+`forms/certificate.py`, except for the part of the load that RT0 does not balance. All norms are energy norms: ‖σ‖² =
+(κ⁻¹σ, σ), |∇w|² = (κ∇w, ∇w).
 
-1. `admissible_flux`: ∇·y = −f_h, y·n = g_h on Γ_N, y·n at least the mean of q_S on each facet of Γ_S; remainder ≥
+1. `admissible_flux`: ∇·y = −f_h, y·n = g_h on Γ_N, y·n at least the mean of q_S on each facet of Γ_S; and remainder ≥
    ‖y − σ_h‖.
 2. `oscillation`: r ≥ q_S − y·n on Γ_S, and osc with R(w) ≤ osc |∇w| for w = 0 on Γ_D, where R(w) = (f − f_h, w) +
    ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S.
 3. `admissible_trace`: v = u_D on Γ_D, v ≥ ψ on Γ_S.
 
-Let ũ be the solution for the loads −∇·y, y·n on Γ_N and q_S − r on Γ_S. For it v and y are admissible, with
+Let ũ be the solution for the loads −∇·y, y·n on Γ_N and q_S − r on Γ_S. For this problem v and y are admissible, with
 
     gap = ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S,
 
 so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational inequality is (κ∇u, ∇(w − u)) ≥ (f, w − u) + ⟨g_N, w − u⟩ on
-Γ_N + ⟨q_S, w − u⟩ on Γ_S for all w ≥ ψ. That of u and that of ũ, each tested with the other's solution, give |∇(u − ũ)|
-≤ sup R(w)/|∇w| ≤ osc. Hence
+Γ_N + ⟨q_S, w − u⟩ on Γ_S for all w ≥ ψ. Test the inequality of u with ũ and that of ũ with u; their sum gives
+|∇(u − ũ)| ≤ sup R(w)/|∇w| ≤ osc. Hence
 
     |∇(v − u)| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder = bound.
 
-The identity itself has R(u − v) ≤ osc |∇(v − u)| on its right side if loads are those of u, and Young's inequality puts
-√(2 gap + osc²) in the place of √(2 gap) + osc for ‖σ − σ_h‖ alone.
+If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
+Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-u is the solution of the Signorini problem itself, also if a penalty method was used, on the domain that the mesh
-covers: where the boundary is curved, on the polygon or polyhedron.
+u is the solution of the Signorini problem itself, also if a penalty method was used. Its domain is the one that the
+mesh covers: a polygon or polyhedron if the boundary is curved.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
 from signorini_fenicsx.certificate.oscillation import ContactExcess, load_oscillation
@@ -64,16 +64,16 @@ class Certificate:
         bound: √(2 gap) + oscillation + remainder, for either error.
         sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
         gap: ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S.
-        oscillation: osc; of f in cells, of g_N and q_S on facets, and what means of them were missed.
-        remainder: ‖y − σ_h‖, which the linear solver or a penalty leaves, and what may be rounding.
+        oscillation: osc: of f in cells, of g_N and q_S on facets, and of their means that quadrature may have missed.
+        remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding.
         relative: bound/‖σ_h‖.
         guaranteed: Whether all data are enclosed and resolved.
-        by_quadrature: The data that are not enclosed: given in Python, or loads without Γ_D.
-        unresolved: Data that are not resolved, and a place each; the same on all ranks.
-        coarse: The owned cells where data are not resolved.
+        by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.
+        unresolved: Data that are not resolved, each with a place; the same on all ranks.
+        coarse: Mask of the owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
-        v: The continuous v in P2, before Dirichlet data that are not quadratic have been made exact.
-        seconds: What it took, the longest over all ranks.
+        v: The continuous v in P2, with interpolated u_D and ψ.
+        seconds: Wall time of the certificate, the longest over all ranks.
     """
 
     bound: float
@@ -97,19 +97,20 @@ class Certificate:
         return self.numbers() | {"guaranteed": self.guaranteed} | lists
 
     def numbers(self) -> dict[str, float]:
-        """The bounds and what they are made of."""
+        """The bounds and their parts."""
         names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
         return {name: getattr(self, name) for name in names}
 
 
+@collector_off()
 def certify(solution: Solution) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
-    Costs some assembly and, if the linear solver, a penalty or quadrature leaves something, up to three linear solves.
-    u_D and ψ have to be continuous. Integrals of data that are resolved are by quadrature, see `resolution`.
+    The cost is some assembly, and up to three linear solves if the linear solver, a penalty or quadrature leaves an
+    error. u_D and ψ have to be continuous. Integrals of resolved data are by quadrature, see `resolution`.
 
     Args:
-        solution: Of any algorithm.
+        solution: A solution by any algorithm.
     """
     watch = Stopwatch()
     with watch.phase("certificate"):
@@ -170,7 +171,7 @@ def _certificate(solution: Solution) -> Certificate:
 
 
 def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Comm) -> Array:
-    """osc_T with more in its sum of squares' root, in each cell by its share, or that of its volume (collective)."""
+    """osc_T such that osc grows by `more`, shared out by osc_T, or by volumes if osc = 0 (collective)."""
     total, volume = comm.allreduce(np.array([(oscillation**2).sum(), metric.volume.sum()])).tolist()
     if total > 0:
         return oscillation * (1 + more / np.sqrt(total))
@@ -180,7 +181,7 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
 def _twice_the_gap(
     spaces: Spaces, data: Data, trace: Trace, y: fem.Function, excess: ContactExcess
 ) -> tuple[Array, Array]:
-    """2 gap(v, y) per owned cell: of the fluxes, and on Γ_S (collective)."""
+    """2 gap(v, y) per owned cell, in two parts: ‖κ∇v − y‖², and the term on Γ_S (collective)."""
     kappa, q = data.kappa, ufl.TestFunction(spaces.Q)
     degree = quadrature(data.u_D + data.psi + scalar_conductivity(kappa))
     number = spaces.Q.dofmap.index_map.size_local
@@ -196,7 +197,7 @@ def _twice_the_gap(
 
 
 def _with_deviation(spaces: Spaces, metric: CellMetric, y: fem.Function, mismatch: Array, deviation: Array) -> Array:
-    """‖κ^½∇v − κ^-½y‖² per owned cell, by that for κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
+    """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
     if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
         return mismatch
     size = np.sqrt(np.maximum(assembled(ufl.inner(y, y) * ufl.TestFunction(spaces.Q) * ufl.dx), 0.0))

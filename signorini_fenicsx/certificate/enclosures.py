@@ -1,18 +1,19 @@
-"""What is certain of data on simplices: enclosures of an expression less a quadratic, by intervals and bisection.
+"""Enclosures of data on simplices: of d = e − p, an expression e minus a quadratic p, by intervals and bisection.
 
-A simplex is bisected, longest edge first, until enough is known. On each part, with its vertices x_v, its centroid c,
-enclosures of e, ∇e and ∇²e over its bounding box and of e and ∇e in c, and d = e − p:
+A simplex is bisected, longest edge first, until the enclosures are narrow enough. Each part has vertices x_v and a
+centroid c. Intervals enclose e, ∇e and ∇²e over its bounding box, and e and ∇e in c. By the mean value theorem
 
-    ∇d(x) ∈ ∇d(c) + [∇²d](x − c) =: G        and        d(x) ∈ d(c) + G·(x − c)
+    ∇d(x) ∈ ∇d(c) + [∇²d](x − c) =: G        and        d(x) ∈ d(c) + G·(x − c),
 
-by the mean value theorem, both as hulls over the vertices; what the box itself says is used where it says more. With
-G = G_m ± δ and V = Σ_v (x_v − c)(x_v − c)ᵀ/((k + 1)(k + 2)), the covariance of x on a simplex of dimension k, the mean
-of d is in d(c) ± Σ δ_i √V_ii, since that of G_m·(x − c) is 0, and its root mean square at most √(d(c)² + G_m·V G_m) +
-Σ δ_i √V_ii. Where a condition is undecided, ∇e is unknown, and d is in the hull of both branches.
+both as hulls over the vertices; they are intersected with the enclosures over the box. Let G = G_m ± δ, and let V =
+Σ_v (x_v − c)(x_v − c)ᵀ/((k + 1)(k + 2)) be the covariance of x on a simplex of dimension k. The mean of G_m·(x − c) is
+0, so the mean of d is in d(c) ± Σ δ_i √V_ii, and the root mean square of d is at most √(d(c)² + G_m·V G_m) + Σ δ_i
+√V_ii. Where a condition is undecided, ∇e is unknown and d is in the hull of both branches.
 
-With proven bounds of elementary functions all this is proven, rounding included. Intervals are rounded outward, other
-sums of products have a slack that refers to the sum of absolute values. `Places` tells how far c and x_v are off the
-exact ones: that c is off the centroid by e adds G·e, and that V is that of stored vertices less than 3 |G|·pad.
+With proven bounds of elementary functions all this is proven, rounding included. Intervals are rounded outward; other
+sums of products have a slack relative to the sum of absolute values. `Places` gives the distance of the stored c and
+x_v from the exact ones. A distance e of c from the centroid adds G·e, and using V of the stored vertices adds less than
+3 |G|·pad.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ from signorini_fenicsx.expressions.quadratics import Quadratic, edges
 from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack, stacked
 
 CAP = 1000
-"""Boxes that one simplex may cost."""
+"""Largest number of boxes for one simplex."""
 BUDGET, BUDGET_EACH = 50_000, 10
-"""Boxes that all simplices may cost together: so many, and so many more for each of them: some seconds."""
+"""Largest number of boxes for all simplices together: the first number plus the second per simplex; some seconds."""
 WORST = 0.25
-"""Parts are cut whose share in what is not known is at least so much of the largest share in their simplex."""
+"""A part is cut if its share of the uncertainty is at least this much of the largest share in its simplex."""
 CLOSE = 0.5
-"""An upper bound of ‖d‖² that is at most so much too large, relative to itself, is good enough."""
+"""An upper bound of ‖d‖² is good enough if it is too large by at most this share of itself."""
 CHUNK = 20000
 """Boxes evaluated at once."""
 
@@ -59,19 +60,19 @@ def facet_vertices(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Array:
 
 @dataclass(frozen=True)
 class Enclosure:
-    """What is certain of d = e − p on each of n simplices. Arrays of shape (n,), infinite where nothing is.
+    """Enclosures of d = e − p on each of n simplices. Arrays have shape (n,), and are infinite where nothing is known.
 
     Attributes:
-        mean: The mean of d lies in it.
+        mean: Interval with the mean of d.
         norm: Upper bound of the root mean square of d, which is ‖d‖/|T|^½ in L².
         sup: Upper bound of |d|.
-        slope: Upper bound of |∇d|, along T and across it.
+        slope: Upper bound of |∇d|, of its components along T and normal to T.
         tilt: Upper bound of the root mean square of |∇d|.
         rise: Upper bound of |∇d·e| for all edges e of T.
-        range: All values of e lie in it.
-        resolved: Where the bisection came to an end before its cap.
+        range: Interval with all values of e.
+        resolved: Where the bisection ended before its cap.
         place: Centroid of the part of a simplex that adds most to the upper bound of ‖d‖, shape (n, d).
-        boxes: Parts that were looked at.
+        boxes: Number of parts that were evaluated.
     """
 
     mean: Interval
@@ -97,21 +98,21 @@ def enclose(
     by: Literal["norm", "sup", "slope", "mean", "tilt"] = "norm",
     elementary: Elementary | None = None,
 ) -> Enclosure:
-    """Enclose an expression less a quadratic on simplices, each by itself (collective).
+    """Enclose an expression minus a quadratic on simplices, each by itself (collective).
 
-    A simplex is resolved where the upper bound of the root mean square of d, or of |∇d|, is below the tolerance, or not
-    much above a lower bound; or that of |d| or |∇d|, or the width of the mean, is below the tolerance. What was reached
-    elsewhere is valid too. Nothing depends on the number of ranks.
+    With "norm" or "tilt" a simplex is resolved if the upper bound is below the tolerance, or not much above a lower
+    bound; with "sup", "slope" or "mean" if the bound, or the width of the mean, is below the tolerance. The enclosures
+    of simplices that are not resolved are valid too. The results do not depend on the number of ranks.
 
     Args:
         tree: The expression, in x, y and, in 3D, z.
-        vertices: Of the n simplices of this rank, of any dimension k ≥ 1 in d dimensions, shape (n, k + 1, d).
-        p: What is to be taken off.
-        tolerance: For each simplex, shape (n,).
-        comm: The ranks.
-        scale: Size of the whole domain: decides what is rounding in the place of a discontinuity; 0: nothing is.
-        by: What the tolerance is for: `Enclosure.norm`, `sup`, `slope`, `tilt` or the width of `mean`.
-        elementary: Bounds of sin, exp, …; by default those of NumPy.
+        vertices: Vertices of the n simplices of this rank, of any dimension k ≥ 1 in d dimensions, shape (n, k + 1, d).
+        p: The quadratics that are subtracted.
+        tolerance: Tolerance of each simplex, shape (n,).
+        comm: Communicator.
+        scale: Size of the whole domain, which defines what is rounding in the place of a discontinuity; 0 for none.
+        by: The quantity with the tolerance: `Enclosure.norm`, `sup`, `slope`, `tilt` or the width of `mean`.
+        elementary: Bounds of sin, exp, …; None for those of NumPy.
     """
     algebra = elementary or FromNumPy()
 
@@ -140,12 +141,12 @@ def enclose(
 
 
 MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, RISE, LO, HI = range(12)
-"""Columns of what is known of a part: d's mean and its absolute value, the mean square of d and of |∇d| from above and
-below, |d|, |∇d|, |∇d·e|; e's range."""
+"""Columns of the enclosures of a part: the mean of d and its absolute value; bounds from above and below of the mean
+square of d and of |∇d|; |d|, |∇d|, |∇d·e|; the range of e."""
 
 
 class _Bisection:
-    """The decision which parts are cut, and sums over the parts of simplices that are done."""
+    """Decides which parts are cut, and sums over the parts of simplices that are done."""
 
     def __init__(self, vertices: Array, tolerance: Array, by: str):
         n = len(vertices)
@@ -160,7 +161,7 @@ class _Bisection:
         self._place = vertices.mean(axis=1)
 
     def decide(self, parts: Parts, known: Array) -> tuple[Mask, Mask]:
-        """Parts of simplices that too little is known of, and the worst of them, which are to be cut."""
+        """Masks of the parts of simplices that are not done, and of the worst of them, which are to be cut."""
         own, n = parts.own, len(self._cost)
         if self._bounded is not None:
             bound = known[:, self._bounded]
@@ -194,11 +195,11 @@ class _Bisection:
             np.maximum.at(self._most[:, column], own, known[:, name])
         np.minimum.at(self._range[:, 0], own, known[:, LO])
         np.maximum.at(self._range[:, 1], own, known[:, HI])
-        order = np.argsort(parts.share * known[:, SQUARE], kind="stable")  # the last of each simplex is its worst
+        order = np.argsort(parts.share * known[:, SQUARE], kind="stable")  # the worst part of each simplex comes last
         self._place[own[order]] = parts.vertices[order].mean(axis=1)
 
     def result(self) -> Enclosure:
-        """The sums, inflated by their rounding: boxes are not fewer than the additions."""
+        """The sums, enlarged by their rounding; there are at most as many additions as boxes."""
         rounding = self._cost * 2.0**-52
         mean_lo, mean_hi, mean, *squares = self._sums.T
         norm, tilt = (np.sqrt(square) * (1 + rounding) for square in squares)
@@ -217,11 +218,11 @@ class _Bisection:
 
 
 def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, scale: float, elementary: Elementary) -> Array:
-    """What one box each says of the parts of simplices."""
+    """The columns of parts of simplices, from one box for each part."""
     places = parts.within(simplices)
     e = evaluated(tree, places, scale, elementary)
 
-    # p in the centres, and how it changes from there
+    # p in the centres, and its changes from there
     gradient, hessian = p.gradient[parts.own], p.hessian[parts.own]
     steepness, curvature = np.abs(gradient), np.abs(hessian)
     offset = places.centre - simplices[parts.own].mean(axis=1)
@@ -289,5 +290,5 @@ def _summary(d: Interval, at_centre: Interval, G: Interval, rise: Interval, plac
 
 
 def _square(a: Array) -> Array:
-    """a², more than 0 where a is."""
+    """Upper bound of a², positive where a is."""
     return np.maximum(a * a * (1 + ROUNDING), np.where(a > 0, TINY, 0.0))

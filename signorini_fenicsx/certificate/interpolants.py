@@ -12,13 +12,13 @@ from signorini_fenicsx.expressions import Tree, values, values_and_gradient
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges, quadratic
 
 POINTS = 8
-"""Least degree of the quadratures that see data."""
+"""Smallest degree of the quadratures for data."""
 BLOCK = 4096
-"""Simplices whose quadrature points are held at a time: some tens of megabytes."""
+"""Number of simplices whose quadrature points are in memory at a time: some tens of megabytes."""
 
 
 def edge_order(corners: int) -> list[int]:
-    """Where Basix has the edges of a simplex that `edges` lists."""
+    """The positions in Basix's order of the edges of a simplex that `edges` lists."""
     cell = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}[corners]
     order = [tuple(sorted(edge)) for edge in basix.topology(cell)[1]]
     return [corners + order.index(edge) for edge in edges(corners)]
@@ -40,7 +40,7 @@ def in_nodes(tree: Tree, vertices: Array) -> Array:
 
 
 def _points(vertices: Array, degree: int) -> tuple[Array, Array, Array]:
-    """Points of a quadrature in each simplex, the same as seen from its centroid, and weights with sum 1."""
+    """Points of a quadrature in each simplex, the same minus its centroid, and weights with sum 1."""
     cells = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
     points, weights = basix.make_quadrature(cells[vertices.shape[1]], degree)
     x = vertices[:, :1] + points @ (vertices[:, 1:] - vertices[:, :1])
@@ -73,14 +73,14 @@ def seen_slope(tree: Tree, vertices: Array, p: Quadratic) -> Array:
 
 
 def _in_blocks(compute: Callable[[Array, Quadratic], Array], vertices: Array, p: Quadratic) -> Array:
-    """A value per simplex, of so many at once as BLOCK says: a simplex has hundreds of points."""
+    """A value per simplex, computed for BLOCK simplices at once, because each has hundreds of points."""
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, max(len(vertices), 1), BLOCK)]
     parts = [compute(vertices[b], Quadratic(p.value[b], p.gradient[b], p.hessian[b])) for b in blocks]
     return np.concatenate(parts)
 
 
 def bernstein(p: Quadratic, vertices: Array) -> Array:
-    """Coefficients of a quadratic, shape (n, nodes): all its values are means of them."""
+    """Bernstein coefficients of quadratics, shape (n, nodes); every value is a weighted mean of them."""
     corners = vertices.shape[1]
     first, second = np.array(edges(corners)).T
     arms = vertices - vertices.mean(axis=1, keepdims=True)

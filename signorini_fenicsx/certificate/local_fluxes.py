@@ -1,7 +1,7 @@
-"""The load that RT0 does not balance, measured by a flux of its own in each cell.
+"""The load that RT0 does not balance, measured by a separate flux in each cell.
 
-In a cell T let r be a load with mean 0 and r_e with mean 0 one on each facet e, and Πr, Π_e r_e their projections to
-polynomials. Take τ ∈ RT on T, of a degree for which there is one, with
+In a cell T let r be a load with mean 0, let r_e be a load with mean 0 on each facet e, and let Πr, Π_e r_e be their
+projections to polynomials. Take τ ∈ RT on T, of a degree that is high enough, with
 
     −∇·τ = Πr,   τ·n = Π_e r_e on each facet e of T.
 
@@ -10,13 +10,14 @@ Then for w ∈ H¹(T), with κ ≥ c κ_h on T, c ≤ 1, |w|² = (κ∇w, ∇w)_
     (r, w)_T + Σ_e (r_e, w)_e ≤ c^-½ (‖κ_h^-½ τ‖_T + (δ_T/π)‖r − Πr‖_T + Σ_e C_e‖r_e − Π_e r_e‖_e) |w|,
     C_e² = δ_T² |e|/|T| (1/π² + 2/(πd)),   δ_T the diameter of T measured in κ_h⁻¹.
 
-Proof. Integration by parts turns (Πr, w) + Σ (Π_e r_e, w)_e into (τ, ∇w). What Π and Π_e leave has mean 0, so w may be
-replaced by w − w_T, w_T its mean over T, for which ‖w − w_T‖_T ≤ (δ_T/π)‖κ_h^½ ∇w‖_T (Payne, Weinberger; Bebendorf: T
-is convex also in the coordinates κ_h^-½ x). On e, with x_e the vertex opposite to it, the divergence theorem for (x −
-x_e)w² gives d|T|/|e| ‖w‖²_e = d‖w‖²_T + 2(w(x − x_e), ∇w)_T ≤ d‖w‖²_T + 2δ_T‖w‖_T‖κ_h^½ ∇w‖_T. At last κ_h ≤ κ/c.
+Proof. Integration by parts turns (Πr, w) + Σ (Π_e r_e, w)_e into (τ, ∇w). The remainders r − Πr and r_e − Π_e r_e have
+mean 0, so w may be replaced by w − w_T with w_T its mean over T. For this ‖w − w_T‖_T ≤ (δ_T/π)‖κ_h^½ ∇w‖_T (Payne,
+Weinberger; Bebendorf), because T is convex also in the coordinates κ_h^-½ x. On e, with x_e the vertex opposite to it,
+the divergence theorem for (x − x_e)w² gives d|T|/|e| ‖w‖²_e = d‖w‖²_T + 2(w(x − x_e), ∇w)_T ≤ d‖w‖²_T +
+2δ_T‖w‖_T‖κ_h^½ ∇w‖_T. Finally κ_h ≤ κ/c.
 
-τ exists as the means are 0, and is computed for all cells at once: in the coordinates of the reference cell the
-conditions are the same for all of them.
+τ exists because the means are 0. It is computed for all cells at once, because in the coordinates of the reference cell
+the conditions are the same for all cells.
 """
 
 from __future__ import annotations
@@ -33,17 +34,18 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.samples import AT_ONCE, CellMetric, FacetPoints, facet_type
 
 OF_LOAD, OF_FLUX = 1, 2
-"""Degrees of Π and of all Π_e. Away from Γ_N and Γ_S RT of degree 1 is enough for τ; there it is of degree 2."""
+"""Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""
 SINGULAR = 1e-10
 
 
 @dataclass(frozen=True)
 class Projection:
-    """A load with mean 0 by its projection and what that leaves, per cell or facet.
+    """A load with mean 0, as its projection and the norm of the remainder, per cell or facet.
 
     Attributes:
-        coefficients: In an orthonormal basis on the reference cell or facet without the constant, shape (n, basis).
-        rest: Square of the L² norm of what is left, over the measure of the reference cell or facet.
+        coefficients: Coefficients of the projection in an orthonormal basis on the reference cell or facet without the
+            constant, shape (n, basis).
+        rest: Squared L² norm of the remainder, divided by the measure of the reference cell or facet.
     """
 
     coefficients: Array
@@ -51,7 +53,7 @@ class Projection:
 
 
 def projected(values: Array, cell: basix.CellType, degree: int, points: Array, weights: Array) -> Projection:
-    """Project functions with mean 0 that are known in the points of a quadrature, shape (n, points)."""
+    """Project functions with mean 0, given by values in the points of a quadrature, shape (n, points)."""
     basis = _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0]
     coefficients = values @ (weights[:, None] * basis)
     rest = values - coefficients @ basis.T
@@ -64,20 +66,20 @@ def at_points(projection: Projection, cell: basix.CellType, degree: int, points:
 
 
 def _polynomials(cell: basix.CellType, degree: int) -> basix.finite_element.FiniteElement:
-    """An orthonormal basis on the reference cell whose first functions are those of lower degrees."""
+    """An orthonormal basis on the reference cell; functions of lower degree come first."""
     legendre = basix.LagrangeVariant.legendre
     return basix.create_element(basix.ElementFamily.P, cell, degree, legendre, basix.DPCVariant.unset, True)
 
 
 @dataclass(frozen=True)
 class _Reference:
-    """Fluxes on the reference cell: those that answer to moments, and those that answer to none.
+    """Fluxes on the reference cell: one for each moment of the loads, and those that belong to no load.
 
     Attributes:
-        products: ∫ τ_a,i τ_b,j, shape (dim, dim, n, n): first the fluxes for one moment each, of the load up to degree
-            OF_LOAD and then, if it is for cells with facets that carry a load, of each facet; after these the fluxes
-            without divergence and normal component.
-        moments: How many of the first kind.
+        products: ∫ τ_a,i τ_b,j, shape (dim, dim, n, n). The first fluxes belong to one moment each: moments of the load
+            up to degree OF_LOAD and then, for cells with facets that carry a load, moments on each facet. The other
+            fluxes have neither divergence nor normal component.
+        moments: Number of the first fluxes.
     """
 
     products: Array
@@ -118,7 +120,7 @@ def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
 
 
 def _local_norms(reference: _Reference, metric: CellMetric, cells: npt.NDArray[np.intp], moments: Array) -> Array:
-    """Smallest ‖κ_h^-½ τ‖ on some cells, for moments on the reference cell, shape (cells, moments)."""
+    """Smallest ‖κ_h^-½ τ‖ on some cells, for moments of shape (cells, moments) on the reference cell."""
     jacobian = metric.jacobian[cells]
     dim, number = jacobian.shape[1], moments.shape[1]
     pulled = jacobian.transpose(0, 2, 1) @ metric.inverse[cells] @ jacobian
@@ -135,12 +137,12 @@ def _local_norms(reference: _Reference, metric: CellMetric, cells: npt.NDArray[n
 
 @dataclass(frozen=True)
 class FacetLoad:
-    """A load with mean 0 on each of some facets.
+    """A load on some facets, with mean 0 on each.
 
     Attributes:
-        points: A quadrature in them.
-        values: Shape (facets, points).
-        missed: L² norm per facet of what the values do not show of the load.
+        points: Points of a quadrature in the facets.
+        values: Values of the load there, shape (facets, points).
+        missed: L² norm per facet of the part of the load that these values do not show.
     """
 
     points: FacetPoints
@@ -149,7 +151,7 @@ class FacetLoad:
 
 
 def facet_constants(metric: CellMetric, cells: npt.NDArray[np.int32], area: Array) -> Array:
-    """C_e of facets of these cells, from |e|."""
+    """C_e of facets e of these cells; `area` is |e|."""
     dim = metric.jacobian.shape[1]
     return metric.diameter[cells] * np.sqrt(area / metric.volume[cells] * (1 / np.pi**2 + 2 / (np.pi * dim)))
 
@@ -158,9 +160,9 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
     """The factor of |w| in the module's estimate, per owned cell.
 
     Args:
-        cell: Of the mesh.
-        metric: Of the cells.
-        load: r, per cell; None for 0.
+        cell: Cell type of the mesh.
+        metric: Metric of the owned cells.
+        load: r per owned cell; None for 0.
         on_facets: r_e, each facet at most once.
     """
     dim, number = metric.jacobian.shape[1], len(metric.volume)

@@ -1,17 +1,17 @@
-"""What RT0 does not see of the load: osc and the contact excess.
+"""The part of the load that RT0 does not balance: osc and the contact excess.
 
 Let y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ the mean of q_S on each facet of Γ_S. Then s = q_S − y·n has a
-mean ≤ 0 there, but may be positive in places, where y·n < q_S. *Water-filling*: take c ≥ 0 and
+mean ≤ 0 on each facet, but s > 0 is possible in places, where y·n < q_S. *Water-filling*: take c ≥ 0 such that
 
-    r = max(s, −c) with mean 0;   if s ≤ 0 on the facet, that is c = 0 and r = 0.
+    r = max(s, −c) has mean 0;   if s ≤ 0 on the facet, c = 0 and r = 0.
 
-r ≥ s, so r − s, the contact excess, is ≥ 0: y is admissible for the problem with q_S − r in the place of q_S, and its
-gap has ⟨r − s, v − ψ⟩ in it (see `forms/certificate.py`). r itself is a load like f − f_h and g_N − g_h: with
+The contact excess r − s is ≥ 0. So y is admissible for the problem with q_S − r instead of q_S, and the gap of that
+problem contains ⟨r − s, v − ψ⟩ (see `forms/certificate.py`). r itself is a load like f − f_h and g_N − g_h: with
 
     R(w) = (f − f_h, w) + ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S,   R(w) ≤ osc |w| for w = 0 on Γ_D,
 
-osc² = Σ osc_T² by `local_fluxes`. Where q_S varies, s on a facet of no contact is q_S less its mean, and so is r. In
-contact y·n is larger than q_S but for the ends of the contact set, and r = 0, however much q_S varies.
+osc² = Σ osc_T² by `local_fluxes`. On a facet without contact s, and so r, is q_S minus its mean. In contact y·n is
+larger than q_S, except at the ends of the contact set, and r = 0 however much q_S varies.
 """
 
 from __future__ import annotations
@@ -50,23 +50,23 @@ class ContactExcess:
     """r − s on the facets of Γ_S.
 
     Attributes:
-        points: Where it is known.
-        values: r − s ≥ 0, shape (facets, points).
+        points: Points of a quadrature in the facets.
+        values: r − s ≥ 0 there, shape (facets, points).
     """
 
     points: FacetPoints
     values: Array
 
     def gap(self, above: Array, number: int) -> Array:
-        """2⟨r − s, v − ψ⟩ per cell from the values of v − ψ."""
+        """2⟨r − s, v − ψ⟩ per owned cell, from the values of v − ψ in the points; `number` is that of the cells."""
         return self.points.per_cell(2 * self.points.integrals(self.values * above), number)
 
 
 def water_filled(s: Array, weights: Array) -> Array:
-    """The load r of the module, for s of mean ≤ 0 in the points of a quadrature, shape (facets, points).
+    """The load r of the module for s with mean ≤ 0, in the points of a quadrature, shape (facets, points).
 
-    c is the largest of the numbers for which r would have mean 0 if it were −c in the k lowest points, as the largest
-    of these means is that of r.
+    For each k let c_k be the number for which s, replaced by −c_k in its k lowest points, has mean 0. c is the largest
+    c_k.
     """
     order = np.argsort(s, axis=1)
     sorted_weights = weights[order]
@@ -85,9 +85,9 @@ def load_oscillation(
     Args:
         spaces: The discrete spaces.
         data: The data.
-        metric: Of the cells.
+        metric: Metric of the owned cells.
         flux: y·n per facet of Γ_S, at least the mean of q_S.
-        resolution: Takes account of what quadrature may have missed.
+        resolution: Records what quadrature may have missed.
     """
     mesh = spaces.mesh
     on_signorini = facet_quadrature(mesh, spaces.facets, _degree(data.q_S**2 + data.psi + data.u_D))
@@ -109,7 +109,7 @@ def load_oscillation(
 def _on_facets(
     name: str, points: FacetPoints, means: Array, data: Data, metric: CellMetric, resolution: Resolution
 ) -> tuple[Array, Array]:
-    """A flux in the points of a quadrature, by a quadratic if it can be enclosed, and what that misses (collective)."""
+    """Flux data in the points of a quadrature, as quadratics if they can be enclosed, and their error (collective)."""
     values = points.values(getattr(data, name))
     if not resolution.encloses(name):
         return values, np.zeros(len(values))
@@ -125,7 +125,7 @@ def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution
     if is_constant(data.f):
         return None
     cell = spaces.mesh.basix_cell()
-    positive = basix.QuadratureType.xiao_gimbutas  # weights: those of Keast's rules, the default, are not
+    positive = basix.QuadratureType.xiao_gimbutas  # weights; the default, Keast's rules, has negative ones
     points, weights = basix.make_quadrature(cell, _degree(data.f**2), positive)
     parts = [
         projected(values - data.f_h.x.array[cells, None], cell, OF_LOAD, points, weights)

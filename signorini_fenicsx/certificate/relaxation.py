@@ -1,9 +1,9 @@
-"""Lowering the gap of v: a quadratic function of Bernstein's coefficients under lower bounds on Γ_S.
+"""Reduces the gap of v, a quadratic function of Bernstein coefficients with lower bounds on Γ_S.
 
-A quadratic on an edge with the end values a, b ≥ 0 and Bernstein's coefficient m in between is a(1−t)² + 2mt(1−t) +
-bt², which is ≥ 0 for 0 ≤ t ≤ 1 if and only if m ≥ −√(ab). On a triangle it is ≥ 0 if m ≥ −½√(ab) on each of the edges:
-in the variables √a λ_a its matrix, 1 on the diagonal and ≥ −½ elsewhere, is the sum of one with entries ≥ 0 and of
-3/2 I − ½ 11ᵀ, which is positive semidefinite. (If a = 0, then m ≥ 0.)
+A quadratic on an edge with end values a, b ≥ 0 and middle Bernstein coefficient m is a(1−t)² + 2mt(1−t) + bt². It is
+≥ 0 for 0 ≤ t ≤ 1 if and only if m ≥ −√(ab). On a triangle a quadratic is ≥ 0 if m ≥ −½√(ab) on each edge. Proof: in the
+variables √a λ_a its matrix has 1 on the diagonal and entries ≥ −½ elsewhere, so it is the sum of a matrix with entries
+≥ 0 and of 3/2 I − ½ 11ᵀ, which is positive semidefinite. (If a = 0, the condition is m ≥ 0.)
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from signorini_fenicsx.forms.mixed import flux_product
 type Indices = npt.NDArray[np.int32]
 
 STEPS, MOST_STEPS = 5, 320
-"""Of CG in the first round, and at most; each has twice as many as that before. κ that jumps by 1e6 on bad cells needs
-hundreds, others end in the first rounds."""
+"""Steps of CG in the first round, and the largest number; each round has twice as many as the one before. κ that jumps
+by 1e6 on bad cells needs hundreds of steps; other problems end in the first rounds."""
 ROUNDS = 16
 WORTH = 0.05
-"""There is a further round if it may gain this part of the gap: by steps like the last one, what projection took, or
-nodes that leave their bound."""
+"""There is another round if it may gain this share of the gap: by more steps like the last one, by regaining what the
+projection lost, or by nodes that leave their bound."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class Edges:
     ends: Indices
 
     def to_bernstein(self, values: Array) -> None:
-        """Turn values in the middle into Bernstein's coefficients, in place."""
+        """Turn values in the middle nodes into Bernstein coefficients, in place."""
         values[self.middle] = 2 * values[self.middle] - values[self.ends].sum(axis=1) / 2
 
 
 def all_edges(space: fem.FunctionSpace) -> Edges:
-    """Each edge once, in a space of quadratics whose nodes are those of Bernstein's or Lagrange's basis."""
+    """The edges of this rank, each once, in a space of quadratics with the nodes of the Bernstein or Lagrange basis."""
     nodes = space.dofmap.list
     vertices = space.mesh.topology.dim + 1
     ends = np.array(basix.topology(space.mesh.basix_cell())[1])
@@ -56,7 +56,7 @@ def all_edges(space: fem.FunctionSpace) -> Edges:
 
 
 class Obstacle:
-    """w ≥ 0 on Γ_S by lower bounds of its coefficients.
+    """The condition w ≥ 0 on Γ_S, as lower bounds of Bernstein coefficients.
 
     Attributes:
         nodes: Nodes of this rank on Γ_S that are not on Γ_D.
@@ -69,7 +69,7 @@ class Obstacle:
         self._part = 1.0 if dim == 2 else 0.5
 
     def lower(self, w: Array) -> Array:
-        """The bound of each node, −∞ off Γ_S."""
+        """The lower bound of each node of this rank, −∞ off Γ_S."""
         bound = np.full(len(w), -np.inf)
         bound[self.nodes] = 0.0
         a, b = np.maximum(w[self._edges.ends], 0.0).T
@@ -77,7 +77,7 @@ class Obstacle:
         return bound
 
     def project(self, w: Array) -> None:
-        """Raise vertices to 0, then the middles of edges to their bound, in place."""
+        """Raise negative vertex values to 0, then the middle nodes of edges to their bound, in place."""
         vertices = np.setdiff1d(self.nodes, self._edges.middle)
         w[vertices] = np.maximum(w[vertices], 0.0)
         np.maximum(w, self.lower(w), out=w)
@@ -86,19 +86,19 @@ class Obstacle:
 def relax(
     w: fem.Function, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array, fixed: Indices, obstacle: Obstacle
 ) -> None:
-    """Lower ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
+    """Reduce ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
 
-    In each round nodes on their bound are held there unless the gap falls above it; then w is projected. What the
-    average adds to the error varies from node to node, and that is what the first steps remove.
+    In each round a node on its bound is fixed, unless raising it reduces the gap. After the round w is projected to the
+    bounds. The averaging in v makes errors that vary from node to node; the first steps remove these.
 
     Args:
-        w: Bernstein's coefficients, within their bounds; changed in place.
+        w: Bernstein coefficients within their bounds, with ghosts; changed in place.
         psi: I_hψ.
-        y: In RT0.
+        y: Flux in RT0.
         kappa: κ_h.
         excess: ∫ (y·n − q_Sh) φ per node φ of this rank.
         fixed: Nodes on Γ_D.
-        obstacle: What holds on Γ_S.
+        obstacle: The condition on Γ_S.
     """
     gap = _Gap(w.function_space, psi, y, kappa, excess)
     best = w.x.array.copy()
@@ -125,7 +125,7 @@ def relax(
 
 
 class _Gap:
-    """The quadratic function of w, in the owned nodes."""
+    """The gap as a quadratic function of w in the owned nodes."""
 
     def __init__(self, space: fem.FunctionSpace, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -140,7 +140,7 @@ class _Gap:
         self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, ufl.dx, kappa)))) / 2
 
     def at(self, w: fem.Function) -> tuple[float, Array]:
-        """The gap, and how it falls with each node (collective)."""
+        """The gap, and its negative derivative by each owned node (collective)."""
         above = w.x.array[: len(self._psi)]
         v = above + self._psi
         stiff = self._times(v)
@@ -148,7 +148,7 @@ class _Gap:
         return value + self._constant, self._flux - self._excess - stiff
 
     def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
-        """By how much nodes can lower the gap that move upwards each by itself (collective)."""
+        """The sum of the gains if each of these nodes alone is raised as far as is best (collective)."""
         upwards = np.where(nodes, np.maximum(descent, 0.0), 0.0)
         return float(self._comm.allreduce(upwards @ (upwards / self._diagonal.array_r)) / 2)
 
@@ -156,7 +156,7 @@ class _Gap:
         """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).
 
         Returns:
-            The change, by how much it lowers the gap, and by how much its last step does.
+            The change of w, by how much it reduces the gap, and by how much its last step does.
         """
         change, direction = np.zeros_like(residual), np.zeros_like(residual)
         gained, last, size = 0.0, 0.0, np.inf

@@ -1,25 +1,26 @@
-"""What quadrature may have missed of the data: enclosures of what they are less what the certificate takes them for.
+"""Bounds of what quadrature may have missed of the data, by enclosures.
 
-Data that a case gives as text are trees, which intervals enclose on whole cells and facets (`enclosures`). For each of
-them the certificate works with a polynomial p, and d = e − p is what is left of the expression e.
+Data that a case gives as text are trees, which intervals enclose on whole cells and facets (`enclosures`). The
+certificate replaces each expression e by a polynomial p; d = e − p is the difference.
 
 - *Loads.* On a cell, (d, w)_T = (d, w − w_T)_T + |T| μ w_T with μ the mean of d and w_T that of w; the first term is at
-  most (δ_T/π)‖d‖ |w|, as in `local_fluxes`. On a facet e of T, (d, w)_e ≤ C_e‖d‖_e |w| + |e| μ_e w_T. So all means make
-  one load per cell, c. With −∇·z = 1, z·n = 0 on Γ_N and Γ_S, and s the largest κ^-½|z|, for all w = 0 on Γ_D
+  most (δ_T/π)‖d‖ |w|, as in `local_fluxes`. On a facet e of T, (d, w)_e ≤ C_e‖d‖_e |w| + |e| μ_e w_T. So the means
+  together are one load per cell, c. Take z with −∇·z = 1, z·n = 0 on Γ_N and Γ_S, and let s be the largest κ^-½|z|. For
+  all w = 0 on Γ_D
 
       |w|² ≥ (2tw z, ∇w) − ‖tκ^-½ wz‖² ≥ (t − t²s²)‖w‖² = ‖w‖²/4s²   with t = 1/2s²,   so (c, w) ≤ 2s‖c‖ |w|.
 
 - *κ*, with P2 interpolant κ̃ and S = sup |κ − κ̃| on T: ‖κ^½∇v − κ^-½y‖ ≤ ρ^½‖κ̃^½∇v − κ̃^-½y‖ + S‖y‖/(κ_min^½ κ̃_min),
   ρ = 1 + S/κ̃_min, since κ^½∇v − κ^-½y = κ^½κ̃⁻¹(κ̃∇v − y) + κ^-½(κ − κ̃)κ̃⁻¹y.
-- *u_D and ψ* near Γ_D and Γ_S, where v takes them as they are: ‖κ^½∇(χd)‖_T ≤ κ_max^½ (‖∇d‖ + |T|^½ |∇χ| sup|d|)
-  with d what P2 does not see of them. Integrals over these cells see d in the points of a quadrature. Where these show
-  less than a third of ∇d, and that may make more than all the rest of the bound, u_D or ψ are not resolved.
+- *u_D and ψ* near Γ_D and Γ_S, where v contains u_D and ψ themselves: ‖κ^½∇(χd)‖_T ≤ κ_max^½ (‖∇d‖ + |T|^½ |∇χ| sup|d|)
+  with d the difference between them and their P2 interpolants. Integrals over these cells use d in the points of a
+  quadrature. If these points show less than a third of ∇d, and the rest may be more than all other terms of the bound,
+  u_D or ψ is not resolved.
 
-So it is with loads: where the points of a quadrature show at least a third of d, where quadratures of two degrees agree
-about its mean, and d does not jump, its integrals are left to quadrature. Elsewhere ‖d‖ and its mean are those of the
-enclosures.
+For loads, quadrature is used where three conditions hold: its points show at least a third of d, quadratures of two
+degrees agree about the mean of d, and d does not jump. Elsewhere ‖d‖ and the mean come from the enclosures.
 
-Polynomials are integrated exactly. Data given in Python have no trees: there the bound rests on quadrature.
+Polynomials are integrated exactly. Data given in Python have no trees; for these the bound relies on quadrature.
 """
 
 from __future__ import annotations
@@ -55,37 +56,37 @@ from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_grad
 type Indices = npt.NDArray[np.int32]
 
 EXACT = 15
-"""Squares of polynomials up to this degree are integrated exactly: quadrature goes twice as far."""
+"""Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
 LOADS = ("f", "g_N", "q_S")
 SEEN = 0.25
-"""Enclosures of u_D and ψ stop where what is not quadratic in them makes about half of this part of the error."""
+"""Enclosures of u_D and ψ stop where the part that is not quadratic is about half of this share of the error."""
 AGREED = 0.1
-"""Two quadratures agree about a mean if they differ by so much of the root mean square."""
+"""Two quadratures agree about a mean if they differ by at most this share of the root mean square."""
 OVERLOOKED = 3.0
-"""Quadrature overlooks a gradient if it is so many times what its points show."""
+"""Quadrature overlooks a gradient if the gradient is more than this times what the points show."""
 LITTLE, MUCH = 0.1, 0.5
-"""Parts of the bound."""
+"""Shares of the bound by enclosures: up to the first, hit caps do not matter; above the second, data are unresolved."""
 PLACES = 10
-"""Unresolved places that are kept."""
+"""Largest number of unresolved places that are kept."""
 SHARE = 0.02
-"""Enclosures stop where what they leave is about this share of the error."""
+"""Enclosures stop where their uncertainty is about this share of the error."""
 
 
 @dataclass
 class Resolution:
-    """Encloses the data of one solution and keeps the account of what that says.
+    """Encloses the data of one solution and records what quadrature may have missed.
 
     Attributes:
         spaces: The discrete spaces.
         data: The data.
-        error: About the error in the energy norm.
+        error: Rough size of the error in the energy norm.
         volume: |Ω|.
-        by_quadrature: Data that nothing is certain of: given in Python, or there is no Γ_D to hold their means.
-        unresolved: Data with a place each where the cap on boxes was hit, of this rank.
-        coarse: The owned cells where that is.
-        load: c, the means of what was missed of the loads, per owned cell.
-        missed: What the enclosures add to the bound but for these means, squared, per owned cell.
-        lost: Data of which the bound does not take account.
+        by_quadrature: Data without enclosures: those given in Python, and loads if there is no Γ_D for their means.
+        unresolved: Data with a place each where the cap on boxes was hit, on this rank.
+        coarse: Mask of the owned cells with such places.
+        load: c, the means of the missed loads, per owned cell.
+        missed: What the enclosures add to the bound apart from these means, squared, per owned cell.
+        lost: Data that the bound does not fully take into account.
     """
 
     spaces: Spaces
@@ -105,17 +106,17 @@ class Resolution:
         self.load = enclosing(np.zeros(number))
 
     def encloses(self, name: str) -> bool:
-        """Whether enclosures are needed and can be had: not of polynomials, nor of data given in Python."""
+        """Whether enclosures are needed and possible: not for polynomials, and not for data given in Python."""
         return self._tree(name) is not None
 
     def on_cells(self, name: str, nodes: Array, seen: Array, metric: CellMetric) -> Array:
-        """Root mean square per owned cell of a load less p, given in the nodes of P2 (collective).
+        """Root mean square of a load minus p per owned cell (collective).
 
         Args:
-            name: Of the load.
-            nodes: Values of p, shape (cells, nodes).
-            seen: What a quadrature says of it.
-            metric: Of the cells.
+            name: Name of the load.
+            nodes: Values of p in the nodes of P2, shape (cells, nodes).
+            seen: The root mean square by quadrature, shape (cells,).
+            metric: Metric of the owned cells.
         """
         vertices = cell_vertices(self.spaces.mesh)
         tolerance = self._flux(metric) / self.volume ** (1 / vertices.shape[2])
@@ -125,7 +126,7 @@ class Resolution:
         return norm
 
     def on_facets(self, name: str, points: FacetPoints, nodes: Array, seen: Array, metric: CellMetric) -> Array:
-        """The same per facet for a flux, in L² (collective)."""
+        """L² norm of a flux minus p per facet, with arguments like those of `on_cells` (collective)."""
         p, tolerance = quadratic_of(points.vertices, nodes), self._flux(metric)[points.cells]
         norm, mean = self._load(name, points.vertices, p, seen, tolerance, points.cells)
         area = points.integrals(np.ones((len(points.cells), len(points.weights))))
@@ -139,7 +140,7 @@ class Resolution:
     def _load(
         self, name: str, vertices: Array, p: Quadratic, seen: Array, tolerance: Array, cells: Indices
     ) -> tuple[Array, Interval]:
-        """Root mean square and mean of a load less p; where quadrature sees it, what that says, and 0 (collective)."""
+        """Root mean square and mean of a load minus p; `seen` and 0 where quadrature is good enough (collective)."""
         tree, comm, scale = self._tree(name), self.spaces.mesh.comm, self._scale()
         assert tree is not None
         enough = np.maximum(OVERLOOKED * seen, tolerance)
@@ -156,10 +157,11 @@ class Resolution:
     def conductivity(self, metric: CellMetric, size: float) -> tuple[CellMetric, Array]:
         """The metric with κ ≥ low κ_h on whole cells, and S per owned cell (collective).
 
-        With κ = κ̃ + δ, κ_h^-½κ̃κ_h^-½ is a mean of what it would be for each Bernstein coefficient of κ̃.
+        With κ = κ̃ + δ, κ_h^-½κ̃κ_h^-½ is in each point a weighted mean of κ_h^-½κ_iκ_h^-½ for the Bernstein
+        coefficients κ_i of κ̃.
 
         Args:
-            metric: With low from some points.
+            metric: The metric, with `low` from the nodes of P2 only.
             size: ‖σ_h‖.
         """
         number, dim = len(metric.volume), metric.jacobian.shape[1]
@@ -191,8 +193,8 @@ class Resolution:
     def near_boundary(self, trace: Trace, metric: CellMetric) -> Array:
         """Bound of ‖κ^½∇(χd)‖_T for u_D and ψ together, per owned cell (collective).
 
-        v has ψ in it where it touches, and where it would else fall below, which it cannot where it is higher above
-        I_hψ than ψ ever is.
+        v contains ψ where it touches, and where it was raised to ψ. It cannot have been raised on facets where
+        v − I_hψ ≥ sup |ψ − I_hψ|.
         """
         extra = np.zeros(len(metric.volume))
         above = self._facets_of_psi(trace)
@@ -214,7 +216,7 @@ class Resolution:
         return extra
 
     def _facets_of_psi(self, trace: Trace) -> npt.NDArray[np.bool_]:
-        """The facets of Γ_S where ψ may be above v, which is quadratic there."""
+        """Mask of the facets of Γ_S where ψ may be larger than the quadratic v."""
         tree = self._tree("psi")
         if tree is None:
             return np.zeros(len(self.spaces.facets), dtype=bool)
@@ -226,7 +228,7 @@ class Resolution:
         return np.asarray(found.sup > tolerance)
 
     def _flux(self, metric: CellMetric) -> Array:
-        """About a flux on each cell that is no more than a share of the error."""
+        """A flux size per owned cell that makes only the share SHARE of the error."""
         return SHARE * self.error * np.sqrt(np.maximum(metric.kappa_min, 0.0) / self.volume)
 
     def _tree(self, name: str) -> Tree | None:
@@ -237,14 +239,14 @@ class Resolution:
         return None if degree is not None and degree <= EXACT else tree
 
     def _given_as_text(self, name: str) -> bool:
-        """Whether a datum is a number or a tree; takes note if it is neither."""
+        """Whether a datum is a number or a tree; otherwise it is added to `by_quadrature`."""
         known = is_constant(getattr(self.data, name)) or any(key.partition(".")[0] == name for key in self.data.trees)
         if not known:
             self.by_quadrature.add(name)
         return known
 
     def _conductivities(self) -> Iterator[tuple[Tree, Indices, list[tuple[int, int]]]]:
-        """Each tree of κ, the owned cells where it holds, and which entries of the matrix it is."""
+        """Each tree of κ, the owned cells where it holds, and its entries of the matrix."""
         dim = self.spaces.mesh.geometry.dim
         for name, given in self.data.trees.items():
             key, _, region = name.partition(".")
@@ -283,7 +285,7 @@ class Resolution:
         return np.arange(len(self.coarse), dtype=np.int32)
 
     def overlooked(self, beside: Array) -> None:
-        """Take note that quadrature may overlook u_D or ψ where these are, squared per owned cell, the largest."""
+        """Record that quadrature may overlook u_D or ψ in the cells where `beside` is large (collective)."""
         comm = self.spaces.mesh.comm
         worst = beside >= comm.allreduce(beside.max(initial=0.0), MPI.MAX) / 4
         names = ", ".join(name for name in ("u_D", "psi") if self.encloses(name))
@@ -291,20 +293,20 @@ class Resolution:
         self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
 
     def load_left(self, measure: Callable[[Interval], float]) -> float:
-        """What the means of the loads add to the bound, as they are measured; without Γ_D they rest on quadrature."""
+        """What the means of the loads add to the bound, by `measure`; without Γ_D nothing, they rely on quadrature."""
         if self.spaces.has_dirichlet:
             return measure(self.load)
         self.by_quadrature |= {name for name in LOADS if self.encloses(name)}
         return 0.0
 
     def account(self, share: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
-        """Data that are not resolved with a place each, the same on all ranks (collective).
+        """Data that are not resolved, each with a place; the same on all ranks (collective).
 
-        Where the cap on boxes was hit, the enclosures are valid all the same: that matters if they add much to the
-        bound. If they make most of it, the places where they do so are not resolved, cap or not.
+        Enclosures are valid also where the cap on boxes was hit, so this matters only if they add much to the bound. If
+        they make most of the bound, the places where they are largest are not resolved, with or without the cap.
 
         Args:
-            share: Part of the bound that the enclosures make.
+            share: Share of the bound that comes from the enclosures.
         """
         comm = self.spaces.mesh.comm
         if share <= LITTLE:
@@ -324,5 +326,5 @@ class Resolution:
 
 
 def _of_all(matrices: Array, number: int) -> Array:
-    """One matrix per cell, where there may be one for all."""
+    """One matrix per cell; `matrices` may hold one for all cells."""
     return np.broadcast_to(matrices, (number, *matrices.shape[1:]))

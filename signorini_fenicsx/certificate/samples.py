@@ -1,4 +1,4 @@
-"""Values of data in points of cells and boundary facets, and the geometry that goes with them, as NumPy arrays."""
+"""Values of data in points of cells and boundary facets, and the geometry of these, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.data import Data, is_constant
 
 AT_ONCE = 20_000
-"""Cells whose values are in memory at the same time."""
+"""Number of cells whose values are in memory at the same time."""
 
 
 def corners(mesh: dolfinx.mesh.Mesh) -> Array:
@@ -35,7 +35,7 @@ def cell_values(mesh: dolfinx.mesh.Mesh, value: Expr, points: Array) -> Iterator
     """Values in reference points of the cells of this rank, some cells at a time (collective).
 
     Yields:
-        Which cells, and their values, shape (cells, points, *shape of the value).
+        A slice of cells, and their values, shape (cells, points, *shape of the value).
     """
     number = mesh.topology.index_map(mesh.topology.dim).size_local
     expression = fem.Expression(_on_mesh(mesh, value), points)
@@ -46,7 +46,7 @@ def cell_values(mesh: dolfinx.mesh.Mesh, value: Expr, points: Array) -> Iterator
 
 
 def _on_mesh(mesh: dolfinx.mesh.Mesh, value: Expr) -> Expr:
-    """The same, for a number too, which knows no mesh."""
+    """The same value; a plain number, which has no mesh, becomes an expression on this mesh."""
     return fem.Constant(mesh, 1.0) * value
 
 
@@ -57,10 +57,10 @@ class FacetPoints:
     Attributes:
         mesh: The mesh.
         facets: Mesh facets.
-        cells: The cell behind each.
-        local: Which facet of this cell it is.
-        points: In the reference facet, shape (points, dim − 1).
-        weights: Of the quadrature on the reference facet; none for other points.
+        cells: The cell behind each facet.
+        local: Index of each facet in this cell.
+        points: Points in the reference facet, shape (points, dim − 1).
+        weights: Weights of the quadrature on the reference facet; empty for other points.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -71,9 +71,9 @@ class FacetPoints:
     weights: Array
 
     def values(self, value: Expr) -> Array:
-        """Shape (facets, points) (collective).
+        """Values in the points, shape (facets, points) (collective).
 
-        As points of the cells: where DOLFINx has the points of a facet depends on the numbers of its vertices.
+        They are evaluated as points of cells, because DOLFINx's own points of a facet depend on its vertex numbers.
         """
         shape = (len(self.facets), len(self.points))
         if is_constant(value):
@@ -88,28 +88,28 @@ class FacetPoints:
         return values.reshape(len(self.facets), len(reference), -1)[np.arange(len(self.facets)), self.local]
 
     def among(self, cells: npt.NDArray[np.bool_]) -> FacetPoints:
-        """Those of the facets that lie in some of the cells."""
+        """The facets of some of the cells; `cells` is a mask."""
         chosen = cells[self.cells]
         return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
     @cached_property
     def vertices(self) -> Array:
-        """Of each facet, in the order of the reference facet, shape (facets, dim, dim)."""
+        """Vertices of each facet, in the order of the reference facet, shape (facets, dim, dim)."""
         local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
         return np.take_along_axis(corners(self.mesh)[self.cells], local[:, :, None], axis=1)
 
     @cached_property
     def scale(self) -> Array:
-        """|e| over the measure of the reference facet."""
+        """|e| divided by the measure of the reference facet, per facet."""
         edges = self.vertices[:, 1:] - self.vertices[:, :1]
         return np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1)))
 
     def integrals(self, values: Array) -> Array:
-        """Of values of shape (facets, points), per facet."""
+        """Integrals per facet of values of shape (facets, points)."""
         return self.scale * (values @ self.weights)
 
     def per_cell(self, values: Array, number: int) -> Array:
-        """Sums of facet values over the facets of each of the cells."""
+        """Sums of values per facet over the facets of each owned cell; `number` is that of the cells."""
         return np.bincount(self.cells, values, number)[:number]
 
 
@@ -142,13 +142,13 @@ def _facet_points(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], points
 
 @dataclass(frozen=True)
 class CellMetric:
-    """The owned cells as κ measures them.
+    """Geometry of the owned cells in the metric of κ. Arrays have one entry per cell.
 
     Attributes:
-        jacobian: Of the map from the reference cell, shape (cells, dim, dim).
+        jacobian: Jacobian of the map from the reference cell, shape (cells, dim, dim).
         volume: |T|.
         inverse: κ_h⁻¹, shape (cells, dim, dim).
-        diameter: max (x − y)·κ_h⁻¹(x − y) over T, its root: the diameter of T where κ_h is 1 and lengths as here.
+        diameter: Square root of max (x − y)·κ_h⁻¹(x − y) over T: the diameter of T measured in κ_h⁻¹.
         low: The largest number ≤ 1 with κ ≥ low κ_h in the nodes of P2 on T.
         kappa_min: low times the smallest eigenvalue of κ_h.
     """

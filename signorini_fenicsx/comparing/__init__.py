@@ -1,1 +1,1 @@
-"""Solutions side by side: two of them, over h or ε, over all methods."""
+"""Comparisons of solutions: of two, over h or ε, and of all methods."""

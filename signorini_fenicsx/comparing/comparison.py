@@ -1,4 +1,4 @@
-"""How far two solutions of one domain are apart: their contact sets and their fields, on meshes that need not match."""
+"""Compares contact sets and fields of two solutions on one domain; their meshes need not match."""
 
 import math
 from collections.abc import Mapping
@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.comparing.convergence import Differences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.solving.solution import Solution
@@ -14,14 +15,14 @@ from signorini_fenicsx.solving.solver import same_domain
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two solutions side by side.
+    """A comparison of two solutions.
 
     Attributes:
         contact: Measures of the two contact sets.
-        jaccard: |A ∩ B| / |A ∪ B|, found on the facets of the finer mesh.
+        jaccard: |A ∩ B| / |A ∪ B|, computed on the facets of the finer mesh.
         hausdorff: Hausdorff distance of the contact sets.
         norms: Norms of the differences, see `Differences`, by quadrature on the finer mesh.
-        relative: Those of σ, u and p over the norms of the finer solution; infinite over 0.
+        relative: The norms for σ, u and p divided by those of the finer solution; infinite if these are 0.
     """
 
     contact: tuple[float, float]
@@ -31,12 +32,13 @@ class Comparison:
     relative: Mapping[str, float]
 
     def summary(self) -> dict[str, Any]:
-        """Everything, ready for JSON."""
+        """All numbers, ready for JSON."""
         return asdict(self)
 
 
+@collector_off()
 def compare(one: Solution, other: Solution) -> Comparison:
-    """Compare two solutions on one communicator (collective; symmetric but for the order of `contact`).
+    """Compare two solutions on one communicator (collective; symmetric except for the order of `contact`).
 
     Raises:
         InputError: If their domains or contact boundaries differ.
@@ -47,7 +49,7 @@ def compare(one: Solution, other: Solution) -> Comparison:
     )
     domains = same_domain(one.spaces.domain, other.spaces.domain)
     if not domains or set(one.boundary.signorini) != set(other.boundary.signorini):
-        raise InputError(f"solutions of one domain and contact boundary compare, not of {here} and {there}")
+        raise InputError(f"only solutions with the same domain and Γ_S can be compared, not {here} and {there}")
     coarse, fine = sorted((one, other), key=_cells)
     norms = differences(coarse, fine)
     scale = fine.norms()

@@ -26,11 +26,11 @@ from signorini_fenicsx.solving.solution import Solution
 
 ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
 ASYMPTOTIC_EPS = 1e-2
-"""Slopes in ε are fitted from here down."""
+"""Slopes in ε are fitted to rows with ε up to this value."""
 
 
 class Vary(Enum):
-    """What a study varies from row to row; EPS_H and EPS_H2 tie ε to h."""
+    """What a study varies from row to row; EPS_H and EPS_H2 vary h with ε = h or ε = h²."""
 
     H = "h"
     EPS = "eps"
@@ -59,16 +59,16 @@ class Differences:
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """Errors of one run against the reference, and the slides' where they give them.
+    """Errors of one run against the reference, and those of the slides if they give them.
 
-    Orders are those from the row before, None on the first: over ε if it is what varies, else over the mean size
-    cells^(-1/d), because the largest diameter of a Gmsh mesh is an outlier.
+    Orders compare a row with the row before; the first row has None. They are orders in ε if ε varies, otherwise in the
+    mean cell size cells^(-1/d), because the largest diameter of a Gmsh mesh is an outlier.
 
     Attributes:
         level: h ≤ 2^-level, or ε = 10^-level if ε varies.
         h: Largest cell diameter.
-        eps: ε, None without a penalty.
-        cells: Cells.
+        eps: ε; None without a penalty.
+        cells: Number of cells.
         iterations: Iterations of the algorithm.
         sigma_V: ‖σ_ref − σ_h‖_V.
         sigma_V_order: Its order.
@@ -78,7 +78,7 @@ class ErrorRow:
         p_Lambda_order: Its order.
         p_half: ‖p_ref − p_h‖ in a discrete H^{1/2}(Γ_S).
         p_half_order: Its order.
-        flux_scaled: √ε‖(σ_ref − σ_h)·n‖_Λ, None without a penalty.
+        flux_scaled: √ε‖(σ_ref − σ_h)·n‖_Λ; None without a penalty.
         flux_scaled_order: Its order.
         slides_sigma_V: The slides' ‖σ_ref − σ_h‖_V.
         slides_u_Q: The slides' ‖u_ref − u_h‖_Q.
@@ -106,8 +106,8 @@ class ErrorRow:
 def differences(coarse: Solution, fine: Solution) -> Differences:
     """Norms of the difference of two solutions, by quadrature on the mesh of the second (collective).
 
-    The coarse fields are evaluated at the quadrature points. Where a curved boundary is cut differently by the two
-    meshes, the nearest coarse cell is taken.
+    The coarse fields are evaluated at the quadrature points. Near a curved boundary a point may be outside the coarse
+    mesh; then the nearest coarse cell is used.
     """
     source = coarse.spaces.domain
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
@@ -135,7 +135,7 @@ def differences(coarse: Solution, fine: Solution) -> Differences:
 def slobodeckij_norm(solution: Solution, values: Array) -> float:
     """Discrete H^{1/2}(Γ_S) norm of one value per Γ_S facet (collective; quadratic in the number of facets).
 
-    The Sobolev-Slobodeckij double integral with each pair of different facets taken at its midpoints:
+    It is the Sobolev-Slobodeckij double integral, by midpoints for each pair of different facets:
     ‖p‖² + Σ_{e≠e'} |e||e'| (p_e − p_e')² / |x_e − x_e'|^d.
     """
     spaces = solution.spaces
@@ -161,7 +161,7 @@ def _divergence(solution: Solution) -> fem.Function:
 
 
 def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:
-    """The slides' errors of σ and u per level, empty where they give none."""
+    """The errors of σ and u in the slides per level; empty if the slides give none."""
     with (data_folder("tables") / "slides.csv").open(newline="", encoding="utf-8") as file:
         return {
             int(row["level"]): (float(row["sigma_V"]), float(row["u_Q"]))
@@ -182,20 +182,20 @@ def convergence_study(
 ) -> list[ErrorRow]:
     """Solve for several h or ε and measure errors against a reference (collective).
 
-    The reference is the same problem with h ≤ 2^-reference if h varies, Algorithm 1 with that h if ε is tied to h, and
-    Algorithm 1 on the same mesh if ε varies: there the error is that of the penalty alone.
+    If h varies, the reference is the same problem with h ≤ 2^-reference. If ε depends on h, it is Algorithm 1 with that
+    h. If ε varies, it is Algorithm 1 on the same mesh, so the error is that of the penalty alone.
 
     Args:
-        case: The problem; what varies is ignored in it.
+        case: The problem; its own value of what varies is ignored.
         vary: What varies.
         levels: h ≤ 2^-level, or ε = 10^-level.
         reference: Level of the reference, finer than all levels; unused if ε varies.
         comm: Communicator.
-        on_start: Called on all ranks with the case about to be solved.
+        on_start: Called on all ranks with each case before it is solved.
         on_row: Called on all ranks with each finished row.
 
     Raises:
-        InputError: If a mesh cannot be made, or ε is to vary for an algorithm without penalty.
+        InputError: If a mesh cannot be made, or ε should vary for an algorithm without penalty.
         NumericalFailure: If a run fails.
     """
     if vary is not Vary.H and not case.method.has_eps:
@@ -223,7 +223,7 @@ def convergence_study(
 
 
 def level_values(vary: Vary, level: int) -> dict[str, float]:
-    """What a level changes in the case."""
+    """The keys of the case that a level changes, and their values."""
     match vary:
         case Vary.H:
             return {"solve.h": 2.0**-level}
@@ -280,7 +280,7 @@ def _row(
 
 
 def fitted_slopes(rows: list[ErrorRow], vary: Vary) -> dict[str, float]:
-    """Least-squares slopes of the errors on logarithmic axes, over 2^-level or ε (from ASYMPTOTIC_EPS down)."""
+    """Least-squares slopes of the errors on logarithmic axes, against 2^-level or ε (ε ≤ ASYMPTOTIC_EPS)."""
     if vary is Vary.EPS:
         rows = [row for row in rows if row.eps is not None and row.eps <= ASYMPTOTIC_EPS * (1 + 1e-12)]
     slopes = {}

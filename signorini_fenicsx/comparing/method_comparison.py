@@ -26,12 +26,12 @@ class MethodRow:
         case: Name of the case.
         h: Largest cell diameter.
         method: The algorithm.
-        iterations: Its iterations; those of the interior-point method for qp.
-        seconds: Assembly and solve, the longest over the ranks.
+        iterations: Number of its iterations; for qp those of the interior-point method.
+        seconds: Wall time of assembly and solve, the longest over the ranks.
         flux: ‖σ_ref − σ_h‖ / ‖σ_ref‖.
         trace: ‖p_ref − p_h‖_Λ / ‖p_ref‖_Λ.
         mass: ‖∇·σ_h + f_h‖ / ‖f_h‖, the local mass balance.
-        contact: Measure of the facets in contact in only one of the solution and the reference, over |Γ_S|.
+        contact: Measure of the facets in contact in only one of solution and reference, divided by |Γ_S|.
         distance: Largest difference of any degree of freedom of σ, u or p from Algorithm 1 on the same mesh.
     """
 
@@ -59,10 +59,10 @@ def compare_methods(
 
     Args:
         case: The problem.
-        h: Largest cell diameter wanted.
+        h: Wanted largest cell diameter.
         fine: The reference.
-        methods: Algorithms; Algorithm 1 is run in any case.
-        on_failure: Called on all ranks with a method that fails and has no row.
+        methods: Algorithms; Algorithm 1 always runs.
+        on_failure: Called on all ranks with each method that fails and its failure; it has no row.
 
     Raises:
         InputError: If there is no mesh with this h.
@@ -116,7 +116,7 @@ def distance(one: Solution, two: Solution) -> float:
 
 
 def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, float, float]]:
-    """Flux, trace and contact errors of solutions on one mesh, whose points are searched once for all."""
+    """Flux, trace and contact errors of solutions on one mesh; its points are searched only once."""
     spaces, comm = fine.spaces, fine.spaces.mesh.comm
     mesh, gamma = spaces.mesh, spaces.Lambda.mesh
     source = solutions[0].spaces.domain

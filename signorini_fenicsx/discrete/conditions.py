@@ -1,6 +1,6 @@
-"""The one condition per site that makes each step of every algorithm a linear problem.
+"""One condition per site: with these each step of every algorithm is a linear problem.
 
-A site is where a pair (p, σ·n) lives: a facet of Γ_S or, for conforming P1, a vertex.
+A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Condition(IntEnum):
 class Penalty(Enum):
     """The two penalty laws on Γ_S.
 
-    Either is the Signorini condition itself with a shifted quantity, which `shift` adds:
-    TRACE, σ·n = [p]_-/ε, says p + εσ·n ≥ 0, σ·n ≥ 0, one of them 0;
-    FLUX, p = [σ·n]_-/ε, says p ≥ 0, σ·n + εp ≥ 0, one of them 0.
+    Each is the Signorini condition with one quantity shifted, see `shift`:
+    TRACE, σ·n = [p]_-/ε, means p + εσ·n ≥ 0 and σ·n ≥ 0, one of them being 0;
+    FLUX, p = [σ·n]_-/ε, means p ≥ 0 and σ·n + εp ≥ 0, one of them being 0.
     """
 
     TRACE = "I"
@@ -55,9 +55,9 @@ class SiteConditions:
     """Conditions on the sites of this rank.
 
     Attributes:
-        kind: A Condition per owned site, in the order of the backend's sites: facets in that of `Spaces.facets`.
-        beta: β > 0 of the ROBIN sites, one for all or one for each site.
-        value: v of each site; the number 0.0, on all ranks, where that is all of them.
+        kind: A Condition per owned site, in the order of the backend's sites (for facets that of `Spaces.facets`).
+        beta: β > 0 of the ROBIN sites: one number for all, or one per site.
+        value: v, one per site; or the number 0.0 on all ranks.
     """
 
     kind: Kinds
@@ -83,16 +83,16 @@ class SiteConditions:
         return np.broadcast_to(self.beta, self.kind.shape)[sites]
 
     def clean(self, p: Array, flux: Array, conductance: float) -> tuple[Array, Array]:
-        """Replace what the conditions prescribe by its exact value, so that no rule decides on the solver's error.
+        """Set prescribed values exactly, so that no rule decides by an error of the linear solver.
 
         Args:
             p: Trace per site.
             flux: σ·n per site.
-            conductance: `Data.conductance`, what β is large or small beside.
+            conductance: `Data.conductance`, with which β is compared.
 
         Returns:
-            Trace and flux; one of them is exactly v on each NO_FLUX or ZERO_TRACE site, and on ROBIN sites the smaller
-            one, which carries the larger relative error, is computed from the other.
+            Trace and flux per site. On NO_FLUX and ZERO_TRACE sites one of them is exactly v. On ROBIN sites the
+            smaller one has the larger relative error, so it is computed from the other.
         """
         robin, strong = self.kind == Condition.ROBIN, self.beta > conductance
         p = np.where(self.kind == Condition.ZERO_TRACE, self.value, p)
@@ -111,10 +111,10 @@ class SiteConditions:
         return (self.kind != other.kind) | robin | (self.value != other.value)
 
     def changes(self, earlier: list[SiteConditions], comm: MPI.Comm) -> npt.NDArray[np.int64]:
-        """Number of sites, over all ranks, that differ from each of the earlier conditions (collective)."""
+        """Over all ranks, the number of sites that differ from each of the earlier conditions (collective)."""
         local = [np.count_nonzero(self.differ(other)) for other in earlier]
         return comm.allreduce(np.array(local, dtype=np.int64))
 
     def same(self, other: SiteConditions | None, comm: MPI.Comm) -> bool:
-        """Whether these are the other conditions; no conditions are no other ones (collective)."""
+        """Whether these are the other conditions; False if there are no others (collective)."""
         return other is not None and int(self.changes([other], comm)[0]) == 0

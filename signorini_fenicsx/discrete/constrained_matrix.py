@@ -1,4 +1,4 @@
-"""An assembled matrix some of whose unknowns are fixed, others another time: the sparsity pattern stays."""
+"""An assembled matrix with unknowns that are fixed in one step and free in another; its sparsity pattern stays."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 
 class ConstrainedMatrix:
-    """A matrix, assembled once, and the copy of it that the conditions of a step change.
+    """A matrix that is assembled once, and a copy that the conditions of each step change.
 
     Attributes:
         natural: The matrix as it was assembled.
@@ -20,7 +20,7 @@ class ConstrainedMatrix:
 
         Args:
             form: Bilinear form, or blocks of them.
-            kind: What PETSc may rely on: SYMMETRIC or SPD.
+            kind: A property on which PETSc may rely: SYMMETRIC or SPD.
         """
         self.natural = assemble_matrix(form)
         self.natural.assemble()
@@ -33,8 +33,8 @@ class ConstrainedMatrix:
 
         Args:
             essential: Owned unknowns that get an identity row and column.
-            robin: Owned unknowns whose diagonal entry grows.
-            added: By how much.
+            robin: Owned unknowns whose diagonal entries grow.
+            added: What is added to these entries; one value, or one for each.
         """
         self.natural.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         diagonal = self.matrix.createVecLeft()

@@ -16,9 +16,9 @@ from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 
 OVERLAP_DEGREE = 10
-"""Quadrature that finds how much of a facet the other set covers: to about 1/6 of its length."""
+"""Quadrature degree for the part of a facet that the other set covers; it is found to about 1/6 of the facet."""
 SUBDIVISIONS = 4
-"""Parts into which the edges of facets are cut for the points whose distance is measured."""
+"""Parts of each edge of a facet; distances are measured from the points of this grid."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class FacetSet:
     """Some facets of Γ_S.
 
     Attributes:
-        spaces: Where they are.
-        inside: Tells which of `spaces.facets` belong to the set.
+        spaces: The spaces on the mesh of these facets.
+        inside: Mask of `spaces.facets`: True for those in the set.
     """
 
     spaces: Spaces
@@ -38,7 +38,7 @@ class FacetSet:
         return self.spaces.multiplier(self.inside, "indicator")
 
     def points(self) -> Array:
-        """Points of the facets of this rank, on a grid of each with its vertices, shape (points, 3)."""
+        """A grid of points on each facet of this rank, vertices included, shape (points, 3)."""
         mesh = self.spaces.mesh
         dim = mesh.topology.dim
         nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, self.spaces.facets[self.inside])
@@ -68,7 +68,7 @@ class FacetSegments:
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
     """|A ∩ B| / |A ∪ B|, 1 if both are empty (collective).
 
-    By quadrature on the facets of the second, so exact but for those in which the first set ends.
+    Computed by quadrature on the facets of `fine`: exact, except on facets that `coarse` covers in part.
     """
     gamma = fine.spaces.Lambda.mesh
     (theirs,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
@@ -82,8 +82,8 @@ def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
 def hausdorff(one: FacetSet, other: FacetSet) -> float:
     """Hausdorff distance, 0 if both sets are empty, infinite if one is (collective).
 
-    Distances to facets are exact; of points between those of `FacetSet.points` the farthest may be missed by at most
-    an eighth of the largest facet's diameter in 2D, a quarter in 3D.
+    Distances to facets are exact, but they are measured only from `FacetSet.points`. So the result may be too small by
+    at most an eighth of the largest facet's diameter in 2D, a quarter in 3D.
     """
     return max(_largest_distance(one, other), _largest_distance(other, one))
 

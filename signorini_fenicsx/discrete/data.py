@@ -1,4 +1,4 @@
-"""The data of a problem, as given and as the discrete problem sees them: means over cells and facets."""
+"""The data of a problem as they are given, and their means over cells and facets for the discrete problem."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, 
 from signorini_fenicsx.expressions import TREES, Tree, to_ufl
 
 ROUNDING = 1e-12
-"""Relative size of what is rounding in the symmetry of κ."""
+"""Relative asymmetry of κ that counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -45,20 +45,20 @@ class Data:
         psi: Bound of the trace as given, where no other law holds.
         q_S: Bound of the flux as given, where no other law holds.
         f_h: P0 projection of f.
-        kappa_h: P0 projection of κ, entry by entry; a constant scalar is itself.
+        kappa_h: P0 projection of κ, entry by entry; κ itself if it is a constant scalar.
         u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
             others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
         sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
             others.
-        psi_h: Mean of ψ per Γ_S facet of this rank; u at the reference of another law.
-        q_Sh: Mean of q_S per Γ_S facet of this rank; κ∇u·n at the reference of another law.
-        laws: What holds on Γ_S.
-        conductance: Mean of κ over L, so the σ·n that goes with p = 1.
-        total_load: ∫f + ∫g_N and the least that may leave through Γ_S, for Signorini's law ∫q_S; the same with the
-            largest, mostly ∞. Exactly 0 if that is rounding.
-        exact: u itself, where it is known.
-        trees: What was given as a number or as an expression that was read, by its name: these can be enclosed. κ of
-            regions has names such as "kappa.core".
+        psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
+        q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
+        laws: The laws on Γ_S.
+        conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
+        total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
+            same with the largest flux, often ∞. Exactly 0 if it is only rounding.
+        exact: The exact u, where it is known.
+        trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
+            of regions has names such as "kappa.core".
     """
 
     f: Expr
@@ -80,15 +80,15 @@ class Data:
     trees: Mapping[str, Tree | Rows]
 
     def conductivities(self, spaces: Spaces) -> Array:
-        """Mean eigenvalue of κ_h on each cell of this rank."""
+        """Mean eigenvalue of κ_h on each owned cell."""
         return _conductivities(self.kappa_h, spaces)
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The least and the largest of u_D and ψ, of their means (collective)."""
+        """The smallest and the largest facet mean of u_D and ψ (collective)."""
         return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The same of u_D alone; ∞ and −∞ without Γ_D (collective)."""
+        """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
         return extent(self._dirichlet_means(spaces), spaces.mesh.comm)
 
     def _dirichlet_means(self, spaces: Spaces) -> Array:
@@ -106,17 +106,17 @@ class Data:
         for facets in (spaces.dirichlet_facets, spaces.facets):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
-        shift = fem.Constant(spaces.mesh, constant)  # no number in a form, which would be compiled for each
+        shift = fem.Constant(spaces.mesh, constant)  # a plain number would compile a form for each value
         return replace(self, u_D=self.u_D - shift, psi=self.psi - shift, u_lift=u_lift, psi_h=self.psi_h - constant)
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
-    """Take means over cells and facets, by quadrature of the degree UFL estimates, at least 8 (collective).
+    """Take means over cells and facets, by quadrature of the degree that `quadrature` gives (collective).
 
     Raises:
-        InputError: If something is not finite at all quadrature points, or so large or small that squares of the
-            solution leave the range of floating-point numbers; if κ is not symmetric and positive definite, or has no
-            value somewhere.
+        InputError: If a datum is not finite at some quadrature point, or so large or small that squares of the solution
+            leave the range of floating-point numbers; if κ is not symmetric positive definite, or has no value on some
+            cells.
     """
     problem = problem.parsed(spaces.mesh.geometry.dim)
     f = _expression(spaces, "f", problem.f, continuous=False)
@@ -251,7 +251,7 @@ def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.
     """
     if is_constant(value):
         return
-    both = value + sum(ufl.grad(value)[i] for i in range(spaces.mesh.geometry.dim))  # infinite or NaN with any of them
+    both = value + sum(ufl.grad(value)[i] for i in range(spaces.mesh.geometry.dim))  # not finite if one is not
     dx = ufl.Measure("dx", spaces.mesh, subdomain_data=[(1, cells)], metadata=quadrature(value))
     integrals = assembled(both * ufl.TestFunction(spaces.Q) * dx(1))
     if not spaces.mesh.comm.allreduce(bool(np.isfinite(integrals).all()), op=MPI.LAND):
@@ -259,7 +259,7 @@ def check_finite(spaces: Spaces, name: str, where: str, value: Expr, cells: npt.
 
 
 def quadrature(value: Expr) -> dict[str, int]:
-    """Metadata of a measure for the integral of an expression: the degree UFL estimates, between 8 and 30."""
+    """Metadata of a measure for the integral of an expression: the degree that UFL estimates, cut to 8 … 30."""
     degree = ufl.algorithms.estimate_total_polynomial_degree(apply_algebra_lowering(value))
     return {"quadrature_degree": min(max(8, degree), 30)}
 
@@ -281,7 +281,7 @@ def is_constant(value: Expr) -> bool:
 
 
 def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Expr:
-    """UFL of what was given; functions of points become piecewise quadratic, those that may jump by inner points."""
+    """The given data as UFL. Functions of points become quadratic on cells, from inner points if they may jump."""
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
     x = ufl.SpatialCoordinate(spaces.mesh)
@@ -309,7 +309,7 @@ def _expression(spaces: Spaces, name: str, given: Given, *, continuous: bool = T
 
 
 def _conductivity(spaces: Spaces, given: Given | Mapping[str, Given]) -> Expr:
-    """UFL of κ; one value per region becomes a sum of characteristic functions times values."""
+    """κ as UFL; values per region become a sum of indicator functions times values."""
     if not isinstance(given, Mapping):
         return _expression(spaces, "kappa", given, continuous=False, matrix=True)
     regions = spaces.domain.regions
@@ -363,7 +363,7 @@ def _projected_conductivity(spaces: Spaces, kappa: Expr) -> Expr:
 
 
 def _cell_means(spaces: Spaces, value: Expr) -> Array:
-    """Mean of a scalar or tensor on each cell of this rank, shape (cells, entries)."""
+    """Mean of a scalar or tensor on each owned cell, shape (cells, entries)."""
     mesh = spaces.mesh
     dx = ufl.Measure("dx", domain=mesh, metadata=quadrature(value))
     size = int(np.prod(value.ufl_shape))

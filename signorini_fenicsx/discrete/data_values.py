@@ -1,4 +1,4 @@
-"""Values of the data over all ranks: their extent and sum, and whether they can be computed with."""
+"""Values of the data over all ranks: their extent, their sum, and checks that they are finite and of usable size."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
-"""Relative size of what is rounding in the sum of all loads."""
+"""Relative size of a sum of loads that counts as rounding."""
 
 
 def check_nodes(spaces: Spaces, name: str, value: Expr, facets: npt.NDArray[np.int32], where: str) -> None:
-    """Make sure that what has to be continuous has values at the vertices and midpoints of edges (collective).
+    """Make sure that continuous data are finite at the vertices and edge midpoints of these facets (collective).
 
     Raises:
-        InputError: If it has not.
+        InputError: If they are not.
     """
     mesh = spaces.mesh
     space = fem.functionspace(mesh, ("P", 2))
@@ -49,13 +49,13 @@ def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
 
 
 def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:
-    """The least and the largest value over all ranks (collective)."""
+    """The smallest and the largest value over all ranks (collective)."""
     ends = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
     comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
     return -float(ends[0]), float(ends[1])
 
 
 def total(loads: Array, comm: MPI.Comm) -> float:
-    """Their sum over all ranks, 0 if it is rounding (collective)."""
+    """The sum of the loads of all ranks, 0 if it is only rounding (collective)."""
     total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
     return 0.0 if abs(total) <= ROUNDING * size < np.inf else total

@@ -1,4 +1,4 @@
-"""How well a solution satisfies the discrete Signorini problem, free of scale."""
+"""Residuals of the discrete Signorini problem that do not depend on units."""
 
 from dataclasses import dataclass, fields
 
@@ -18,32 +18,32 @@ from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_ter
 from signorini_fenicsx.forms.norms import l2
 
 CONSTANT = 1e-10
-"""u whose energy is below this share of ‖√k u‖/L is a constant, and its σ what linear solvers leave."""
+"""If the energy of u is below this share of ‖√k u‖/L, u counts as constant, and its σ as an error of linear solvers."""
 
 
 @dataclass(frozen=True)
 class KKTResiduals:
     """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
 
-    Each is measured twice, as a gradient and as a flux, and is the larger of both: where κ jumps, a wrong sign shows as
-    a gradient where κ is small and as a flux where it is large. L = |Ω|^(1/d) is a length, k the mean eigenvalue of
-    κ_h on a cell, and that of the cell behind a facet. G = ‖κ_h⁻¹σ‖ is the gradient and S = ‖σ‖ the flux that residuals
-    are compared with. For a constant u, whose σ is rounding, G = ‖u‖/L and S = ‖ku‖/L instead, or the same with the
-    largest |u_D| or |ψ| for u if that is more; u can be constant only without loads and with constant u_D. All are 0 if
-    S = 0. u, u_D and ψ are taken without the constant that u_D and ψ have in common.
+    Each residual is measured twice, as a gradient and as a flux, and the larger value counts: where κ jumps, a wrong
+    sign shows as a gradient where κ is small and as a flux where κ is large. L = |Ω|^(1/d) is a length; k is the mean
+    eigenvalue of κ_h on a cell, and on a facet that of the cell behind it. Residuals are compared with the gradient
+    G = ‖κ_h⁻¹σ‖ and the flux S = ‖σ‖. If u is constant, σ is rounding; then G = ‖u‖/L and S = ‖ku‖/L, or the same with
+    the largest |u_D| or |ψ| in place of u if these are larger. u can be constant only without loads and with constant
+    u_D. All residuals are 0 if S = 0. The constant that u_D and ψ have in common is subtracted from u, u_D and ψ first.
 
-    Under another law p and σ·n are measured from its reference, and primal and dual are how far p is outside of what
-    any σ·n allows, and σ·n outside of what any p allows; the rest of the distance to the graph, in the maximum norm of
-    (k/L)p and σ·n, is the complementarity: on each facet the smallest distance to a segment.
+    For other laws p and σ·n are measured from the reference. Then primal and dual are how far p is outside of what any
+    σ·n allows, and σ·n outside of what any p allows. Complementarity is the rest of the distance to the graph, in the
+    maximum norm of (k/L)p and σ·n: on each facet the distance to the nearest segment.
 
-    A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II), and that is what
-    its primal and dual residuals and its complementarity refer to.
+    A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II). Its residuals
+    primal, dual and complementarity are those of the replaced quantities.
 
     Attributes:
         primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
         dual: √L ‖k⁻¹[σ·n]_-‖_Λ / G and √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
-        complementarity: √L ‖min(|p|/L, k⁻¹|σ·n|)‖_Λ / G and √L ‖min(k|p|/L, |σ·n|)‖_Λ / S, the smaller one of p and σ·n
-            on each facet: their product would be as small as the square of an error.
+        complementarity: √L ‖min(|p|/L, k⁻¹|σ·n|)‖_Λ / G and √L ‖min(k|p|/L, |σ·n|)‖_Λ / S, the smaller of p and σ·n on
+            each facet. Their product is not used, since it can be as small as the square of an error.
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
         mass_balance: ‖h_T k⁻¹(∇·σ + f_h)‖ / G and ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell; on Γ_N √L ‖k⁻¹(σ·n −
@@ -71,7 +71,17 @@ def kkt_residuals(
     penalty: Penalty | None = None,
     eps: float = 0.0,
 ) -> KKTResiduals:
-    """Residuals of a discrete solution, from its fields alone and not from what a backend says (collective)."""
+    """Residuals of a discrete solution, computed from its fields alone (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        data: The data and their means over cells and facets.
+        sigma: Flux in RT0, with ghost values.
+        u: Scalar in P0, with ghost values.
+        p: Trace in P0(Γ_S), with ghost values.
+        penalty: Penalty law; None for the Signorini condition.
+        eps: ε of the penalty.
+    """
     constant = data.common_constant(spaces)
     if constant != 0:
         data, u = data.less(spaces, constant), u.copy()
@@ -116,7 +126,7 @@ def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) ->
 
 
 def _is_driven(spaces: Spaces, data: Data) -> bool:
-    """Whether there is a load, or u_D that is not constant: then σ beside a huge ψ is wrong, not small (collective)."""
+    """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective)."""
     comm = spaces.mesh.comm
     lowest, highest = data.dirichlet_extent(spaces)
     loads = [np.abs(values.x.array).max(initial=0.0) for values in (data.f_h, data.sigma_lift)]
@@ -124,7 +134,7 @@ def _is_driven(spaces: Spaces, data: Data) -> bool:
 
 
 def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
-    """What the mass balance lacks, as a gradient and as a flux (collective)."""
+    """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, length = scalar_conductivity(data.kappa_h), spaces.length()
     missing = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
     given = ufl.dot(sigma - data.sigma_lift, spaces.n)
@@ -133,7 +143,7 @@ def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
 
 
 def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:
-    """What (9a) lacks, as a gradient and as a flux (collective)."""
+    """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
     V = spaces.V
     tau, n = ufl.TestFunction(V), spaces.n
     flux_residual = flux_equation(sigma, u, tau, ufl.dx, data.kappa_h) - trace_term(p, tau, n, spaces.ds)

@@ -9,19 +9,19 @@ from signorini_fenicsx.discrete.laws import Law
 
 @dataclass(frozen=True)
 class Problem:
-    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; u ≥ ψ, κ∇u·n ≥ q_S, one of them equal, on Γ_S.
+    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one of them.
 
     On the parts of `laws` these hold instead of ψ and q_S.
 
     Attributes:
         f: Load.
-        kappa: κ: a scalar, a symmetric positive definite matrix, or one of them for each region of the mesh.
+        kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
         u_D: Trace on Γ_D, continuous.
-        g_N: Flux on Γ_N, out of Ω where negative, like κ∇u·n everywhere here.
+        g_N: Flux κ∇u·n on Γ_N. Negative values flow out of Ω, as for every flux here.
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
-        exact: u itself, where it is known.
-        laws: Other laws on Γ_S, with the parts where they hold: these belong to Γ_S and need not be listed again.
+        exact: The exact u, where it is known.
+        laws: Other laws on Γ_S. Their parts belong to Γ_S and are not listed in `Boundary`.
     """
 
     f: Given
@@ -34,7 +34,7 @@ class Problem:
     laws: Sequence[Law] = ()
 
     def parsed(self, dim: int) -> "Problem":
-        """The same with numbers and texts as trees, but for the laws.
+        """The same problem, with numbers and texts read as trees, but not those of the laws.
 
         Raises:
             InputError: If a text cannot be read.

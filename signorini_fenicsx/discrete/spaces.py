@@ -34,19 +34,19 @@ class Spaces:
         Q: P0, the scalar u.
         Lambda: P0 on the facet submesh of Γ_S, the trace p.
         entity_map: From the submesh of Γ_S to the mesh.
-        part_of_facet: Index into `part_names` per facet.
-        part_names: The Γ_S parts.
-        facets: Mesh facet of each.
-        cells: Mesh cell of each.
-        flux_dofs: RT0 degree of freedom of each.
-        basis_flux: ∫_e φ·n of that basis function φ, with its sign.
-        facet_measure: |e|.
+        part_names: The parts of Γ_S.
+        part_of_facet: Index into `part_names` for each Γ_S facet.
+        facets: Mesh facet of each Γ_S facet.
+        cells: Mesh cell behind each Γ_S facet.
+        flux_dofs: RT0 degree of freedom of each Γ_S facet.
+        basis_flux: ∫_e φ·n of its basis function φ, with its sign.
+        facet_measure: |e| of each Γ_S facet.
         dirichlet_facets: Mesh facets of Γ_D on this rank.
-        has_dirichlet: Whether any rank has some.
+        has_dirichlet: Whether any rank has facets of Γ_D.
         neumann_facets: Mesh facets of Γ_N on this rank.
-        neumann_dofs: RT0 degree of freedom of each.
-        neumann_basis_flux: ∫_e φ·n of that basis function.
-        neumann_measure: |e|.
+        neumann_dofs: RT0 degree of freedom of each Γ_N facet.
+        neumann_basis_flux: ∫_e φ·n of its basis function.
+        neumann_measure: |e| of each Γ_N facet.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
         ds_dirichlet: Measure of Γ_D on the mesh.
@@ -82,7 +82,7 @@ class Spaces:
         return self.domain.mesh
 
     def normal_flux(self, sigma: fem.Function) -> Array:
-        """σ·n per facet, a constant on each."""
+        """σ·n per Γ_S facet, where it is constant."""
         return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
 
     def length(self) -> float:
@@ -90,14 +90,14 @@ class Spaces:
         return self.integrate(fem.Constant(self.mesh, 1.0) * ufl.dx) ** (1 / self.mesh.topology.dim)
 
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
-        """A function of Λ_h with these values per facet (collective)."""
+        """A function of Λ_h with these values per Γ_S facet, ghosts updated (collective)."""
         function = fem.Function(self.Lambda, name=name)
         function.x.array[: len(values)] = values
         function.x.scatter_forward()
         return function
 
     def form(self, ufl_form: ufl.Form) -> fem.Form:
-        """Compile a form that may hold multipliers."""
+        """Compile a form that may contain functions of Λ_h (collective)."""
         return fem.form(ufl_form, entity_maps=[self.entity_map])
 
     def integrate(self, ufl_form: ufl.Form) -> float:
@@ -170,7 +170,7 @@ def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str
 def cells_and_dofs(
     V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """The cell behind each boundary facet and the degree of freedom on it, in a space with one per facet."""
+    """The cell behind each boundary facet, and the facet's degree of freedom in a space with one per facet."""
     topology = V.mesh.topology
     dim = topology.dim
     topology.create_connectivity(dim - 1, dim)
@@ -179,17 +179,17 @@ def cells_and_dofs(
     cells = facet_cells.array[facet_cells.offsets[facets]]
     cell_facets = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
     local = np.argmax(cell_facets == facets[:, None], axis=1)
-    return cells, V.dofmap.list[cells, local]  # RT0 and CR number their degrees of freedom as the cell its facets
+    return cells, V.dofmap.list[cells, local]  # a cell's degrees of freedom have the order of its facets
 
 
 def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Owned degrees of freedom on the facets of all ranks (collective)."""
+    """Owned degrees of freedom on these facets, those that other ranks pass included (collective)."""
     dofs = fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, facets)
     return dofs[dofs < space.dofmap.index_map.size_local]
 
 
 def centroids(mesh: dolfinx.mesh.Mesh) -> fem.Function:
-    """x_T, in P0 vectors, on owned and ghost cells."""
+    """The centroids x_T as a P0 vector function, on owned and ghost cells."""
     centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
     centroid.interpolate(lambda x: x[: mesh.geometry.dim])
     return centroid

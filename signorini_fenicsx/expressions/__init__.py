@@ -1,7 +1,7 @@
-"""Expressions: text is read once into a tree; the tree serves UFL, NumPy with gradients, and intervals.
+"""Expressions: text is read once into a tree, which is evaluated in UFL, in NumPy with gradients, and in intervals.
 
-Text → `read` → tree; `to_ufl`, `values`, `values_and_gradient`, `interval` and `interval_and_gradient` evaluate it. A
-function of the language is one row of the table in `functions`.
+Text → `read` → tree; `to_ufl`, `values`, `values_and_gradient`, `interval` and `interval_and_gradient` evaluate it.
+Each function of the language is one row of the table in `functions`.
 """
 
 from signorini_fenicsx.expressions.evaluation import interval, interval_and_gradient, values, values_and_gradient

@@ -1,4 +1,4 @@
-"""Gradients by the forward mode, over any algebra: arrays, intervals, or this one again for second derivatives."""
+"""Gradients by forward differentiation, in any algebra: arrays, intervals, or this algebra for second derivatives."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.tree import Number
 
 type Gradient = dict[str, Any]
-"""Derivatives by the names of the variables; those that are left out are 0."""
+"""Derivatives by the names of the variables; missing ones are 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dual:
-    """Values, and the derivatives of the first of them.
+    """Values in one or more places, and derivatives in the first place.
 
     Attributes:
-        values: In one or more places; over boxes, say, and in their centres.
-        gradient: In the first place.
+        values: The values, for example over boxes and in their centres.
+        gradient: The derivatives in the first place.
     """
 
     values: tuple[Any, ...]
@@ -90,7 +90,7 @@ class Differentiated:
         m = self._base
         values = tuple(m.call(name, place) for place in zip(*(a.values for a in arguments), strict=True))
         partials = FUNCTIONS[name].partials
-        if partials is None:  # min, max, and abs as the larger of ±
+        if partials is None:  # min, max, and abs as max(a, −a)
             left, right = arguments if len(arguments) == 2 else (arguments[0], -arguments[0])
             first = self.compare("<=" if name == "min" else ">=", left, right)[0]
             return Dual(values, self._chosen(m.choose, first, left.gradient, right.gradient))

@@ -1,8 +1,9 @@
 """Trees in NumPy and in intervals, with gradients.
 
-Variables are given by name, so `{"x": ..., "y": ...}`; a gradient has one entry for each of them, in that order. Where
-min, max, abs or a condition change branch there is no gradient: in NumPy it is that of the branch taken, in intervals
-that of both (Clarke's, which the mean value theorem allows) where they meet continuously for sure, and else everything.
+Variables are given by name, such as `{"x": ..., "y": ...}`; a gradient has one entry for each of them, in this order.
+Where min, max, abs or a condition change branch there is no gradient. NumPy then gives the gradient of the branch
+taken. Intervals enclose the gradients of both branches if these certainly meet continuously (Clarke's gradient, for
+which the mean value theorem holds), and all numbers otherwise.
 """
 
 import operator
@@ -29,7 +30,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class _Logic:
-    """Conditions that have & | ~."""
+    """Joins conditions by & | ~."""
 
     def both(self, left: Any, right: Any) -> Any:
         return left & right
@@ -69,7 +70,7 @@ class Numeric(_Logic):
         return np.where(condition, then, otherwise)
 
     jump = choose
-    """The gradient of a choice between discontinuous things."""
+    """The gradient of a choice between branches that may not meet."""
 
 
 class Intervals(_Logic):
@@ -117,7 +118,7 @@ class Intervals(_Logic):
 
 
 def values(tree: Tree, points: Mapping[str, Array]) -> Array:
-    """Values in points, whose coordinates are arrays of one shape; NaN or ±inf where there is none."""
+    """Values in points, whose coordinates are arrays of one shape; NaN or ±inf where there is no value."""
     with np.errstate(all="ignore"):
         found = evaluate(tree, Numeric(points))
     return np.array(np.broadcast_to(found, _shape(points)))

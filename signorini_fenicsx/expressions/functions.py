@@ -1,4 +1,4 @@
-"""The functions of the language, one row each: what a new one needs for every evaluation stands here."""
+"""The functions of the language, one row each, with everything that the evaluations need."""
 
 import math
 from collections.abc import Callable
@@ -18,14 +18,14 @@ class Function:
     """One function of the language.
 
     Attributes:
-        fewest: Number of arguments that its evaluations below take.
-        most: Number of arguments in a text; if it is larger, the function is applied from left to right.
-        constant: Of floats.
-        symbolic: Of UFL expressions.
-        numeric: Of arrays.
-        enclosure: Of intervals.
-        partials: Its derivatives with respect to each argument, in any algebra; None for min, max and abs, which
-            take the derivative of one of their branches.
+        fewest: Number of arguments of the evaluations below.
+        most: Largest number of arguments in a text; more than `fewest` are combined from left to right.
+        constant: Its evaluation for floats.
+        symbolic: Its evaluation for UFL expressions.
+        numeric: Its evaluation for arrays.
+        enclosure: Its evaluation for intervals.
+        partials: Its derivatives with respect to each argument, in any algebra; None for min, max and abs, which have
+            the derivative of one of their branches.
     """
 
     fewest: int
@@ -38,17 +38,17 @@ class Function:
 
 
 def _positive_zero(a: Expr) -> Expr:
-    """0 for −0; UFL would drop + 0."""
+    """The expression with 0 in place of −0. UFL would drop a term + 0."""
     return ufl.conditional(ufl.eq(a, 0.0), 0.0, a)
 
 
 def _size(a: Expr) -> Expr:
-    """|a|; UFL's abs of an abs would be an operand of itself, and its walks would not end."""
+    """|a|. In UFL the abs of an abs would be an operand of itself, and algorithms on it would not end."""
     return a if isinstance(a, ufl.algebra.Abs) else abs(a)
 
 
 def _exact(enclosure: Callable[..., Interval]) -> Callable[..., Interval]:
-    """A function that needs no elementary ones."""
+    """An enclosure that needs no bounds of elementary functions."""
 
     def apply(_: Elementary, *arguments: Interval) -> Interval:
         return enclosure(*arguments)
@@ -80,7 +80,7 @@ FUNCTIONS: dict[str, Function] = {
         intervals.tanh,
         lambda m, a: (m.constant(1.0) - _square(m, m.call("tanh", [a])),),
     ),
-    # the angle in (−π, π], π where y = 0 and x < 0: −0 counts as 0 in every evaluation
+    # the angle in (−π, π]; −0 counts as 0 in every evaluation, so it is π where y = 0 and x < 0
     "atan2": Function(
         2,
         2,

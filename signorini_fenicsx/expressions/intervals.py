@@ -1,10 +1,11 @@
 """Interval arithmetic over many boxes at once, rounded outward.
 
-+ − * / and √ of IEEE arithmetic are correctly rounded, so a float to either side contains the true result. exp, sin, …
-are not: `Elementary` says between which floats their values are. Its default takes NumPy's and adds ULPS units in the
-last place, which is what their authors measured and not a theorem; a library with proven bounds can take its place.
++ − * / and √ of IEEE arithmetic are correctly rounded, so the true result is between the next floats on both sides.
+exp, sin, … are not correctly rounded: `Elementary` gives floats below and above their values. Its default takes NumPy's
+values and adds ULPS units in the last place; this is measured by NumPy's authors, not proven. A library with proven
+bounds can be used instead.
 
-NaN at an end says that nothing is known: the expression may be undefined there. It spreads like all NaN.
+NaN as an end means that nothing is known: the expression may be undefined there. It spreads like any NaN.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Mask
 
 ULPS = 8
-"""NumPy's vectorised functions keep to 4 units in the last place."""
+"""NumPy's vectorised functions are right up to 4 units in the last place."""
 LARGE = 1e6
-"""sin, cos and tan of larger arguments are not reduced: nothing is said of them but their range."""
+"""For larger arguments of sin, cos and tan only the range of the function is returned."""
 LARGEST_POWER = 2**20
-"""Integer powers up to this are products."""
+"""Integer powers up to this are computed as products."""
 
 
 def _down(value: Array) -> Array:
@@ -101,12 +102,12 @@ class Interval:
 
     @property
     def is_zero(self) -> Mask:
-        """Where it is the number 0."""
+        """Mask: where both ends are 0."""
         return (self.lo == 0) & (self.hi == 0)
 
     @property
     def finite(self) -> Mask:
-        """Where both ends are finite."""
+        """Mask: where both ends are finite."""
         return np.isfinite(self.lo) & np.isfinite(self.hi)
 
     @property
@@ -124,20 +125,20 @@ class Interval:
         return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
 
     def meet(self, other: Interval) -> Interval:
-        """What both contain; two enclosures of one thing, of which one may know nothing."""
+        """The intersection of two enclosures of the same number; where one knows nothing, the other."""
         return Interval(np.fmax(self.lo, other.lo), np.fmin(self.hi, other.hi))
 
     def on(self, shape: tuple[int, ...]) -> Interval:
-        """With ends of this shape."""
+        """The interval with ends broadcast to this shape."""
         return Interval(np.array(np.broadcast_to(self.lo, shape)), np.array(np.broadcast_to(self.hi, shape)))
 
     def where(self, mask: Mask, other: Interval) -> Interval:
-        """Itself where the mask is set, the other elsewhere."""
+        """This interval where the mask is True, the other one elsewhere."""
         return Interval(np.where(mask, self.lo, other.lo), np.where(mask, self.hi, other.hi))
 
 
 def enclosing(value: Interval | float | Array) -> Interval:
-    """An interval as it is; a float as the interval of that number."""
+    """An interval, unchanged; or a float as the interval of this number."""
     if isinstance(value, Interval):
         return value
     array = np.asarray(value, dtype=np.float64)
@@ -151,7 +152,7 @@ PI = Interval(np.asarray(np.pi), np.nextafter(np.pi, np.inf))
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Whether a condition holds on all of a box, and whether it may hold somewhere in it."""
+    """Whether a condition certainly holds on a whole box, and whether it may hold somewhere in the box."""
 
     surely: Mask
     possibly: Mask
@@ -170,11 +171,11 @@ class Elementary(Protocol):
     """Bounds of elementary functions at floats."""
 
     def bounds(self, name: str, *arguments: Array) -> tuple[Array, Array]:
-        """Floats below and above exp, log, sin, cos, tan, tanh (of one argument), atan2 or pow (of two)."""
+        """Floats below and above the values of exp, log, sin, cos, tan, tanh (one argument), atan2 or pow (two)."""
 
 
 class FromNumPy:
-    """NumPy's functions, ULPS units in the last place to either side."""
+    """NumPy's values, minus and plus ULPS units in the last place."""
 
     _FUNCTIONS: dict[str, Callable[..., Array]] = {  # noqa: RUF012
         "exp": np.exp,
@@ -196,7 +197,7 @@ class FromNumPy:
 
 
 def monotone(name: str, elementary: Elementary, a: Interval) -> Interval:
-    """A function that grows with its argument."""
+    """An increasing function of one argument."""
     return Interval(elementary.bounds(name, a.lo)[0], elementary.bounds(name, a.hi)[1])
 
 
@@ -241,12 +242,12 @@ def larger(a: Interval, b: Interval) -> Interval:
 
 
 def sin(elementary: Elementary, a: Interval) -> Interval:
-    """The sine, largest in (1/4 + k) 2π and smallest in (3/4 + k) 2π."""
+    """The sine; its maxima are at (1/4 + k) 2π and its minima at (3/4 + k) 2π."""
     return _wave("sin", 0.25, elementary, a)
 
 
 def cos(elementary: Elementary, a: Interval) -> Interval:
-    """The cosine, largest in k 2π and smallest in (1/2 + k) 2π."""
+    """The cosine; its maxima are at k 2π and its minima at (1/2 + k) 2π."""
     return _wave("cos", 0.0, elementary, a)
 
 
@@ -267,16 +268,16 @@ def _has_integer(a: Interval) -> Mask:
 
 
 def tan(elementary: Elementary, a: Interval) -> Interval:
-    """The tangent, which grows between its poles (1/2 + k) π; nothing is known where one may be."""
+    """The tangent, which increases between its poles (1/2 + k) π; nothing is known where a pole may be."""
     pole = _has_integer(a / PI - 0.5) | ~((a.lo > -LARGE) & (a.hi < LARGE))
     safe = Interval(np.where(pole, 0.0, a.lo), np.where(pole, 0.0, a.hi))
     return UNKNOWN.where(pole, monotone("tan", elementary, safe))
 
 
 def atan2(elementary: Elementary, y: Interval, x: Interval) -> Interval:
-    """The angle of (x, y) in (−π, π]: π, not −π, where y = 0 and x < 0, whatever the sign of that 0; 0 in the origin.
+    """The angle of (x, y) in (−π, π]; π where y = ±0 and x < 0, and 0 in the origin.
 
-    Away from the cut and the origin it is largest and smallest in corners of the box.
+    Away from the cut and the origin its largest and smallest values are in corners of the box.
     """
     corners = [elementary.bounds("atan2", b + 0.0, a + 0.0) for b in (y.lo, y.hi) for a in (x.lo, x.hi)]
     result = Interval(np.minimum.reduce([c[0] for c in corners]), np.maximum.reduce([c[1] for c in corners]))
@@ -289,7 +290,7 @@ def atan2(elementary: Elementary, y: Interval, x: Interval) -> Interval:
 
 
 def power(elementary: Elementary, base: Interval, exponent: Interval) -> Interval:
-    """Of any base if the exponent is one integer; else nothing is known where the base may be negative."""
+    """A power; if the exponent is not one integer, nothing is known where the base may be negative."""
     if exponent.lo.ndim == 0 and exponent.lo == exponent.hi and float(exponent.lo).is_integer():
         n = int(exponent.lo)
         if abs(n) <= LARGEST_POWER:

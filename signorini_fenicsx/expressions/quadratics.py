@@ -11,7 +11,7 @@ from signorini_fenicsx.expressions.evaluation import values
 from signorini_fenicsx.expressions.tree import Tree
 
 INSIDE = 0.75
-"""Nodes of an interpolant are so much nearer to the centroid than those of P2."""
+"""Distance of the nodes of an interpolant from the centroid, relative to that of the nodes of P2."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,13 @@ def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadr
     """The quadratic with given values.
 
     Args:
-        vertices: Of n simplices of dimension k, shape (n, k + 1, d).
-        at_vertices: Shape (n, k + 1).
-        at_midpoints: Of edges, in the order of `edges`, shape (n, (k + 1)k/2).
+        vertices: Vertices of n simplices of dimension k, shape (n, k + 1, d).
+        at_vertices: Values there, shape (n, k + 1).
+        at_midpoints: Values in the midpoints of edges, in the order of `edges`, shape (n, (k + 1)k/2).
     """
     corners = vertices.shape[1]
     slopes = barycentric_gradients(vertices)
-    # p = Σ a_v λ_v + 4 Σ_{v<w} b_vw λ_v λ_w, b_vw what the midpoint has above the mean of its ends
+    # p = Σ a_v λ_v + 4 Σ_{v<w} b_vw λ_v λ_w, where b_vw is the value in the midpoint minus the mean of the ends
     bend = np.zeros((len(vertices), corners, corners))
     for column, (v, w) in enumerate(edges(corners)):
         bend[:, v, w] = bend[:, w, v] = 4 * (at_midpoints[:, column] - (at_vertices[:, v] + at_vertices[:, w]) / 2)
@@ -49,9 +49,9 @@ def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadr
 
 
 def interpolated(tree: Tree, vertices: Array) -> Quadratic:
-    """The quadratic that has the values of a tree in six points inside each simplex, ten in 3D (three on an edge).
+    """The quadratic with the values of a tree in six points inside each simplex, ten in 3D (three on an edge).
 
-    They are nodes of P2, moved inside: data that jump between simplices have the values of the simplex there.
+    The points are nodes of P2 moved inside. So data that jump between simplices are taken from the right side.
     """
     centre = vertices.mean(axis=1, keepdims=True)
     ends = np.array(edges(vertices.shape[1])).T
@@ -62,7 +62,7 @@ def interpolated(tree: Tree, vertices: Array) -> Quadratic:
 
 
 def constant(means: Array, dim: int) -> Quadratic:
-    """The constants."""
+    """Constant functions with these values, as quadratics."""
     return Quadratic(means, np.zeros((len(means), dim)), np.zeros((len(means), dim, dim)))
 
 

@@ -1,4 +1,4 @@
-"""Text to tree: arithmetic read with Python's `ast` against a whitelist; nothing in the text is ever executed."""
+"""From text to a tree: Python's `ast` parses arithmetic, a whitelist checks it, and nothing is ever executed."""
 
 import ast
 import contextlib
@@ -31,7 +31,7 @@ from signorini_fenicsx.expressions.tree import (
 
 MAX_LENGTH = 2000
 MAX_DEPTH = 150
-"""Terms of a sum, nested brackets or joined conditions that UFL and FFCx follow without running out of stack."""
+"""Most terms of a sum, nested brackets or joined conditions for which UFL and FFCx do not run out of stack."""
 
 PI = Number(math.pi, math.pi, math.nextafter(math.pi, math.inf))
 _OPERATORS: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
@@ -45,11 +45,11 @@ _COMPARISONS: dict[type[ast.cmpop], str] = {
 }
 
 type Read = tuple[Tree, float | None]
-"""A tree, and its value if it is a constant: so errors such as 1/0 show while reading."""
+"""A tree, and its value if it is constant, so that errors such as 1/0 are found while reading."""
 
 
 class _Reader:
-    """Walks one syntax tree; every node type that is not named here is refused."""
+    """Reads one syntax tree; node types that are not named here are refused."""
 
     def __init__(self, source: str, names: Collection[str]):
         self.source = source
@@ -62,7 +62,7 @@ class _Reader:
             raise RecursionError
 
     def value(self, node: ast.expr) -> Read:
-        """A node; constants must be finite, and the nesting such that UFL can follow it."""
+        """Read a node; constants must be finite, and the nesting must not be too deep for UFL."""
         self.enter(1)
         tree, constant = self._value(node)
         self.depth -= 1
@@ -97,7 +97,7 @@ class _Reader:
         raise InputError(f"'{ast.unparse(node)}' is not allowed in an expression")
 
     def number(self, node: ast.Constant) -> Number:
-        """A literal between floats: its decimal digits need not be one."""
+        """A literal, enclosed by floats, because its decimal digits need not be a float."""
         value = float(node.value)  # type: ignore[arg-type]
         if not math.isfinite(value):
             raise ValueError(f"{ast.unparse(node)} is not finite")
@@ -164,9 +164,9 @@ class _Reader:
 
 
 def _read(text: str, names: Collection[str]) -> Read:
-    """A tree; ^ becomes ** first, because Python's own ^ binds weaker than +."""
+    """Read a tree; ^ is replaced by **, because Python's own ^ binds weaker than +."""
     source = text.strip().replace("^", "**")
-    with warnings.catch_warnings(action="ignore"):  # Python's advice on texts such as 1if x>0 else 2
+    with warnings.catch_warnings(action="ignore"):  # Python warns of texts such as 1if x>0 else 2
         node = ast.parse(source, mode="eval").body
     return _Reader(source, names).value(node)
 
@@ -192,7 +192,7 @@ def read(text: str, names: Collection[str]) -> Tree:
 
 @contextlib.contextmanager
 def _complaints(text: str, names: Collection[str]) -> Iterator[None]:
-    """What is wrong with a text, as one sentence."""
+    """Turn errors inside this context into one sentence about the text."""
     try:
         yield
     except InputError as error:
@@ -218,12 +218,12 @@ def parse_expression(text: str, x: Expr) -> Expr:
     """
     names = "xyz"[: len(x)]
     tree = read(text, names)
-    with _complaints(text, names):  # UFL sees that 1/(0*x) has no value
+    with _complaints(text, names):  # UFL finds that 1/(0*x) has no value
         return to_ufl(tree, x)
 
 
 def _shortened(text: str) -> str:
-    """The text for a message: its beginning, what cannot be printed as in Python's strings."""
+    """The beginning of the text for a message, with characters that cannot be printed escaped."""
     beginning = text if len(text) <= 60 else text[:57] + "..."
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in beginning)
 

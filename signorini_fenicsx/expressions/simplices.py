@@ -1,4 +1,4 @@
-"""Trees over simplices: values, gradients and Hessians over bounding boxes, values and gradients in centroids."""
+"""Trees on simplices: values, gradients and Hessians over bounding boxes, values and gradients in centroids."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 
 NEAR = 1e-12
-"""Distance, relative to the size of the domain, at which a mesh fits a discontinuity of the data."""
+"""A mesh fits a discontinuity of the data up to this distance, relative to the size of the domain."""
 ROUNDING = 1e-13
-"""What rounding may leave of sums of up to 100 products, relative to that of absolute values: 450 times 2⁻⁵²."""
+"""Bound of the rounding in sums of up to 100 products, relative to the sum of absolute values: 450 times 2⁻⁵²."""
 TINY = 1e-300
-"""More than what underflow leaves of such a sum that is not 0."""
+"""Bound of the error by underflow in such a sum."""
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts of simplices: vertices, the simplex they are of, and their share of its measure."""
+    """Parts of simplices: their vertices, the number of their simplex, and their share of its measure."""
 
     vertices: Array
     own: np.ndarray[tuple[int], np.dtype[np.int64]]
     share: Array
 
     def within(self, simplices: Array) -> Places:
-        """Where they are; the vertices are those of all simplices."""
+        """The places of the parts; `simplices` has the vertices of all simplices."""
         whole = simplices[self.own]
         generations = -np.log2(self.share)
         pad = ((generations + 4) * np.spacing(np.abs(whole).max(axis=(1, 2))))[:, None]
@@ -42,16 +42,16 @@ class Parts:
         return Places(centre, self.vertices - centre[:, None], pad, Interval(lo, hi))
 
     def take(self, which: slice | Mask) -> Parts:
-        """Some of them."""
+        """Some of the parts."""
         return Parts(self.vertices[which], self.own[which], self.share[which])
 
     def and_(self, other: Parts) -> Parts:
-        """These and others."""
+        """These parts and others."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
         return Parts(*(np.concatenate(pair) for pair in pairs))
 
     def halves(self, which: Mask) -> Parts:
-        """Both halves of some of them, cut through the middle of their longest edge."""
+        """Both halves of some parts, cut through the middle of the longest edge."""
         chosen = self.take(which)
         pairs = np.array(edges(self.vertices.shape[1]))
         lengths = [((chosen.vertices[:, v] - chosen.vertices[:, w]) ** 2).sum(axis=1) for v, w in pairs]
@@ -67,15 +67,16 @@ class Parts:
 
 @dataclass(frozen=True)
 class Places:
-    """Where parts are, whose exact vertices are bisection's of the floats that are those of the simplex.
+    """Where parts are. The exact vertices of a part come from exact bisection of the simplex with its stored floats.
 
-    Rounding of a midpoint adds at most a unit in the last place of the simplex's largest coordinate, so what is stored
-    is off by at most one per generation. pad has four more for rounding of the centroid. The exact part lies in the
-    box, that of the stored vertices with the pad, but not more than that of the simplex.
+    Rounding of a midpoint is at most one unit in the last place of the simplex's largest coordinate, so stored vertices
+    differ from the exact ones by at most one unit per generation. The pad has four units more for rounding of the
+    centroid. The box of the stored vertices, enlarged by the pad and cut to the box of the simplex, contains the exact
+    part.
 
     Attributes:
-        centre: A float in the box, off the exact centroid by at most the pad, shape (n, d).
-        arms: Vertices as seen from there, off by at most the pad and a relative rounding, shape (n, k + 1, d).
+        centre: Floats in the box, at most the pad from the exact centroid, shape (n, d).
+        arms: Vertices minus centre; their error is at most the pad and a relative rounding, shape (n, k + 1, d).
         pad: Shape (n, 1).
         box: Shape (n, d).
     """
@@ -91,7 +92,7 @@ class Places:
 
 
 class _OnSimplices(Differentiated):
-    """Values, gradients and Hessians over boxes, values and gradients in centres; conditions by the mean value form."""
+    """Values, gradients and Hessians over boxes, values and gradients in centres; conditions in mean value form."""
 
     def __init__(self, inner: Differentiated, names: Mapping[str, Dual], places: Places, near: Array):
         super().__init__(inner, names)
@@ -99,7 +100,7 @@ class _OnSimplices(Differentiated):
         self._near = near
 
     def compare(self, sign: str, left: Dual, right: Dual) -> tuple[Any, ...]:
-        """Almost everywhere: where one side changes along T for sure, equality is a set of measure 0."""
+        """Compare almost everywhere: if left − right certainly varies along T, both are equal on a set of measure 0."""
         over_box, at_centre = super().compare(sign, left, right)
         difference = left - right
         if not difference.gradient:
@@ -127,12 +128,12 @@ class _OnSimplices(Differentiated):
 
 
 def stacked(columns: Sequence[Interval]) -> Interval:
-    """Intervals side by side."""
+    """Intervals as columns of one interval."""
     return Interval(np.stack([a.lo for a in columns], axis=1), np.stack([a.hi for a in columns], axis=1))
 
 
 def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
-    """slope·arm for each exact arm, shape (n, arms); entries are off by at most the pad and a relative rounding."""
+    """slope·arm for each exact arm, shape (n, arms); stored arms differ by at most the pad and a relative rounding."""
     ends = [end[:, None, :] * arms for end in (slope.lo, slope.hi)]
     lo, hi = np.minimum(*ends), np.maximum(*ends)
     steepness = np.maximum(np.abs(slope.lo), np.abs(slope.hi))[:, None, :]
@@ -142,7 +143,10 @@ def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
 
 
 def slack(size: Array, some: Mask) -> Array:
-    """What rounding and underflow leave of sums of products whose absolute values sum up to this, if some are not 0."""
+    """Bound of rounding and underflow in sums of products.
+
+    `size` is the sum of the absolute values; `some` is False only where all products are exactly 0.
+    """
     return np.asarray(ROUNDING * size + np.where(some, TINY, 0.0))
 
 
@@ -177,7 +181,7 @@ class Local:
 
 
 def evaluated(tree: Tree, places: Places, scale: float, elementary: Elementary) -> Local:
-    """A tree over boxes with first and second derivatives, and in centres with first ones."""
+    """Evaluate a tree over boxes with first and second derivatives, and in centres with first derivatives."""
     centre, lo, hi = places.centre, places.box.lo, places.box.hi
     names = "xyz"[: centre.shape[1]]
     near = NEAR * scale / np.maximum((hi - lo).max(axis=1), 1e-300)

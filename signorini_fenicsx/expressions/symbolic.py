@@ -1,4 +1,4 @@
-"""Trees as UFL. Constant sub-expressions stay Python floats, so that errors such as 1/0 show while reading."""
+"""Trees as UFL. Constant sub-expressions stay Python floats, so that errors such as 1/0 are found while reading."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,7 +23,7 @@ _COMPARISONS: dict[str, Callable[[Value, Value], Expr]] = {
 
 
 def to_ufl(tree: Tree, x: Expr) -> Expr:
-    """A tree as UFL in these coordinates, at least as many as the names of the tree."""
+    """A tree as UFL in these coordinates, which must include all variables of the tree."""
     return ufl.as_ufl(evaluate(tree, _Symbolic(x)))
 
 

@@ -1,4 +1,4 @@
-"""The expression tree, and the one walk over it that all evaluations share."""
+"""The expression tree, and its evaluation in any algebra."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A literal, or pi: the nearest float, and floats on both sides of the number itself, equal if it is a float."""
+    """A literal or pi: the nearest float, and floats below and above the exact number, equal to it if it is a float."""
 
     value: float
     below: float
@@ -20,7 +20,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """A name of the text that stands for a variable."""
+    """The name of a variable."""
 
     name: str
 
@@ -34,7 +34,7 @@ class Negative:
 
 @dataclass(frozen=True, slots=True)
 class Binary:
-    """A sum, difference, product or quotient, as its sign says, or ^, a power."""
+    """A sum, difference, product, quotient or power (^), by its sign."""
 
     sign: str
     left: Tree
@@ -51,7 +51,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Conditional:
-    """`then` where the condition holds, else `otherwise`."""
+    """`then` where the condition holds, `otherwise` elsewhere."""
 
     condition: Condition
     then: Tree
@@ -69,21 +69,21 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class And:
-    """All of them hold."""
+    """All of these conditions hold."""
 
     operands: tuple[Condition, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Or:
-    """One of them holds."""
+    """At least one of these conditions holds."""
 
     operands: tuple[Condition, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Not:
-    """It does not hold."""
+    """The condition does not hold."""
 
     operand: Condition
 
@@ -93,18 +93,18 @@ type Condition = Comparison | And | Or | Not
 
 
 TREES = Number | Coordinate | Negative | Binary | Call | Conditional
-"""For isinstance."""
+"""All types of a tree, for isinstance."""
 
 
 def exactly(value: float) -> Number:
-    """The number that a float is."""
+    """A float as a number, without rounding."""
     return Number(float(value), float(value), float(value))
 
 
 class Algebra(Protocol):
-    """What a tree is evaluated in. Its values have + − * / and the unary −.
+    """An algebra in which a tree is evaluated. Its values have + − * / and the unary −.
 
-    `number` and `coordinate` are the leaves, `both`, `either` and `opposite` join conditions made by `compare`.
+    `number` and `coordinate` give the leaves; `both`, `either` and `opposite` join conditions made by `compare`.
     """
 
     def number(self, number: Number) -> Any: ...
@@ -165,7 +165,7 @@ def _holds(condition: Condition, algebra: Algebra) -> Any:
 
 
 def polynomial_degree(tree: Tree) -> int | None:
-    """The degree of what is a polynomial by its look; None for anything else."""
+    """The degree of a tree that is written as a polynomial; None for anything else."""
     match tree:
         case Number():
             return 0

@@ -28,6 +28,8 @@ from signorini_fenicsx.meshes.geo_words import (
 LARGEST_FILE = 2**24
 LARGEST = 1e30
 """Number; 1e22 is how Gmsh's files say "any", and for a point's number of 1e308 Gmsh asks for all of the memory."""
+LARGEST_IN_RANGE = 1e7
+"""Number beside the colon of a list such as 1:9, which Gmsh holds whole."""
 LONGEST = {"word": 100, "number": 100, "string": 1000, "operator": 3}
 """Characters of a token; Gmsh's buffer holds 1023 of a string."""
 LONGEST_NAME = 200
@@ -82,6 +84,9 @@ class _Statements:
 
     def kind(self, index: int) -> str:
         return self.tokens[index].kind if 0 <= index < len(self.tokens) else ""
+
+    def number(self, index: int) -> float:
+        return float(self.text(index)) if self.kind(index) == "number" else 0.0
 
 
 def allowed_tokens(content: bytes) -> list[Token]:
@@ -213,6 +218,9 @@ def _plain(statements: _Statements, index: int) -> int:
             f"line {token.line}: '{statements.text(index - 1)}.{statements.text(index + 1)}' is not allowed: of "
             "options, those of Mesh and Geometry that are numbers will do"
         )
+    chosen = "?" in map(statements.text, range(index - 9, index))  # a colon that belongs to it
+    if token.text == ":" and not chosen and max(map(statements.number, (index - 1, index + 1))) > LARGEST_IN_RANGE:
+        raise InputError(f"line {token.line}: numbers beside ':' are at most {LARGEST_IN_RANGE:g}")
     if token.kind == "word":
         _check_word(statements, index)
     return index + 1

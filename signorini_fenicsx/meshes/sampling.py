@@ -5,15 +5,22 @@ import math
 from collections.abc import Iterator, Sequence
 
 import basix.ufl
+import dolfinx.geometry
 import dolfinx.mesh
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import Domain
 
 QUADRATURE_DEGREE = 2
 """Exact for squares of RT0 differences on fine cells that one coarse cell covers."""
+AT_BOUNDARY = 1e-10
+"""A point that is this far outside a mesh, relative to its size, is on the boundary up to rounding."""
 
 
 def curve_gap(domain: Domain) -> float:
@@ -67,3 +74,57 @@ def sampled(
                 sample.x.array[:] *= factor ** (mesh.topology.dim - 1)
         samples.append(sample)
     return samples
+
+
+def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.ArrayLike) -> list[Array]:
+    """Functions on the mesh of a domain at any points (collective).
+
+    Args:
+        functions: With up-to-date ghost values.
+        domain: The mesh.
+        points: What this rank asks for, shape (n, dim), wherever the cells are; another rank may ask for others.
+
+    Returns:
+        Of each function the values, shape (n, components): not a number outside the mesh; where cells meet, those in
+        one of them, the same for all functions.
+
+    Raises:
+        InputError: On all ranks, if the points of one of them have another shape.
+    """
+    comm = domain.mesh.comm
+    wanted = _in_space(domain.mesh, points)
+    inside = np.isfinite(wanted).all(axis=1)
+    padding = AT_BOUNDARY * float(np.ptp(domain.box(), axis=0).max())
+    with of_unit_size(domain, domain.mesh) as factor:
+        owners = dolfinx.geometry.determine_point_ownership(domain.mesh, factor * wanted[inside], factor * padding)
+    inside[inside] = owners.src_owner >= 0
+    places = [np.flatnonzero(inside)[owners.src_owner[owners.src_owner >= 0] == rank] for rank in range(comm.size)]
+    values = []
+    for function in functions:
+        size = function.function_space.value_size
+        found = function.eval(owners.dest_points / factor, owners.dest_cells).reshape(-1, size)
+        answers = comm.alltoall([found[owners.dest_owner == rank] for rank in range(comm.size)])
+        value = np.full((len(wanted), size), np.nan)
+        for place, answer in zip(places, answers, strict=True):
+            value[place] = answer
+        values.append(value)
+    return values
+
+
+def _in_space(mesh: dolfinx.mesh.Mesh, points: npt.ArrayLike) -> Array:
+    """Points as DOLFINx takes them, shape (n, 3) (collective).
+
+    Raises:
+        InputError: On all ranks, if one has something else.
+    """
+    dim, wrong = mesh.geometry.dim, False
+    try:
+        given = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        given, wrong = np.empty((0, dim)), True
+    if given.size == 0:
+        given = np.empty((0, dim))
+    wrong = wrong or given.ndim != 2 or given.shape[1] != dim
+    if mesh.comm.allreduce(wrong, MPI.LOR):
+        raise InputError(f"points: must be an array of shape (n, {dim}), a row for each point")
+    return np.pad(given, ((0, 0), (0, 3 - dim)))

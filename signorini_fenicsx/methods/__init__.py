@@ -1,1 +1,1 @@
-"""How to find the sets: the registry of methods, the loop of the set rules, PETSc SNES, classical methods."""
+"""Methods that find the contact sets: the registry, the loop of the set rules, PETSc SNES, classical methods."""

@@ -1,7 +1,8 @@
-"""The facet problem as what it is, a quadratic programme with p ≥ 0 on Γ_S, by PETSc SNESVI.
+"""The facet problem as a quadratic programme with p ≥ 0 on Γ_S, solved by PETSc SNESVI.
 
 ½(∇_h u, ∇_h u) − (f_h, u) is minimised over Crouzeix-Raviart functions with u = 0 on Γ_D and facet means ≥ 0 on Γ_S.
-Its solution is that of (MLM-I)_h, found without the set rules or the active-set loop: an independent nonlinear solver.
+The minimiser is the solution of (MLM-I)_h. It is found without the set rules and the active-set loop, so this is an
+independent check of them.
 """
 
 import numpy as np
@@ -25,16 +26,16 @@ from signorini_fenicsx.methods.history import Outcome, Recorder
 from signorini_fenicsx.methods.task import Task
 
 PREFIX = "vi_"
-"""Of its PETSc options."""
+"""Prefix of its PETSc options."""
 DEFAULTS = MUMPS_WORKSPACE | {"snes_vi_zero_tolerance": "0.0"}
-"""How near its bound p counts as on it, absolutely, is 1e-8 in PETSc, which is much for small data."""
+"""PETSc counts p as on its bound if it is within 1e-8 of it, an absolute distance that is large for small data."""
 
 
 def solve_bound_constrained(task: Task) -> Outcome:
     """Solve by the reduced-space active-set method of SNESVI, vinewtonrsls (collective).
 
-    All SNES, KSP and PC options are the user's. If its line search gives up, as it may where the
-    sets cycle, it goes on from there with full steps, which is told in the reason.
+    The user may set all SNES, KSP and PC options. The line search may give up where the sets cycle; then SNESVI goes on
+    from there with full steps, and the reason says so.
 
     Raises:
         InputError: If PETSc refuses an option.
@@ -67,7 +68,7 @@ def solve_bound_constrained(task: Task) -> Outcome:
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
     for vector in (system.x, system.b):
-        vector.destroy()  # SNESVI makes PETSc's queue of what Python lets go lose them on several ranks
+        vector.destroy()  # after SNESVI on several ranks, PETSc's garbage collection would not free them
     return Outcome(
         iterate=iterate,
         conditions=conditions,
@@ -81,7 +82,7 @@ def solve_bound_constrained(task: Task) -> Outcome:
 
 
 def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
-    """Solve from x; why that failed, or None (collective)."""
+    """Solve from x; return why that failed, or None (collective)."""
     try:
         with options_of(PREFIX, DEFAULTS):
             snes.solve(None, x)
@@ -94,7 +95,7 @@ def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
 
 
 def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
-    """SNESVI on the system as it is applied now, with its bounds."""
+    """SNESVI for the system under its current conditions, with its bounds."""
     snes = PETSc.SNES().create(system.matrix.getComm())
     matrix, b = system.matrix, system.b
 
@@ -123,7 +124,7 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
 
 
 def _recovered(system: FacetSystem, linear_iterations: int) -> tuple[Iterate, SiteConditions]:
-    """The present solution; a facet is in contact where p is at its bound."""
+    """The current solution; a facet is in contact where p is at its bound."""
     p = system.x.array_r[system.trace_dofs]
     kind = np.where(p <= 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
     conditions = SiteConditions(kind)

@@ -1,4 +1,4 @@
-"""A set rule as a method: a predicted start where that is worth it, the loop, and a precise flux in the end."""
+"""A set rule as a method: a predicted start for large problems, the loop, and at the end a precise flux."""
 
 import contextlib
 from collections.abc import Callable
@@ -31,7 +31,7 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
 
 
 def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Parameters, task: Task) -> Outcome:
-    """The loop from a prediction, or from a cold start where there is none or it fails (collective)."""
+    """The loop from predicted sets, or from a cold start if there are none or they fail (collective)."""
     prediction = Prediction(rule, parameters.rho, parameters.eps, task.coarser, task.tuning)
     spaces = task.spaces
     predicted, steps = None, 0
@@ -62,7 +62,7 @@ def _floating(task: Task) -> Array | None:
 def _made_precise(
     outcome: Outcome, precise: Callable[[], Backend[Iterate]], rule: SetRule, parameters: Parameters, task: Task
 ) -> Outcome:
-    """The outcome with its KKT residuals; if they say so, that of a precise backend from its sets (collective)."""
+    """The outcome with its KKT residuals; if these are too large, a precise backend goes on (collective)."""
     with task.watch.phase("kkt"):
         kkt = task.kkt(outcome.iterate, rule.penalty)
     if (violation := kkt.violation()) is None:

@@ -20,9 +20,9 @@ type OnStep = Callable[["Step"], None]
 
 @dataclass(frozen=True)
 class Step:
-    """One row of the history: iteration n of the algorithm, the start solve being n = 0 and not listed.
+    """One row of the history: iteration n of the algorithm. The start solve is n = 0 and has no row.
 
-    Sites are the facets of Γ_S; those of conforming P1 are its vertices on Γ_S.
+    Sites are the facets of Γ_S or, for conforming P1, its vertices on Γ_S. Their numbers are sums over all ranks.
 
     Attributes:
         iteration: n, from 1.
@@ -30,11 +30,11 @@ class Step:
         zero_trace: Sites with p = 0.
         robin: Sites with σ·n + βp = 0.
         changed: Sites whose condition differs from iteration n − 1.
-        clipped: Sites whose negative σ·n Algorithm 3 set to 0 (36).
+        clipped: Sites where Algorithm 3 set a negative σ·n to 0 (36).
         sigma_change: ‖σ^(n) − σ^(n−1)‖_V.
         u_change: ‖u^(n) − u^(n−1)‖_Q.
-        linear_iterations: Iterations of the linear solver under these conditions; a set that repeats shows those of
-            its only solve.
+        linear_iterations: Iterations of the linear solver under these conditions. A set that repeats is not solved
+            again; its row shows the iterations of its only solve.
         seconds: Wall time of the iteration.
     """
 
@@ -56,18 +56,18 @@ class Outcome:
 
     Attributes:
         iterate: Last solution.
-        conditions: Conditions of the Γ_S facets of this rank that it was solved with.
+        conditions: Conditions on the Γ_S facets of this rank under which it was computed.
         history: One step per iteration.
         reason: Why it ended, in words.
-        converged: Whether the sets settled; of a `Solution`, whether its residuals are small as well.
-        backend: Name of the discrete system it was solved with; SNES always takes the mixed one, SNESVI the hybrid one.
-        dofs: Unknowns of the linear systems.
+        converged: Whether the sets repeated; in a `Solution`, whether its residuals are small as well.
+        backend: Name of the discrete system that was solved; SNES always uses the mixed one, SNESVI the hybrid one.
+        dofs: Unknowns of the linear systems, over all ranks.
         linear_solver: Name of their solver.
-        own_residual: Largest residual of the discrete problem that the method solves, scale-free, where that is neither
-            (9) nor a penalty of it: what is judged then instead of the KKT residuals.
-        details: Numbers of its own that the method chose or found, such as ρ.
-        rough_steps: Solves that went before to predict the sets and were stopped early.
-        kkt: Its KKT residuals, if the method has looked at them.
+        own_residual: Largest residual, scale-free, of the discrete problem that the method solves, if that is neither
+            (9) nor a penalty formulation of it. It is judged instead of the KKT residuals.
+        details: Further numbers that the method chose or found, such as ρ.
+        rough_steps: Earlier solves that were stopped early, to predict the sets.
+        kkt: KKT residuals, if the method has computed them.
     """
 
     iterate: Iterate
@@ -89,7 +89,7 @@ class Outcome:
 
 
 class History:
-    """Builds the history: one step per iteration, its conditions compared with those before."""
+    """Builds the history: one step per iteration, whose conditions are compared with those before."""
 
     def __init__(self, comm: MPI.Comm, conditions: SiteConditions, on_step: OnStep):
         """Begin with the start, which is not a step itself.
@@ -112,7 +112,7 @@ class History:
         linear_iterations: int = 1,
         clipped: int = 0,
     ) -> None:
-        """Record an iteration by its conditions and the norms of what it changed in σ and u (collective)."""
+        """Record an iteration: its conditions, and the norms of its changes of σ and u (collective)."""
         counts = conditions.counts(self._comm)
         now = time.perf_counter()
         step = Step(
@@ -157,7 +157,7 @@ class Recorder(History):
 
 @contextlib.contextmanager
 def reached(state: Callable[[], tuple[Iterate, SiteConditions]], history: list[Step]) -> Iterator[None]:
-    """Tell an interruption that comes with a step what the method has reached (collective)."""
+    """Add the state that the method has reached to an interruption that a step raises (collective)."""
     try:
         yield
     except LoopInterruption as interruption:

@@ -1,18 +1,19 @@
 """The loop that all active/inactive-set algorithms share: rule, solve, until the sets repeat.
 
-It speaks of sites with a pair (p, σ·n) each and does not know what they are: facets of Γ_S, or vertices.
+It works on sites with a pair (p, σ·n) each, whether these are facets of Γ_S or vertices.
 
-*Ties.* Where p and σ·n are both rounding (biactive sites, symmetry, no load), a site keeps its condition; the start,
-which is no decision, counts as p = σ·n = 0 there. What rounding is, the backend's scales and `tolerances.TIE` say.
+*Ties.* A site where p and σ·n are both rounding (biactive sites, symmetry, no load) keeps its condition. After the
+algorithm's own start there is no condition to keep; there a tie counts as p = σ·n = 0. The backend's scales and
+`tolerances.TIE` define what is rounding.
 
-*Cycles.* Each set determines the next one, so if a set comes a second time, the same sets follow again and again. Every
-rule is principal pivoting for a linear complementarity problem, p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
-Schur complement S on Γ_S; for the penalties in the shifted quantities of `Penalty.shift`, with (S⁻¹ + ε/|e|)⁻¹ or
-S + ε|e|. These matrices are symmetric and positive definite. Then changing one site at a time, the last in a fixed
-order of those that want to change, ends after finitely many steps (Murty); and so does changing all of them whenever
-they have become fewer than ever before, and one at a time otherwise (Júdice and Pires, Computers & Operations Research
-21, 1994). That is what the loop does from the first repetition on. Both hold for laws with several corners as well, if
-a single site moves by one segment at a time.
+*Cycles.* Each set determines the next one, so if a set occurs a second time, the same sets repeat forever. Every rule
+is principal pivoting for a linear complementarity problem: p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
+Schur complement S on Γ_S. For the penalties this holds in the shifted quantities of `Penalty.shift`, with
+(S⁻¹ + ε/|e|)⁻¹ or S + ε|e| in place of S. These matrices are symmetric and positive definite. For them, changing one
+site at a time ends after finitely many steps, if it is always the last, in a fixed order, of those that want to change
+(Murty). It also ends if all sites change whenever fewer want to change than ever before, and one at a time otherwise
+(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on. For laws
+with several corners both hold as well, if a site that changes alone moves by one segment.
 """
 
 from dataclasses import dataclass, field
@@ -33,14 +34,14 @@ from signorini_fenicsx.methods.set_rules import SetRule, Ties
 
 @dataclass(frozen=True)
 class Parameters:
-    """Of an iteration.
+    """Parameters of an iteration.
 
     Attributes:
         rho: ρ > 0 of the rule; None for that of the law.
         eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
-        tie: Share of its scale below which a value is rounding.
-        floating: |e| per site if no part of the boundary is left to u = u_D, so that some site must hold u.
+        tie: A value below this share of its scale is rounding.
+        floating: |e| per site if there is no Γ_D, so that some site must hold u; otherwise None.
     """
 
     rho: float | None = None
@@ -60,10 +61,10 @@ def iterate_sets[I: Pairs](
 ) -> Outcome:
     """Run an algorithm until the sets repeat (collective).
 
-    A set that equals its predecessor ends the loop without another solve: the same set has the same solution. A set
-    seen earlier means that the algorithm cycles. If it has a clip, the loop goes on without it, for Algorithm 3 as
-    full-step semismooth Newton for (25); otherwise, and if that cycles too, it goes on with safeguarded changes, see
-    above. Either is told in the reason.
+    A set that equals its predecessor ends the loop without another solve, because it has the same solution. A set that
+    equals an earlier one means that the algorithm cycles. Then a rule with a clip goes on without the clip; Algorithm 3
+    becomes full-step semismooth Newton for (25). If there is no clip, or if that cycles too, the loop goes on with the
+    safeguarded changes of the module. The reason tells both.
 
     Args:
         backend: Solves under given conditions.
@@ -73,7 +74,7 @@ def iterate_sets[I: Pairs](
         on_step: Called on all ranks after each iteration.
 
     Raises:
-        LinearSolveFailure: If the start cannot be solved. Later failures end the loop and are told in the outcome.
+        LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
     """
     site, sites = backend.noun
     law = rule.law(backend.chains, parameters.eps)
@@ -128,7 +129,7 @@ def _wanted[I: Pairs](
     iterate: I,
     solved_with: SiteConditions | None,
 ) -> SiteConditions:
-    """What the rule makes of an iterate; ties keep their condition, at the algorithm's own start there is none."""
+    """The next conditions by the rule. Ties keep their condition; after the algorithm's own start they have none."""
     scales = backend.scales(iterate)
     segment = None if solved_with is None else law.segments(solved_with)
     p, flux = iterate.p, iterate.flux
@@ -173,10 +174,10 @@ class _Safeguard[I: Pairs]:
     """Notices cycles and ends them, see the module.
 
     Attributes:
-        backend: For its sites.
+        backend: The backend with the sites.
         law: The law of each site.
         clips: Whether the algorithm still clips.
-        remark: What it did, in words.
+        remark: What was changed to end a cycle, in words; empty if nothing.
     """
 
     backend: Backend[I]
@@ -189,7 +190,7 @@ class _Safeguard[I: Pairs]:
     _last: int = 0
 
     def look(self, conditions: SiteConditions, wanted: SiteConditions, iterations: int) -> int:
-        """Take note of the conditions of an iteration and of the next ones; how many sites change (collective)."""
+        """Remember the conditions of an iteration; return how many sites the wanted ones change (collective)."""
         self._seen.append(conditions)
         *earlier, self._last = wanted.changes(self._seen, self.backend.comm).tolist()
         if self._last > 0 and 0 in earlier and self._places is None:
@@ -204,7 +205,7 @@ class _Safeguard[I: Pairs]:
         return self._last
 
     def allowed(self, conditions: SiteConditions, wanted: SiteConditions) -> SiteConditions:
-        """The next conditions: the wanted ones, or one site of them (collective)."""
+        """The next conditions: the wanted ones, on all sites or on one (collective)."""
         if self._places is None:
             return wanted
         all_may = self._last < self._fewest
@@ -212,9 +213,9 @@ class _Safeguard[I: Pairs]:
         return wanted if all_may else self._one_changed(conditions, wanted, self._places)
 
     def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
-        """The conditions with one site a segment nearer to what is wanted.
+        """Conditions with one site moved by one segment towards what it wants (collective).
 
-        It is the last by its place, an order that no partition affects (collective).
+        It is the last one, in an order that does not depend on the ranks.
         """
         changing = [(*places[i], i) for i in np.flatnonzero(conditions.differ(wanted))]
         *place, index = max(changing, default=(-1,))

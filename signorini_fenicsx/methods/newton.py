@@ -1,4 +1,4 @@
-"""The penalty formulations (25) and (26) handed to PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
+"""The penalty formulations (25) and (26) by PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +29,7 @@ from signorini_fenicsx.methods.history import OnStep, Outcome, Recorder
 from signorini_fenicsx.methods.task import Task
 
 PREFIX = "newton_"
-"""Of its PETSc options."""
+"""Prefix of its PETSc options."""
 CONTINUATION = 10.0
 """Factor between successive ε when the direct start fails."""
 
@@ -48,8 +48,8 @@ def solve_by_newton(penalty: Penalty, task: Task) -> Outcome:
 class PenaltyNewton:
     """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
 
-    SNES gets the laws free of 1/ε of `forms/penalty.py` with the derivative that UFL makes of them, for σ − σ_lift, u
-    and p − ψ. All its options are the user's: -snes_monitor, -snes_linesearch_type bt, -newton_snes_type newtontr, …
+    SNES gets the laws without 1/ε of `forms/penalty.py` and their derivative by UFL, for σ − σ_lift, u and p − ψ. The
+    user may set all its options: -snes_monitor, -snes_linesearch_type bt, -newton_snes_type newtontr, …
     """
 
     def __init__(self, spaces: Spaces, data: Data, penalty: Penalty, *, eps: float, max_iterations: int):
@@ -79,7 +79,7 @@ class PenaltyNewton:
             kind="mpi",
             bcs=[fem.dirichletbc(fem.Function(V), spaces.neumann_dofs)],
             entity_maps=[spaces.entity_map],
-            petsc_options_prefix="signorini_",  # DOLFINx wants one and, given defaults, deletes the user's namesakes
+            petsc_options_prefix="signorini_",  # required; with defaults DOLFINx would delete the user's options
         )
         self._snes = self._problem.solver
         self._set_defaults(max_iterations)
@@ -87,7 +87,7 @@ class PenaltyNewton:
         take_options(self._snes, PREFIX)
 
     def _set_defaults(self, max_iterations: int) -> None:
-        """Full Newton steps with MUMPS until a step changes nothing: a small residual may belong to a wrong set."""
+        """Full Newton steps with MUMPS until a step is tiny; a small residual is no test, its set may be wrong."""
         snes = self._snes
         snes.setType("newtonls")
         snes.getLineSearch().setType("basic")
@@ -114,9 +114,9 @@ class PenaltyNewton:
             stages = int(np.ceil(-np.log(self._eps) / np.log(CONTINUATION)))
             for exponent in range(stages + 1):
                 failure = self._newton(self._eps ** (exponent / stages), record)
-        self._snes.cancelMonitor()  # PETSc holds it and it holds this object: a cycle that Python cannot collect
+        self._snes.cancelMonitor()  # PETSc and this object hold each other: a cycle that Python cannot collect
         iterate = self._iterate()
-        reason = (failure or "SNES changes nothing any more") + remark
+        reason = (failure or "SNES converged") + remark
         solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
         dofs = self._problem.x.getSize()
         return Outcome(
@@ -131,14 +131,14 @@ class PenaltyNewton:
         )
 
     def _reset(self) -> None:
-        """The start: 0 or, without Γ_D, contact everywhere: the first linear problem must not be a Neumann problem."""
+        """The start: 0, or without Γ_D contact everywhere: otherwise the first problem is a Neumann problem."""
         for field in self._fields:
             field.x.array[:] = 0.0
         if not self._spaces.has_dirichlet:
             self._fields[2].x.array[:] = -1.0
 
     def _newton(self, eps: float, record: Callable[[PETSc.SNES, int, float], None]) -> str | None:
-        """One run of SNES from the present fields; the reason of its failure, or None."""
+        """One run of SNES from the current fields; return the reason of its failure, or None (collective)."""
         self._eps_now.value[...] = eps
         self._snes.cancelMonitor()
         take_options(self._snes, PREFIX)  # cancelling removed the user's monitors as well
@@ -154,7 +154,7 @@ class PenaltyNewton:
         return None if reason > 0 else f"SNES reason {reason} after {self._snes.getIterationNumber()} iterations"
 
     def _iterate(self) -> Iterate:
-        """A copy of the present fields, the values that their facet conditions prescribe made exact."""
+        """A copy of the current fields, with the exact values that their facet conditions prescribe."""
         sigma, u, p = (field.copy() for field in self._fields)
         sigma.x.scatter_forward()
         u.x.scatter_forward()

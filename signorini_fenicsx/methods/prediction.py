@@ -1,6 +1,6 @@
-"""Sets for a large problem to start from: those of a coarser mesh, then what unfinished solves ask for.
+"""Predicted sets from which a large problem starts: those of a coarser mesh, then updates by solves that stop early.
 
-A prediction changes the number of steps only: the loop ends where the sets repeat, wherever it starts.
+A prediction changes only the number of steps. The result is the same, because the loop ends only when the sets repeat.
 """
 
 import contextlib
@@ -32,8 +32,8 @@ class Prediction:
         rule: The algorithm.
         rho: Its ρ, None for that of the law.
         eps: Its ε.
-        coarser: Makes coarser meshes, if there are some.
-        tuning: Sizes.
+        coarser: Makes coarser meshes; None if there are none.
+        tuning: Has the sizes from which a prediction is worth its cost.
     """
 
     rule: SetRule
@@ -43,22 +43,27 @@ class Prediction:
     tuning: Tuning
 
     def law(self, chains: Chains) -> Chains:
-        """The law that the sites get in the end."""
+        """The law of each site, changed by the penalty if there is one."""
         return self.rule.law(chains, self.eps)
 
     def wanted(self, law: Chains, p: Array, flux: Array) -> SiteConditions:
-        """What the rule makes of p and σ·n."""
+        """The next conditions by the rule, from p and σ·n per site."""
         return law.conditions(self.rule.following(law, p, flux, self.rho))
 
     def is_worth_it(self, spaces: Spaces) -> bool:
-        """Whether a problem is so large that it costs less than it saves."""
+        """Whether the problem is so large that a prediction saves more than it costs."""
         return spaces.V.dofmap.index_map.size_global >= self.tuning.predict_from
 
     def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> FacetSegments | None:
-        """The segments on a mesh coarser than one that is coarser by a factor (collective).
+        """The segments on a coarser mesh (collective).
 
-        None if there is no such mesh, or no solution on it; in 3D, where so coarse a mesh sees too little for what it
-        costs.
+        Args:
+            dim: Dimension of the mesh.
+            factor: How much coarser than the problem's mesh the present mesh is; the next one is coarser still.
+
+        Returns:
+            The set. None if there is no such mesh or no solution on it, and in 3D: there a mesh that coarse predicts
+            too little for its cost.
         """
         if self.coarser is None or dim == 3:
             return None
@@ -69,29 +74,29 @@ class Prediction:
             if spaces.V.dofmap.index_map.size_global >= self.tuning.coarsen_from:
                 start = self.from_coarser_mesh(dim, factor)
             backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
-            if backend.inexact is None:  # by the user's options
+            if backend.inexact is None:  # the user's options chose a direct solver
                 return None
             conditions, _ = self.settle(backend.inexact, spaces, backend.chains, start)
-            PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc only queues what Python lets go
+            PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
             return FacetSegments(spaces, self.law(backend.chains).segments(conditions))
         return None
 
     def settle(
         self, backend: Inexact, spaces: Spaces, chains: Chains, start: FacetSegments | None
     ) -> tuple[SiteConditions, int]:
-        """Solve until the sets repeat, each time no longer than it takes to see the next sets (collective).
+        """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
-        Ends early where not fewer sites change than two steps before.
+        Ends early if a step changes at least as many sites as two steps before.
 
         Args:
             backend: Solves from its last solution.
             spaces: Its spaces.
             chains: The law of each facet.
-            start: Segments to start from, on any mesh of the same domain, instead of the algorithm's own start.
+            start: Segments to start from, on any mesh of the same domain; None for the algorithm's own start.
 
         Returns:
-            The last conditions, whose solution the backend holds if they repeated, and the number of solves stopped
-            early.
+            The last conditions, and the number of solves that were stopped early. If the sets repeated, the backend
+            holds the solution under these conditions.
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
@@ -112,9 +117,9 @@ class Prediction:
         return conditions, len(changed)
 
     def transferred(self, earlier: FacetSegments, spaces: Spaces, law: Chains) -> SiteConditions:
-        """Conditions that belong to segments on another mesh of the domain (collective).
+        """Conditions for the segments of another mesh of the domain (collective).
 
-        A facet is taken to be on the segment that the other mesh's facet at its midpoint is on.
+        A facet is on the segment of the other mesh's facet at its midpoint.
         """
         (sample,) = sampled([earlier.function()], spaces.Lambda.mesh, earlier.spaces.domain, degree=0)
         segment = np.rint(sample.x.array[: len(spaces.facets)])
@@ -123,9 +128,10 @@ class Prediction:
     def _settled_nearby(
         self, backend: Inexact, spaces: Spaces, law: Chains, conditions: SiteConditions, wanted: SiteConditions
     ) -> SiteConditions:
-        """Follow the sets by solves on a patch around the facets that change, if it is small (collective).
+        """Follow the sets by solves on a patch around the facets that change, if this patch is small (collective).
 
-        Where σ·n and p both vanish at the edge of the contact set, that moves by single facets, each step a solve.
+        Where σ·n and p both vanish at the edge of the contact set, the edge moves by one facet per step. On a patch
+        such steps are cheap.
         """
         layers = self.tuning.layers[spaces.mesh.topology.dim]
         solve = backend.solve_near(conditions.differ(wanted), layers, self.tuning.patch_share)
@@ -140,14 +146,14 @@ class Prediction:
 
 
 class _Watch:
-    """Says that a solve has gone far enough: the sets it asks for are not its own and have come to rest."""
+    """Stops a solve once its iterates ask for other sets than its own and these hardly change any more."""
 
     def __init__(self, prediction: Prediction, law: Chains, conditions: SiteConditions, comm: MPI.Comm):
         self._prediction, self._law, self._conditions, self._comm = prediction, law, conditions, comm
         self._last, self._steady = conditions, 0
 
     def __call__(self, p: Array, flux: Array) -> bool:
-        """Take note of another iterate (collective)."""
+        """Look at the next iterate; return whether to stop (collective)."""
         wanted, tuning = self._prediction.wanted(self._law, p, flux), self._prediction.tuning
         changing, moved = wanted.changes([self._conditions, self._last], self._comm).tolist()
         self._last = wanted
@@ -156,8 +162,8 @@ class _Watch:
 
 
 def contact_without_dirichlet(spaces: Spaces, chains: Chains) -> SiteConditions | None:
-    """Contact everywhere instead of an algorithm's own start, if that might be a Neumann problem.
+    """Contact everywhere if there is no Γ_D: an algorithm's own start may be a Neumann problem. None otherwise.
 
-    Under other laws than that of Signorini it is the steepest segment.
+    For other laws it is the steepest segment.
     """
     return None if spaces.has_dirichlet else chains.conditions(chains.steepest())

@@ -1,6 +1,6 @@
-"""The methods by name: what each solves, where it comes from, how it runs.
+"""The methods by name: what each solves, its source, and how it runs.
 
-A new one needs an entry here, or none: `solve` takes a `Method` as well as a name.
+An entry here gives a new method a name. It can also run without one: `solve` takes a `Method` as well as a name.
 
 | method                    | in                            | formulation                              |
 |---------------------------|-------------------------------|------------------------------------------|
@@ -26,7 +26,7 @@ from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORI
 from signorini_fenicsx.methods.task import Task
 
 MANY = 100_000
-"""Iterations allowed to methods whose iterations are cheap."""
+"""Iterations allowed for methods with cheap iterations."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ class Method:
 
     Attributes:
         title: What it solves and where it is defined.
-        reference: Where it comes from.
-        run: Solves (collective).
-        contact: Condition of the facets in contact.
-        penalty: Its penalty law, if it has one: then its KKT residuals are those of the penalty formulation.
+        reference: Its source in the literature.
+        run: Solves a task (collective).
+        contact: Condition on the facets in contact.
+        penalty: Its penalty law, or None; with one the KKT residuals are those of the penalty formulation.
         stabilised: Whether ε adds −ε(u, v) to the mass balance.
         starts_from_sets: Whether it can start from a contact set.
-        needs_dirichlet: Whether there must be a part of the boundary where u = u_D.
+        needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
-        single_call: Whether it is one call of a solver: then the iterations are that solver's.
+        single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
     """
 
@@ -82,7 +82,7 @@ GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (19
 
 
 def _classical(title: str, reference: str, where: str, **options: Any) -> Method:
-    """A classical method, imported when it runs: SciPy and PIQP are slow to import."""
+    """A classical method. Its module is imported when it runs, because SciPy and PIQP are slow to import."""
     module, _, name = where.partition(".")
 
     def run(task: Task) -> Outcome:

@@ -1,15 +1,16 @@
-"""The four algorithms of the slides, each whole: a start, a rule from (p, σ·n) to the next conditions, perhaps a clip.
+"""The four algorithms of the slides, each complete: a start, a rule from (p, σ·n) to the next conditions, and a clip.
 
-What they share are the linear problems, which a backend solves for any conditions (NO_FLUX: σ·n = 0, ZERO_TRACE: p = 0,
-ROBIN: σ·n + βp = 0), and the repetition, which is `loop.iterate_sets`. p and σ·n stand for p − ψ and σ·n − q_S, on each
-site of Γ_S. Step numbers are those of the slides.
+A backend solves their linear problems under given conditions (NO_FLUX: σ·n = 0, ZERO_TRACE: p = 0, ROBIN: σ·n + βp =
+0), and `loop.iterate_sets` repeats rule and solve. p and σ·n stand for p − ψ and σ·n − q_S on each site of Γ_S. Step
+numbers are those of the slides. Only Algorithm 3 has a clip.
 
-After one step of Algorithms 1 and 2 one of p and σ·n is 0 on each site, so only signs matter and ρ changes no iterate.
+After one step of Algorithms 1 and 2, p or σ·n is 0 on each site, so only signs matter and ρ does not change the
+iterates.
 
-*Other laws.* The law of Signorini has one corner, ψ and q_S, and a rule says on which side of it a site goes on. A law
-with several corners is a chain of segments (see `discrete/chains.py`). The same rule is asked at each corner, with p
-and σ·n measured from there, and a site goes to the segment behind all corners that it has passed. The rules of
-Algorithms 1 and 2 look at w = ρp − σ·n, which grows along the chain, and differ where w is that of a corner.
+*Other laws.* The Signorini law has one corner, at ψ and q_S, and a rule says on which side of it a site continues. A
+law with several corners is a chain of segments (see `discrete/chains.py`). The same rule is asked at each corner, with
+p and σ·n measured from there, and a site goes to the segment behind all corners that it has passed. The rules of
+Algorithms 1 and 2 look at w = ρp − σ·n, which grows along the chain, and differ only where w is that of a corner.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ class SetRule:
     """An active/inactive-set algorithm.
 
     Attributes:
-        start: Condition of all sites in the start solve (Step 1). Under another law: if it is that of the sites in
-            contact the segment of the reference, otherwise the one behind it.
-        rule: From p, σ·n and ρ to a `Condition` per site (Step 2).
-        contact: Condition of the sites in contact.
+        start: Condition on all sites in the start solve (Step 1). For other laws: if it is that of the sites in
+            contact, the segment of the reference, otherwise the one behind it.
+        rule: Maps p, σ·n and ρ to a `Condition` per site (Step 2).
+        contact: Condition on the sites in contact.
         forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
-        penalty: Its penalty law, which says what β is on ROBIN sites.
-        clip: From conditions and σ·n to the sites whose σ·n becomes 0 after the solve (Step 3).
+        penalty: Its penalty law, which gives β on ROBIN sites; None for the multiplier formulations.
+        clip: Maps conditions and σ·n to the sites where σ·n is set to 0 after the solve (Step 3); None for no clip.
+        scales_flux: Whether ρ multiplies σ·n, not p.
     """
 
     start: Condition
@@ -44,6 +46,7 @@ class SetRule:
     forgets_start: bool = False
     penalty: Penalty | None = None
     clip: Callable[[Kinds, Array], Mask] | None = None
+    scales_flux: bool = False
 
     def law(self, chains: Chains, eps: float) -> Chains:
         """The law that the sites get in the end: with a penalty, that of the penalty."""
@@ -63,12 +66,13 @@ class SetRule:
             rho: ρ, None for that of the law.
             ties: What is rounding.
         """
+        scale = 1 / law.rho if self.scales_flux else law.rho
         segment = np.zeros(len(p), dtype=np.int8)
         for corner in range(law.corners):
             trace, excess = p - law.p[:, corner], flux - law.flux[:, corner]
             tied = np.zeros(len(p), dtype=bool) if ties is None else ties.at(trace, excess)
             trace, excess = np.where(tied, 0.0, trace), np.where(tied, 0.0, excess)
-            passed = self.rule(trace, excess, rho or law.rho) != self.contact
+            passed = self.rule(trace, excess, rho or scale) != self.contact
             if ties is not None and ties.segment is not None:
                 passed = np.where(tied, ties.segment > corner, passed)
             segment += passed
@@ -102,11 +106,11 @@ def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:
 #   Step 1     Solve with σ·n = 0 on Γ_S, then set p = 0.
 #   Step 2     Γ¹: the sites with σ·n − ρp < 0.
 #   Step 3, 4  Solve with σ·n = 0 on Γ¹ and p = 0 elsewhere (11); p on Γ¹ by (12).
-#   Step 5     Repeat from Step 2 until the sets do.
+#   Step 5     Repeat from Step 2 until the sets repeat.
 
 
 def rule_1(p: Array, flux: Array, rho: Array | float) -> Kinds:
-    """Step 2: active, and so NO_FLUX, is where σ·n − ρp < 0; ties are in contact."""
+    """Step 2: a site is active, that is NO_FLUX, if σ·n − ρp < 0; ties are in contact."""
     return _either(flux - rho * p < 0, Condition.NO_FLUX, Condition.ZERO_TRACE)
 
 
@@ -117,31 +121,31 @@ ALGORITHM_1 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_1)
 #   Step 1     As in Algorithm 1.
 #   Step 2     Γ¹: the sites with p − ρσ·n < 0.
 #   Step 3, 4  Solve with p = 0 on Γ¹ and σ·n = 0 elsewhere (13); p there by (14).
-#   Step 5     Repeat from Step 2 until the sets do.
+#   Step 5     Repeat from Step 2 until the sets repeat.
 
 
 def rule_2(p: Array, flux: Array, rho: Array | float) -> Kinds:
-    """Step 2: active, and so ZERO_TRACE, is where p − ρσ·n < 0; ties are open."""
+    """Step 2: a site is active, that is ZERO_TRACE, if p − ρσ·n < 0; ties are open."""
     return _either(p - rho * flux < 0, Condition.ZERO_TRACE, Condition.NO_FLUX)
 
 
-ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2)
+ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2, scales_flux=True)
 
 
 # Algorithm 3, for the penalty formulation (MPε-I)_h, (25): σ·n = [p]_-/ε.
 #   Step 1  Solve with σ·n = 0 on Γ_S (33), with its p (34).
 #   Step 2  Γ¹: the sites with p > 0. Solve with σ·n = 0 on Γ¹ (35a) and p = −εσ·n elsewhere (35b).
 #   Step 3  Set σ·n to 0 where it is negative outside of Γ¹ (36); p moves with it (37).
-#   Step 4  Repeat from Step 2 until the sets do.
+#   Step 4  Repeat from Step 2 until the sets repeat.
 
 
 def rule_3(p: Array, flux: Array, rho: Array | float) -> Kinds:
-    """Step 2: active, and so NO_FLUX, is where p > 0; ties are penalised."""
+    """Step 2: a site is active, that is NO_FLUX, if p > 0; ties are penalised."""
     return _either(p > 0, Condition.NO_FLUX, Condition.ROBIN)
 
 
 def clip_3(kind: Kinds, flux: Array) -> Mask:
-    """Step 3: where σ·n is negative outside of the active set (36)."""
+    """Step 3: the sites outside the active set where σ·n is negative (36)."""
     return (kind == Condition.ROBIN) & (flux < 0)
 
 
@@ -151,11 +155,11 @@ ALGORITHM_3 = SetRule(start=Condition.NO_FLUX, rule=rule_3, contact=Condition.RO
 # Algorithm 4, for the penalty formulation (MPε-II)_h, (26): p = [σ·n]_-/ε.
 #   Step 1  Solve with p = 0 on Γ_S (38).
 #   Step 2  Γ¹: the sites with σ·n > 0. Solve with p = 0 on Γ¹ and σ·n = −εp elsewhere.
-#   Step 3  Repeat from Step 2 until the sets do.
+#   Step 3  Repeat from Step 2 until the sets repeat.
 
 
 def rule_4(p: Array, flux: Array, rho: Array | float) -> Kinds:
-    """Step 2: active, and so ZERO_TRACE, is where σ·n > 0; ties are penalised."""
+    """Step 2: a site is active, that is ZERO_TRACE, if σ·n > 0; ties are penalised."""
     return _either(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN)
 
 

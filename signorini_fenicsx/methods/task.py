@@ -1,4 +1,4 @@
-"""What every method is given."""
+"""The input of every method."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,8 +17,8 @@ from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.methods.history import OnStep
 
 type Coarser = Callable[[float], tuple[Spaces, Data]]
-"""From a factor > 1 to the same problem on a mesh that is coarser by it (collective). Raises InputError if there is
-none."""
+"""Maps a factor > 1 to the same problem on a mesh that is coarser by this factor (collective). Raises InputError if
+there is no such mesh."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class Task:
     Attributes:
         spaces: The discrete spaces.
         data: The data and their means over cells and facets.
-        rho: ρ or step length, None for the method's own.
+        rho: ρ or step length; None for the default of the method.
         eps: ε of the penalty and of the stabilisation.
         max_iterations: Iterations allowed.
         on_step: Called on all ranks after each iteration.
         backend: Makes the backend of the set rules.
-        start: Segments to start from, on any mesh of the domain.
+        start: Segments to start from, on any mesh of the domain, or None.
         predict: Whether the sets of large problems are predicted.
-        coarser: Makes coarser meshes for that, if there are some.
-        tuning: From which size on, and more of that kind.
+        coarser: Makes coarser meshes for the prediction; None if there are none.
+        tuning: Sizes from which the program works differently.
         watch: Measures the phases of the method.
     """
 
@@ -60,7 +60,7 @@ class Task:
 
 
 def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:
-    """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of a history whose method has no start of its own."""
+    """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of the history of a method that has no start solve."""
     zero = np.zeros(len(spaces.facets))
     iterate = Iterate(p=zero, flux=zero, linear_iterations=0, sigma=fem.Function(spaces.V), u=fem.Function(spaces.Q))
     return iterate, SiteConditions.everywhere(Condition.NO_FLUX, len(zero))

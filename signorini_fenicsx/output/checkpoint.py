@@ -19,7 +19,7 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
-from signorini_fenicsx.base.parallel import on_root, scatter_rows
+from signorini_fenicsx.base.parallel import collector_off, on_root, scatter_rows
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import options_of
@@ -129,6 +129,7 @@ def _storable(given: object) -> bool:
     return all(map(_storable, given)) if isinstance(given, tuple | list) else isinstance(given, str | int | float)
 
 
+@collector_off()
 def load_solution(
     folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
 ) -> Solution:

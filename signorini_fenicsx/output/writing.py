@@ -15,7 +15,8 @@ from dolfinx import fem, io
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import WriteFailure
-from signorini_fenicsx.base.parallel import Stopwatch, on_root
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import Case
@@ -39,6 +40,16 @@ from signorini_fenicsx.solving.solution import Solution
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 
 
+def write_results(
+    solution: Solution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
+) -> None:
+    """Write all files of a solution into a folder that appears whole, or not at all, see `Solution.write`."""
+    with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
+        write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
+        place.publish()
+
+
+@collector_off()
 def write_solution(
     solution: Solution,
     folder: Path | str,
@@ -241,8 +252,11 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
 
 def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective)."""
-    file = io.VTXWriter(comm, path, functions)
+    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective).
+
+    In ADIOS2's newer format BP5, several ranks wait for each other for ever where the disk is full.
+    """
+    file = io.VTXWriter(comm, path, functions, engine="BP4")
     file.write(0.0)
     file.close()
 

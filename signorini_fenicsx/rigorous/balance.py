@@ -1,4 +1,4 @@
-"""Fluxes that balance the load of every cell exactly: what rounding and quadrature left is led out along a tree."""
+"""Fluxes that balance the load of every cell exactly: errors by rounding and quadrature flow out along a tree."""
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -12,13 +12,13 @@ from signorini_fenicsx.expressions.intervals import Interval
 def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -> Interval:
     """The fluxes plus a correction with Σ_i Φ_i = −∫_T f in every cell T, as real numbers.
 
-    The correction is 0 but on the facets of a tree that joins every cell with an outlet. What a cell and those behind
-    it leave over flows through one facet, so there is exactly one such correction, and it is enclosed.
+    The correction is 0 except on the facets of a tree that joins every cell with an outlet. The imbalance of a cell and
+    of all cells behind it flows through one facet, so the correction is unique. It is enclosed.
 
     Args:
         facets: Number of each facet of each cell, shape (cells, d + 1).
-        outlets: Of each facet of each cell, whether it is on the boundary and any flux may leave there.
-        fluxes: Outward fluxes, shape (cells, d + 1), those of two cells that share a facet the negative of each other.
+        outlets: For each facet of each cell, whether it is on the boundary and any flux may leave there.
+        fluxes: Outward fluxes, shape (cells, d + 1); two cells that share a facet have opposite fluxes.
         load: ∫_T f.
 
     Raises:
@@ -44,7 +44,7 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
         above = parents[chosen]
         entry = np.argmax(facets[above] == facets[chosen, through[chosen]][:, None], axis=1)
         _add(lo, hi, (above, entry), -leaving)
-        for place in range(width):  # several children of one parent, one after the other
+        for place in range(width):  # the children of one parent, one after the other
             rank = _rank_among_equals(above)
             now = rank == place
             part = Interval(leaving.lo[now], leaving.hi[now])
@@ -53,13 +53,13 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
 
 
 def _add(lo: Array, hi: Array, index: tuple[Indices, ...], more: Interval) -> None:
-    """Add to the entries of an interval in place; no entry may be named twice."""
+    """Add to entries of an interval in place; `index` must not contain an entry twice."""
     found = Interval(lo[index], hi[index]) + more
     lo[index], hi[index] = found.lo, found.hi
 
 
 def _rank_among_equals(values: Indices) -> Indices:
-    """0 for the first of each value, 1 for the second and so on."""
+    """For each entry, the number of earlier entries with the same value."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     first = np.searchsorted(ordered, ordered, side="left")
@@ -69,7 +69,10 @@ def _rank_among_equals(values: Indices) -> Indices:
 
 
 def _tree(facets: Indices, outlets: Mask) -> tuple[Indices, Indices, Indices]:
-    """Cells in breadth-first order from the outside, which is node number `cells`; parents, and the facet towards them.
+    """A tree from the outside to all cells. The outside is the node with the number `cells`.
+
+    Returns:
+        The nodes in breadth-first order, the parent of each cell, and the cell's facet towards its parent.
 
     Raises:
         InputError: If a cell cannot be reached.

@@ -1,4 +1,4 @@
-"""The data of a case for the theorem: enclosed, never sampled."""
+"""The data of a case for the theorem: they are enclosed, never only sampled."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ from signorini_fenicsx.rigorous.simplices import (
 )
 
 FINE = {"norm": 1e-9, "tilt": 1e-3, "mean": 1e-9}
-"""What is left of the data below this share of their size, or of their slope, is not worth more boxes."""
+"""Bisection stops at an uncertainty below this share of the size, or of the slope, of the data."""
 IN_MEANS = 1e-2
-"""So much of the variation on a simplex, times h over the size of the domain: means are off together on the tree."""
+"""Bisection for means stops at this share of the variation on a simplex, times h divided by the size of the domain. The
+last factor is needed because errors of the means add up along the tree of `balance`."""
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """An expression e on simplices, as a polynomial p and what is certain of e − p.
+    """An expression e on simplices, as a polynomial p and enclosures of e − p.
 
     Attributes:
         nodes: p in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
@@ -68,23 +69,23 @@ def deviation(
     degree: int = 2,
     wanted: Array | None = None,
 ) -> Deviation:
-    """Enclose an expression on simplices, shape (n, k + 1, d).
+    """Enclose an expression on simplices.
 
     Args:
         tree: The expression.
-        vertices: Of the simplices.
+        vertices: Vertices of the simplices, shape (n, k + 1, d).
         elementary: Proven bounds of exp, sin, ….
-        name: What it is called in the case.
-        by: What is bisected for.
-        degree: Of p, 1 or 2.
-        wanted: Values that p should have in the nodes of P2, if not those of the expression.
+        name: Name of the expression in the case.
+        by: The quantity for which simplices are bisected.
+        degree: Degree of p, 1 or 2.
+        wanted: Values of p in the nodes of P2; None for those of the expression.
 
     Raises:
         InputError: If there are no finite bounds.
     """
     dim = vertices.shape[1] - 1
     middle = vertices.mean(axis=1, keepdims=True)
-    inside = middle + INSIDE * (vertices - middle)  # data that jump between simplices have the values of this one there
+    inside = middle + INSIDE * (vertices - middle)  # so data that jump between simplices come from the right side
     sampled = values(tree, places(with_midpoints(enclosing(inside)))) if wanted is None else wanted
     if degree == 1:
         ends = np.array(EDGES[dim]).T
@@ -105,12 +106,12 @@ def deviation(
 
 
 def places(x: Interval) -> dict[str, Array]:
-    """Coordinates of floats in the middle."""
+    """Coordinates, by name, of the middle of the intervals, as floats."""
     return dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False))
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
-    """Lower bound of an expression on each of some simplices, which may be points."""
+    """Lower bound of an expression on each simplex; simplices may be points."""
     if vertices.shape[1] == 1:
         point = {name: enclosing(vertices[:, 0, i]) for i, name in enumerate("xyz"[: vertices.shape[2]])}
         lowest = interval(tree, point, elementary).lo
@@ -122,7 +123,7 @@ def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
 
 
 def _polynomial(vertices: Array, sampled: Array, *, linear: bool) -> Quadratic:
-    """Floats that make the polynomial with about these values in the nodes; a constant exactly."""
+    """A polynomial with floats as coefficients and about these values in the nodes; a constant is exact."""
     dim = vertices.shape[1] - 1
     order = [EDGES[dim].index(edge) + dim + 1 for edge in edges(dim + 1)]
     p = quadratic(vertices, sampled[:, : dim + 1], sampled[:, order])
@@ -133,7 +134,7 @@ def _polynomial(vertices: Array, sampled: Array, *, linear: bool) -> Quadratic:
 
 
 def _in_nodes(p: Quadratic, vertices: Array, x: Interval) -> Interval:
-    """The polynomial, whose coefficients are floats, in the nodes of P2."""
+    """Enclosures of a polynomial, whose coefficients are floats, in the nodes of P2."""
     arms = x - vertices.mean(axis=1)[:, None]
     linear = total(arms * p.gradient[:, None])
     bent = total(total(at(arms, np.s_[..., :, None]) * at(arms, np.s_[..., None, :]) * (p.hessian / 2)[:, None]))
@@ -142,12 +143,12 @@ def _in_nodes(p: Quadratic, vertices: Array, x: Interval) -> Interval:
 
 @dataclass(frozen=True)
 class Given:
-    """The trees of a case's data, and what bounds elementary functions.
+    """The trees of a case's data, and bounds of elementary functions.
 
     Attributes:
-        f, u_D, g_N, psi, q_S: As `data.Problem` has them.
-        kappa: κ as a matrix of trees, one row and column for a scalar; by region, or under "" for all of Ω. What is
-            below the diagonal is not looked at: it is taken for what is above.
+        f, u_D, g_N, psi, q_S: As in `discrete.problem.Problem`, as trees.
+        kappa: κ as a matrix of trees, 1 × 1 for a scalar; by region, or under "" for all of Ω. Only the entries on and
+            above the diagonal are used.
         elementary: Proven bounds of exp, sin, ….
     """
 
@@ -161,10 +162,10 @@ class Given:
 
     @classmethod
     def of(cls, trees: Mapping[str, Tree | Rows], elementary: Elementary) -> Self:
-        """What `data.Data.trees` has.
+        """Take the trees of `Data.trees`.
 
         Raises:
-            InputError: If something is no expression.
+            InputError: If a datum is not an expression.
         """
         names = ("f", "u_D", "g_N", "psi", "q_S")
         kappa = {
@@ -181,7 +182,7 @@ class Given:
         """κ on all cells.
 
         Raises:
-            InputError: If it is not positive definite for sure, or varies too much within a cell.
+            InputError: If it is not certainly positive definite, or varies too much within a cell.
         """
         names, inside = discrete.regions
         count, size = len(cells.vertices), max(len(rows) for rows in self.kappa.values())
@@ -206,7 +207,7 @@ class Given:
 
 
 class Conductivity:
-    """κ on cells by its linear interpolant κ̃, which has size 1 × 1 where κ is a scalar.
+    """κ on cells by its linear interpolant κ̃, a 1 × 1 matrix if κ is a scalar.
 
     Attributes:
         theta: θ > 0 with LᵀκL ≥ θ.
@@ -219,7 +220,7 @@ class Conductivity:
         Args:
             cells: The cells.
             corners: κ̃ in their vertices, shape (cells, d + 1, size, size).
-            deviation: Upper bound of |κ − κ̃|, Frobenius.
+            deviation: Upper bound of |κ − κ̃| in the Frobenius norm, per cell.
         """
         self._corners, self._deviation = corners, deviation
         size = corners.lo.shape[-1]
@@ -265,7 +266,7 @@ class Conductivity:
 
 
 def _near(vertices: Array, values: Array) -> str:
-    """Words for the simplex whose value is smallest or NaN."""
+    """The place, in words, of the simplex with the smallest or a NaN value."""
     return f"near ({', '.join(f'{x:.4g}' for x in vertices[np.argmin(values)].mean(axis=0))})"
 
 
@@ -275,7 +276,7 @@ def _product(a: Interval, b: Interval) -> Interval:
 
 
 def _applied(matrix: Interval, vector: Interval) -> Interval:
-    """A matrix, or a scalar as matrix of size 1, times a vector."""
+    """A matrix times a vector; a 1 × 1 matrix is a scalar."""
     if matrix.lo.shape[-1] == 1:
         return at(matrix, np.s_[..., 0]) * vector
     return total(matrix * at(vector, np.s_[..., None, :]))

@@ -1,4 +1,4 @@
-"""A discrete flux and trace as arrays of floats on one process: all that the theorem needs to know of a solution."""
+"""A discrete flux and trace as arrays of floats on one process; the theorem needs nothing else of a solution."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Discrete:
     """A mesh, a flux in RT0 and a continuous function in P2.
 
     Attributes:
-        vertices: Of the cells, shape (cells, d + 1, d).
-        corners: Numbers of these vertices, equal for equal vertices.
-        facets: Numbers of the facets, that opposite to each vertex.
-        kinds: What each facet is.
-        fluxes: Of σ_h out of the cell through each facet; two cells that share one have opposite numbers.
+        vertices: Vertices of the cells, shape (cells, d + 1, d).
+        corners: Numbers of these vertices, the same for the same vertex, shape (cells, d + 1).
+        facets: Number of the facet opposite to each vertex, shape (cells, d + 1).
+        kinds: Kind of each of these facets.
+        fluxes: Flux of σ_h out of the cell through each of these facets; two cells that share one have opposite floats.
         v: Values in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
-        regions: Names of the regions and whether each cell is in them, shape (cells, regions).
+        regions: Names of the regions, and a mask of the cells in them, shape (cells, regions).
     """
 
     vertices: Array
@@ -55,10 +55,10 @@ class Facets:
     """Boundary facets of one kind.
 
     Attributes:
-        cells: Their cells.
-        local: Which of its facets each is.
+        cells: The cell of each facet.
+        local: Index of the facet in this cell.
         nodes: Its nodes among the nodes of P2 of the cell, vertices first, shape (facets, nodes).
-        corners: Their vertices, shape (facets, d, d).
+        corners: Its vertices, shape (facets, d, d).
         measure: |e|.
     """
 
@@ -84,11 +84,14 @@ def boundary(discrete: Discrete, kind: int) -> Facets:
 
 
 def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
-    """A solution and a function in P2 on rank 0, cells in the order of their making; None elsewhere (collective).
+    """Gather a solution and a P2 function on rank 0, with the cells in their original order (collective).
 
     Args:
         solution: The solution.
-        v: By Bernstein's coefficients, as `certificate.Certificate` has it.
+        v: The P2 function by its Bernstein coefficients, as in `Certificate.v`.
+
+    Returns:
+        Both as arrays on rank 0; None on other ranks.
     """
     spaces, mesh = solution.spaces, solution.spaces.mesh
     comm, dim = mesh.comm, mesh.topology.dim
@@ -124,13 +127,13 @@ def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
 
 
 def _alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The first of the values of each number, for all: ranks might have floats that differ by rounding."""
+    """Give all entries with one number the first of their values, because ranks may differ by rounding."""
     _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
     return values.reshape(-1, *values.shape[2:])[first][own.reshape(numbers.shape)]
 
 
 def _opposite(facets: Indices, fluxes: Array) -> Array:
-    """The flux out of the first cell of each facet, and its negative for the other."""
+    """The flux out of the first cell of each facet, and its negative for the second cell."""
     _, first = np.unique(facets, return_index=True)
     other = np.ones(facets.size, dtype=bool)
     other[first] = False
@@ -138,12 +141,12 @@ def _opposite(facets: Indices, fluxes: Array) -> Array:
 
 
 def pairs(one: Indices, other: Indices) -> Indices:
-    """One number for an unordered pair."""
+    """One number for each unordered pair."""
     return np.minimum(one, other) << 32 | np.maximum(one, other)
 
 
 def alike_in_nodes(corners: Indices, values: Array) -> Array:
-    """The first of the values in each node of P2, for all cells."""
+    """Give all cells at a node of P2 the same value, the first one."""
     dim = corners.shape[1] - 1
     ends = np.array(EDGES[dim]).T
     edges = _alike(pairs(corners[:, ends[0]], corners[:, ends[1]]), values[:, dim + 1 :])
@@ -151,7 +154,7 @@ def alike_in_nodes(corners: Indices, values: Array) -> Array:
 
 
 def _nodal(corners: Indices, coefficients: Array) -> Array:
-    """Values in the nodes of P2, those of two cells the same floats, from Bernstein's coefficients."""
+    """Values in the nodes of P2 from Bernstein coefficients, with the same floats in neighbouring cells."""
     dim = corners.shape[1] - 1
     ends = np.array(EDGES[dim]).T
     found = alike_in_nodes(corners, coefficients)

@@ -1,4 +1,4 @@
-"""exp, sin, … between floats, by Arb (python-flint): its balls are proved to contain the value."""
+"""Floats below and above exp, sin, …, by Arb (python-flint), whose balls are proven to contain the value."""
 
 import math
 
@@ -20,9 +20,9 @@ _FUNCTIONS = {
 
 
 REMEMBERED = 32
-"""Results that are kept: derivatives have the same functions of the same numbers."""
+"""Number of results that are kept, because derivatives contain the same functions of the same numbers."""
 PRECISE = 40
-"""Bits that are right in all but odd cases."""
+"""Bits that are right in all but rare cases."""
 
 
 class FromArb:
@@ -32,7 +32,7 @@ class FromArb:
         self._known: dict[tuple[str | bytes, ...], tuple[Array, Array]] = {}
 
     def bounds(self, name: str, *arguments: Array) -> tuple[Array, Array]:
-        """Floats below and above; NaN where Arb knows nothing."""
+        """Floats below and above the values; NaN where Arb knows nothing."""
         spread = np.broadcast_arrays(*arguments)
         key: tuple[str | bytes, ...] = (name, *(argument.tobytes() for argument in spread))
         if key not in self._known:
@@ -46,7 +46,7 @@ class FromArb:
 
 
 def _ends(balls: list[arb]) -> tuple[Array, Array]:
-    """Floats to both sides of balls: their radius is less than |middle| 2^-bits, and the middle has 53 bits."""
+    """Floats below and above balls whose radius is less than |middle| 2^-bits and whose middle has 53 bits."""
     middle = np.array([float(ball) for ball in balls])
     bits = np.array([min(ball.rel_accuracy_bits(), 2000) for ball in balls], dtype=np.int64)
     radius = np.ldexp(np.abs(middle), -bits)
@@ -59,7 +59,7 @@ def _ends(balls: list[arb]) -> tuple[Array, Array]:
 
 
 def _ends_of(ball: arb) -> tuple[float, float]:
-    """The same for any ball. Its ends have at most 53 bits; the next floats see to those that are no floats."""
+    """Floats below and above any ball. Its ends have at most 53 bits; the next floats cover ends that are no floats."""
     if ball.is_zero():
         return 0.0, 0.0
     return math.nextafter(float(ball.lower()), -math.inf), math.nextafter(float(ball.upper()), math.inf)

@@ -1,4 +1,4 @@
-"""The rigorous bound of a solution: rank 0 proves it, the others wait."""
+"""The rigorous bound of a solution: rank 0 proves it, the other ranks wait."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from signorini_fenicsx.rigorous.theorem import Proven, prove
 from signorini_fenicsx.solving.solution import Solution
 
 MOST_CELLS = 500_000
-"""What is enclosed of them takes some 4 GB of one process in 3D, and 1 GB in 2D."""
+"""Largest number of cells. Their enclosures take about 4 GB of one process in 3D, and 1 GB in 2D."""
 
 
 @dataclass(frozen=True)
 class Proof:
-    """What came of it.
+    """The result of a proof.
 
     Attributes:
-        proven: The bounds, None if there is no proof.
-        reason: Why there is none.
-        seconds: What it took.
+        proven: The bounds; None if there is no proof.
+        reason: Why there is no proof; empty if there is one.
+        seconds: Wall time.
     """
 
     proven: Proven | None
@@ -34,14 +34,14 @@ class Proof:
     seconds: float
 
     def summary(self) -> dict[str, Any]:
-        """The numbers, ready for JSON; floats there are written with all digits."""
+        """The numbers, ready for JSON, which writes floats with all digits."""
         if self.proven is None:
             return {"proved": None, "not_proved": self.reason}
         return {"proved": asdict(self.proven) | {"seconds": self.seconds}}
 
 
 def check_size(cells: float) -> None:
-    """Refuse a mesh that one process cannot hold.
+    """Refuse a mesh that is too large for one process.
 
     Raises:
         InputError: If there are too many cells.
@@ -55,7 +55,7 @@ def proof_of(solution: Solution, v: fem.Function) -> Proof:
 
     Args:
         solution: The solution.
-        v: As `certificate.Certificate` has it.
+        v: The continuous function of its certificate, `Certificate.v`.
     """
     watch = Stopwatch()
     comm = solution.spaces.mesh.comm

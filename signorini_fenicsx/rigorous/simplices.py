@@ -1,7 +1,7 @@
 """Simplices, linear and quadratic functions on them, and their integrals, in interval arithmetic.
 
-Vertices are the stored floats. Arrays run over cells first. A quadratic is given by its values in the nodes of P2,
-vertices first, then the midpoints of the edges in Basix's order; a field has one axis more, its components.
+Vertices are the stored floats. The first axis of arrays is that of the cells. A quadratic is given by its values in the
+nodes of P2: vertices first, then the midpoints of the edges in Basix's order. The last axis of a field has components.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), 
 
 
 def at(a: Interval, index: Any) -> Interval:
-    """Some of the entries."""
+    """The interval with some of the entries."""
     return Interval(a.lo[index], a.hi[index])
 
 
@@ -39,7 +39,7 @@ def stacked(parts: Sequence[Interval], axis: int = -1) -> Interval:
 
 
 def root(a: Interval) -> Interval:
-    """√a of numbers ≥ 0; an enclosure may reach below 0 by rounding."""
+    """√a of numbers ≥ 0, whose enclosure may reach below 0 by rounding."""
     lo, hi = np.sqrt(np.maximum(a.lo, 0.0)), np.sqrt(np.maximum(a.hi, 0.0))
     return Interval(np.maximum(np.nextafter(lo, -np.inf), 0.0), np.where(hi == 0, 0.0, np.nextafter(hi, np.inf)))
 
@@ -66,12 +66,12 @@ def root_above(value: float) -> float:
 
 @dataclass(frozen=True)
 class Simplices:
-    """Cells and what follows from their vertices.
+    """Cells and their geometry.
 
     Attributes:
         vertices: Shape (cells, d + 1, d).
         measure: |T|.
-        gradients: Of the barycentric coordinates, shape (cells, d + 1, d).
+        gradients: Gradients of the barycentric coordinates, shape (cells, d + 1, d).
     """
 
     vertices: Array
@@ -89,7 +89,7 @@ class Simplices:
 
 
 def simplices(vertices: Array) -> Simplices:
-    """Their geometry.
+    """Cells with these vertices and their geometry.
 
     Raises:
         InputError: If a cell is so flat that the sign of its volume is lost in rounding.
@@ -135,7 +135,7 @@ def facet_measures(corners: Array) -> Interval:
 
 
 def with_midpoints(vertices: Interval) -> Interval:
-    """The values in the nodes of P2 of something linear, from those in the vertices (axis 1)."""
+    """Values of linear functions in the nodes of P2, from those in the vertices (axis 1)."""
     dim = vertices.lo.shape[1] - 1
     middle = [(at(vertices, np.s_[:, i]) + at(vertices, np.s_[:, j])) / 2.0 for i, j in EDGES[dim]]
     return stacked([*(at(vertices, np.s_[:, k]) for k in range(dim + 1)), *middle], axis=1)
@@ -156,7 +156,7 @@ def gradient_in_vertices(cells: Simplices, values: Interval) -> Interval:
 
 
 def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
-    """RT0 fields y in the vertices, shape (cells, d + 1, d), from the fluxes out through facet i, opposite to vertex i.
+    """RT0 fields y in the vertices, shape (cells, d + 1, d), from outward fluxes; facet i is opposite to vertex i.
 
     y(x) = Σ_i Φ_i (x − x_i)/(d|T|): its normal component is constant on facets, and its divergence ΣΦ_i/|T|.
     """

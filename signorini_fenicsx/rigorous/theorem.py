@@ -1,19 +1,22 @@
 """The error bound as a theorem: the gap identity with every number in it enclosed.
 
-What is proved. Ω is the union of the simplices whose vertices are the stored floats, Γ_D, Γ_N and Γ_S are its facets as
-marked, f, κ, u_D, g_N, ψ, q_S are the functions that the case file writes, literals and pi exact. u solves Signorini's
-problem, σ = κ∇u, and σ_h is the RT0 field whose fluxes through facets are the stored floats. Then the numbers found are
-upper bounds of ‖σ − σ_h‖, and of that and |∇(v − u)|, in energy norms. How σ_h and v were computed plays no part.
+What is proved. Ω is the union of the simplices whose vertices are the stored floats. Γ_D, Γ_N and Γ_S are its marked
+facets. f, κ, u_D, g_N, ψ, q_S are the functions written in the case file, with exact literals and exact pi. u solves
+Signorini's problem, and σ = κ∇u. σ_h is the RT0 field whose fluxes through facets are the stored floats. Then
+`Proven.sigma_bound` is an upper bound of ‖σ − σ_h‖, and `Proven.bound` one of ‖σ − σ_h‖ and of |∇(v − u)|, in energy
+norms. It does not matter how σ_h and v were computed.
 
-How. `certificate` has the argument; here each of its ingredients is exact.
+Proof. The argument is that of `certificate`, here with exact ingredients.
 
-- *Flux.* y has the mean of g_N on facets of Γ_N, at least that of q_S on those of Γ_S, and ∇·y + mean of f is 0 in all
-  cells, see `balance`: so there is no C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed. r is 0 where
-  y·n ≥ q_S for sure, and ⟨r − s, v − ψ⟩ at most its integral times sup (v − ψ); elsewhere r is q_S less its mean.
+- *Flux.* y has the mean of g_N on facets of Γ_N, at least the mean of q_S on facets of Γ_S, and ∇·y + mean of f is 0 in
+  all cells, see `balance`. So the bound has no term C_F‖c‖, and no Γ_D is needed. ‖y − σ_h‖ is enclosed. Where
+  certainly y·n ≥ q_S, r = 0, and ⟨r − s, v − ψ⟩ is at most the integral of r − s times sup (v − ψ). Elsewhere r is q_S
+  minus its mean.
 - *Trace.* See `trace`: v = u_D on Γ_D and v ≥ ψ on Γ_S, up to a function whose gradient is bounded.
-- *κ.* With L in floats and LᵀκL ≥ θ > 0 on T, ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) + (κ − κ̃)∇v with κ̃ the
-  linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤ κ∇w·∇w/θ: Poincaré's
-  constant for energy norms is ĥ/(π√θ), and the trace constant C_e of `local_fluxes` takes ĥ/√θ for h_T/√κ_T.
+- *κ.* Let L be a matrix of floats with LᵀκL ≥ θ > 0 on T. Then ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) +
+  (κ − κ̃)∇v with κ̃ the linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤
+  κ∇w·∇w/θ. So Poincaré's constant for energy norms is ĥ/(π√θ), and the trace constant C_e of `local_fluxes` has ĥ/√θ
+  in place of δ_T.
 - *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
 """
 
@@ -47,19 +50,19 @@ from signorini_fenicsx.rigorous.simplices import (
 from signorini_fenicsx.rigorous.trace import admissible
 
 VARIES = 1e-3
-"""q_S is taken for a constant, whose r is 0 anyway, if it varies by less than this part of the flux."""
+"""If q_S varies by less than this share of the flux, it counts as constant, and its tiny r stays in the oscillation."""
 
 
 @dataclass(frozen=True)
 class Proven:
-    """Upper bounds, as `certificate.Certificate` has them.
+    """Upper bounds, with the names of `Certificate`.
 
     Attributes:
-        bound: Of ‖σ − σ_h‖ and of |∇(v − u)|.
-        sigma_bound: Of ‖σ − σ_h‖.
-        gap: Of the gap.
-        oscillation: Of what the means of f, g_N and q_S leave.
-        remainder: Of ‖y − σ_h‖.
+        bound: Bound of ‖σ − σ_h‖ and of |∇(v − u)|.
+        sigma_bound: Bound of ‖σ − σ_h‖.
+        gap: Bound of the gap.
+        oscillation: Bound of the effect of f, g_N and q_S minus their means.
+        remainder: Bound of ‖y − σ_h‖.
     """
 
     bound: float
@@ -70,10 +73,10 @@ class Proven:
 
 
 def prove(discrete: Discrete, given: Given) -> Proven:
-    """Bound the error of a discrete flux and trace, whatever they are.
+    """Bound the error of any discrete flux and trace.
 
     Raises:
-        InputError: If the data or the mesh are such that there is no bound by this argument.
+        InputError: If the argument gives no bound for these data or this mesh.
     """
     if (np.bincount(discrete.facets.ravel())[discrete.facets] != np.where(discrete.kinds == INSIDE, 2, 1)).any():
         raise InputError("conditions are given on facets inside the domain, or facets have three cells")
@@ -110,7 +113,7 @@ def prove(discrete: Discrete, given: Given) -> Proven:
 
 
 def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval, Interval]:
-    """∫_T f, and a bound of constant ‖f − its mean‖_T: ‖f − c‖ ≤ ‖p − c‖ + ‖f − p‖ for any number c."""
+    """∫_T f, and a bound of `constant` times ‖f − its mean‖_T, by ‖f − c‖ ≤ ‖p − c‖ + ‖f − p‖ for any number c."""
     f = deviation(given.f, cells.vertices, given.elementary, by="mean", name="f")
     nodes = f.nodes
     middle = mean(nodes, cells.dim)
@@ -121,9 +124,12 @@ def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval,
 def _boundary_fluxes(
     discrete: Discrete, cells: Simplices, kappa: Conductivity, given: Given
 ) -> tuple[Interval, Interval, Mask, Interval]:
-    """Fluxes that suit g_N and q_S; ∫q_S on the facets of Γ_S, and where r = 0; the oscillation per cell.
+    """Fluxes that are admissible for g_N and q_S.
 
-    The flux is the integral of g_N on Γ_N; on Γ_S it stays where it is at least the integral of q_S, else it is that.
+    On Γ_N the flux is the integral of g_N. On Γ_S it stays, or becomes the integral of q_S if it is less than that.
+
+    Returns:
+        The fluxes, ∫q_S on the facets of Γ_S, a mask of those facets where r = 0, and the oscillation per cell.
     """
     lo, hi = discrete.fluxes.copy(), discrete.fluxes.copy()
     oscillation = np.zeros(len(lo))
@@ -147,7 +153,7 @@ def _boundary_fluxes(
         if kind == SIGNORINI:
             varies = spread.hi * facets.measure.hi > VARIES * np.abs(discrete.fluxes[place])
             pressed = varies & (discrete.fluxes[place] >= (facets.measure * (highest + g.largest)).hi)
-            pressed &= (discrete.kinds == DIRICHLET).any()  # else what is left over leaves through such facets
+            pressed &= (discrete.kinds == DIRICHLET).any()  # otherwise the imbalance leaves through such facets
             found[pressed] = 0.0
         np.add.at(oscillation, facets.cells, found)
         oscillation = np.where(oscillation > 0, np.nextafter(oscillation, np.inf), 0.0)
@@ -155,7 +161,7 @@ def _boundary_fluxes(
 
 
 def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> Mask:
-    """Facets that what is left over may leave through: Γ_D, or else those of Γ_S where much more flows than need be."""
+    """Mask of the facets through which the imbalance may leave: Γ_D or, without it, those of Γ_S with large fluxes."""
     outlets = discrete.kinds == DIRICHLET
     if not outlets.any() and len(least.lo):
         on_signorini = discrete.kinds == SIGNORINI
@@ -165,7 +171,7 @@ def _outlets(discrete: Discrete, fluxes: Interval, least: Interval) -> Mask:
 
 
 def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
-    """What flows through each facet of Γ_S more than the integral of q_S, which must be ≥ 0.
+    """The flux through each facet of Γ_S minus the integral of q_S, which must be ≥ 0.
 
     Raises:
         InputError: If it may be < 0 by more than the width of that integral.
@@ -175,13 +181,13 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
     place = np.nonzero(discrete.kinds == SIGNORINI)
     flux = at(y, place)
     more = flux - least
-    same = (flux.lo == least.lo) & (flux.hi == least.hi)  # the very number
+    same = (flux.lo == least.lo) & (flux.hi == least.hi)  # y·n is q_S exactly
     if not (same | (more.lo >= 0)).all():
-        raise InputError("the flux cannot be balanced: what rounding leaves is more than what flows out through Γ_S")
+        raise InputError("the flux cannot be balanced: the rounding errors are larger than the flux through Γ_S")
     return enclosing(np.zeros(len(same))).where(same, more)
 
 
 def _trace_constant(cells: Simplices, kappa: Conductivity, facets: Facets) -> Interval:
-    """C_e of `certificate.local_fluxes`, with ĥ for h_T."""
+    """C_e of `certificate.local_fluxes`, with ĥ in place of δ_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
     return root(facets.measure / at(cells.measure, facets.cells) * factor) * at(kappa.diameter, facets.cells)

@@ -1,17 +1,18 @@
 """A continuous function that is u_D on Γ_D and at least ψ on Γ_S, from the certificate's v.
 
-With P the P2 function that has v's values in the nodes on Γ_D and floats near u_D in all others, χ the sum of the
-hat functions of the vertices on Γ_D, v + χ(u_D − P) is u_D on Γ_D. Hat functions of other vertices on Γ_S, times ρ ≥ 0,
-lift it until it is at least ψ on Γ_S. On a facet let q = v − Pψ, with Pψ a quadratic near ψ, and ‖·‖ be largest values.
+Let P be the P2 function with v's values in the nodes on Γ_D and floats near u_D in all other nodes, and let χ be the
+sum of the hat functions of the vertices on Γ_D. Then v + χ(u_D − P) is u_D on Γ_D. Hat functions λ of the other
+vertices on Γ_S, times ρ ≥ 0, raise this function until it is at least ψ on Γ_S. On a facet let q = v − Pψ, with Pψ a
+quadratic near ψ, and let ‖·‖ denote largest values.
 
-- Where no vertex is on Γ_D, χ = 0 and it is enough that q + Σρλ ≥ ‖ψ − Pψ‖.
-- Else u_D ≥ ψ where χ = 1 is what the data must satisfy. Let s(x) be x with each barycentric coordinate of a vertex off
-  Γ_D spread over those on it, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Then, with d = u_D − P, what is above ψ in x less
-  what is in s, where it is u_D − ψ, is at least
+- If no vertex is on Γ_D, χ = 0 and q + Σρλ ≥ ‖ψ − Pψ‖ is sufficient.
+- Otherwise the data must satisfy u_D ≥ ψ where χ = 1. Let s(x) be x with each barycentric coordinate of a vertex off
+  Γ_D distributed over the vertices on Γ_D, so χ(s) = 1 and |x − s| ≤ (1 − χ)h. Let d = u_D − P. The height of the
+  function above ψ in s is u_D − ψ. Its height in x minus its height in s is at least
 
       q(x) − q(s) + Σρλ − (1 − χ)(χ h‖∇d‖ + ‖d‖ + max_e ‖∇(ψ − Pψ)·e‖),
 
-  with edges e, a quadratic that must be ≥ 0. See `_lifts` for how Bernstein coefficients tell.
+  with edges e. This quadratic must be ≥ 0; `_lifts` tests it by Bernstein coefficients.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class Trace:
     Attributes:
         nodes: Its quadratic part in the nodes of P2 of each cell.
         extra: Upper bound of ‖∇((u_D − P)χ)‖ per cell.
-        height: Upper bound of the mean over each Γ_S facet of the function less ψ.
-        highest: Upper bound of its values there.
+        height: Upper bound of the mean of the function minus ψ over each Γ_S facet.
+        highest: Upper bound of the values of the function minus ψ there.
     """
 
     nodes: Interval
@@ -104,7 +105,7 @@ class _Correction:
 
 
 def _nodes_on(discrete: Discrete, kind: int) -> Mask:
-    """Which nodes of P2 of each cell lie on facets of this kind, also of other cells."""
+    """Mask of the nodes of P2 of each cell that lie on facets of this kind, of this or other cells."""
     facets, dim = boundary(discrete, kind), discrete.dim
     corners = discrete.corners
     found = np.zeros(discrete.v.shape, dtype=bool)
@@ -129,7 +130,7 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
         chi = on_dirichlet[near, : dim + 1]
         hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
         steep = root(total(squared(total(hats, axis=1))))
-        steep = Interval(steep.lo, np.where(chi.all(axis=1), 0.0, steep.hi))  # there χ = 1
+        steep = Interval(steep.lo, np.where(chi.all(axis=1), 0.0, steep.hi))  # χ = 1 on these
         near_cells = cells.some(near)
         sup = (enclosing(found.largest) + bernstein(missed, dim).largest.max(axis=1)).hi
         gradient = gradient_in_vertices(near_cells, missed)
@@ -143,7 +144,7 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
 
 
 def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
-    """Lower bound ≥ 0 of u_D − ψ on those faces of each Γ_S facet that are on Γ_D; 0 without one.
+    """Lower bound ≥ 0 of u_D − ψ on those faces of each Γ_S facet that are on Γ_D; 0 if there are none.
 
     Raises:
         InputError: If u_D ≥ ψ is not certain there.
@@ -167,13 +168,13 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
 
 
 def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction: _Correction) -> Interval:
-    """Bernstein coefficients of what must become ≥ 0 on each facet, see the module."""
+    """Bernstein coefficients of the quadratic of the module, without Σρλ, on each facet."""
     dim = fixed.shape[1] - 1
     edges = EDGES[dim]
     coefficients = bernstein(q, dim)
     column = [at(coefficients, np.s_[:, k]) for k in range(coefficients.lo.shape[1])]
     of_pair = {(k, k): column[k] for k in range(dim + 1)} | {edge: column[dim + 1 + n] for n, edge in enumerate(edges)}
-    share = fixed / np.maximum(fixed.sum(axis=1, keepdims=True), 1)  # 1, 1/2: exact; thirds only where all are fixed
+    share = fixed / np.maximum(fixed.sum(axis=1, keepdims=True), 1)  # exact but for thirds, which need all fixed
     to = [[np.where(fixed[:, k], float(k == j), share[:, j]) for j in range(dim + 1)] for k in range(dim + 1)]
 
     def moved(k: int, m: int) -> Interval:
@@ -200,10 +201,10 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
 
 
 def _lifts(vertices: Indices, fixed: Mask, spare: Interval, corners: Indices) -> Array:
-    """ρ of each vertex: what the coefficients of all facets lack, 0 for those on Γ_D.
+    """ρ of each vertex: enough to make the quadratics of all its facets ≥ 0; 0 for vertices on Γ_D.
 
-    Σ a_i λ_i² + 2 Σ c_ij λ_i λ_j ≥ 0 if a_i ≥ 0 and c_ij ≥ −√(a_i a_j), for triangles half of that: with t_i = √a_i λ_i
-    it is at least (t_1 − t_2)², or Σ (t_i − t_j)²/2. A lift adds itself to a_i, and half of itself to all c_ij.
+    Σ a_i λ_i² + 2 Σ c_ij λ_i λ_j ≥ 0 if a_i ≥ 0 and c_ij ≥ −√(a_i a_j), or ≥ −½√(a_i a_j) for triangles: with t_i =
+    √a_i λ_i the sum is at least (t_1 − t_2)², or Σ (t_i − t_j)²/2. ρ_i adds ρ_i to a_i, and ρ_i/2 to all c_ij.
     """
     dim = fixed.shape[1] - 1
     part = 1.0 if dim == 1 else 0.5

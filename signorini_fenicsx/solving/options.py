@@ -15,27 +15,27 @@ from signorini_fenicsx.methods.set_rules import SetRule
 
 BACKENDS: Mapping[str, Callable[[Tuning], BackendFactory]] = {
     "hybrid": lambda tuning: partial(HybridBackend, tuning=tuning),
-    "mixed": lambda tuning: MixedBackend,  # has no sizes to change its ways at
+    "mixed": lambda tuning: MixedBackend,  # depends on no size
 }
 OWN = "own"
-"""What results call a method that is not in the registry."""
+"""Name in results of a method that is not in the registry."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Like the section `[solve]` of a case file, but for h.
+    """How to solve, like the section `[solve]` of a case file without h.
 
     Attributes:
         algorithm: A name that `signorini methods` lists, or a rule or method of one's own.
-        backend: What solves under the sets: "hybrid", "mixed", or a backend of one's own.
-        rho: ρ > 0 of the set rule or the projection iteration; None for the method's own.
+        backend: Solves the linear problems of the set rules: "hybrid", "mixed", or a backend of one's own.
+        rho: ρ > 0 of the set rule or the projection iteration; None for the default of the method.
         eps: ε > 0 of the penalty and stabilised methods.
-        max_iterations: Iterations allowed; None for the method's own number.
+        max_iterations: Iterations allowed; None for the default of the method.
         predict: Whether large problems start from predicted sets.
-        tuning: From which size on, and more of that kind.
+        tuning: Sizes from which the program works differently.
 
     Raises:
-        InputError: If a name is unknown, or a number not positive.
+        InputError: If a name is unknown or a number is not positive.
     """
 
     algorithm: str | Method | SetRule = "alg1"
@@ -47,7 +47,7 @@ class Options:
     tuning: Tuning = field(default_factory=Tuning)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse unknown names and numbers that are not positive."""
         for key, known in (("algorithm", METHODS), ("backend", BACKENDS)):
             value = getattr(self, key)
             if isinstance(value, str) and value not in known:
@@ -67,12 +67,12 @@ class Options:
 
     @property
     def algorithm_name(self) -> str:
-        """What results call the method."""
+        """Name of the method in results."""
         return self.algorithm if isinstance(self.algorithm, str) else OWN
 
     @property
     def backend_name(self) -> str:
-        """What was asked for; the backend in use has a name of its own."""
+        """Name of the backend that was asked for; the backend in use may have another name."""
         return self.backend if isinstance(self.backend, str) else OWN
 
     @property

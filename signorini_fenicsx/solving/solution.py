@@ -1,14 +1,23 @@
-"""A discrete solution: its fields, sets and residuals, and the numbers that sum them up."""
+"""A discrete solution: its fields, sets and residuals, and numbers that summarise them."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import dolfinx.mesh
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.contact_sets import FacetSegments, FacetSet, hausdorff
 from signorini_fenicsx.discrete.data import Data, quadrature
@@ -17,32 +26,69 @@ from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.options import Options
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from signorini_fenicsx.certificate.certify import Certificate
+
 EXACT_CONTACT = 1e-12
-"""An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
+"""An exact u − ψ below this on Γ_S, relative to the largest |u| there, counts as contact."""
+
+
+class PointValues(NamedTuple):
+    """A solution at points.
+
+    Attributes:
+        u: u_h, shape (n,).
+        sigma: σ_h, shape (n, dim).
+    """
+
+    u: Array
+    sigma: Array
 
 
 @dataclass(frozen=True)
 class Solution:
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
 
+    In a notebook it shows itself. Some of what it can be asked:
+
+    >>> solution
+    <Solution of problem: alg1, 128 cells, converged after 4 iterations>
+    >>> u, sigma = solution.at([[0.5, 0.5], [2.0, 2.0]])
+    >>> bool(u[0] < 0), sigma.shape, bool(np.isnan(u[1]))
+    (True, (2, 2), True)
+    >>> abs(solution.flux_through() + 40 * (0.5 - 0.6)) < 1e-12
+    True
+
+    p lives on a mesh of its own, that of the facets of Γ_S. In UFL it is a coefficient like any other on the measure
+    `spaces.ds`; `spaces.form` compiles what it is in, `spaces.integrate` sums an integral over all ranks:
+
+    >>> p, v, ds = solution.p, ufl.TestFunction(fem.functionspace(solution.spaces.mesh, ("P", 1))), solution.spaces.ds
+    >>> load = fem.assemble_vector(solution.spaces.form(p * v * ds))
+    >>> mean = solution.spaces.integrate(p * ds)
+    >>> bool(abs(mean - load.array.sum()) < 1e-12)
+    True
+
     Attributes:
-        name: What results are called.
-        title: The same in more words.
-        boundary: Which parts are Γ_S and Γ_N.
+        name: Name of the results.
+        title: A longer name in words.
+        boundary: The parts that are Γ_S and Γ_N.
         problem: The data as given.
         options: Algorithm, backend and their parameters.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
         data: The data on the mesh, and their means.
         p: Trace p_h in P0(Γ_S), on the facet submesh.
-        outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
+        outcome: How the method ended, with σ_h and u_h; `converged` means here that the residuals are small as well.
         kkt: Residuals of the discrete Signorini problem.
-        source: What the problem was read from, a `cases.case.Case`; None if it was given in Python.
+        source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
         timings: Seconds per phase, the longest over all ranks.
-        peak_memory: Bytes that the processes have held at most so far, summed over ranks.
+        peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
 
     name: str
@@ -76,8 +122,94 @@ class Solution:
 
     @property
     def method(self) -> Method:
-        """What it was solved with."""
+        """The method that solved it."""
         return self.options.method
+
+    def __repr__(self) -> str:
+        cells = self.spaces.Q.dofmap.index_map.size_global
+        ended = "converged" if self.converged else "failed"
+        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {len(self.outcome.history)} iterations"
+        return f"<Solution of {self.name}: {about}>"
+
+    def _repr_html_(self) -> str | None:
+        """A small table and a picture, for notebooks (collective; None where it is not rank 0)."""
+        from signorini_fenicsx.output.notebook import html
+
+        return html(self)
+
+    def plot(self, certificate: Certificate | None = None) -> Figure | None:
+        """Draw the overview of the command line, `overview.png` (collective).
+
+        Args:
+            certificate: Its error bound; then the contributions of the cells are drawn as well.
+
+        Returns:
+            The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
+        """
+        from signorini_fenicsx.output.notebook import figure
+
+        return figure(self, certificate)
+
+    def write(
+        self, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False, html: bool = False
+    ) -> None:
+        """Write the files of the command line into a folder, in the place of an earlier result (collective).
+
+        Args:
+            folder: Where; it is made if need be.
+            certificate: Its error bound, to be written as well.
+            plot: Also draw PNGs.
+            html: Also write `solution.html`, pictures that one can turn.
+
+        Raises:
+            InputError: If the folder cannot be written or has something else in it.
+        """
+        from signorini_fenicsx.output.writing import write_results
+
+        write_results(self, folder, certificate=certificate, plot=plot, html=html)
+
+    def at(self, points: npt.ArrayLike) -> PointValues:
+        """u_h and σ_h at any points of the mesh (collective).
+
+        Args:
+            points: Shape (n, dim), whichever rank has their cells; each rank asks for points of its own, or for none.
+
+        Returns:
+            The values at the points of this rank: not a number outside the mesh, those of one of the cells where
+            several meet.
+
+        Raises:
+            InputError: On all ranks, if the points of one have another shape.
+        """
+        u, sigma = at_points([self.u, self.sigma], self.spaces.domain, points)
+        return PointValues(u[:, 0], sigma)
+
+    def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
+        """∫ σ_h·n, what leaves Ω through parts of its boundary; −∫f through all of it, to rounding (collective).
+
+        With the stabilised method it is not: there ∇·σ_h = −f_h + εu_h.
+
+        Args:
+            parts: Name of a part, or several that together are meant once where they overlap; None for all of ∂Ω.
+
+        Raises:
+            InputError: If there is no such part, or it has facets inside the domain.
+        """
+        domain, topology = self.spaces.domain, self.spaces.mesh.topology
+        outer = dolfinx.mesh.exterior_facet_indices(topology)
+        names = [parts] if isinstance(parts, str) else parts
+        chosen = outer if names is None else np.empty(0, dtype=np.int32)
+        for name in names or ():
+            if name not in domain.facets:
+                known = ", ".join(domain.facets)
+                raise InputError(f"unknown part '{name}'; there are {known}{did_you_mean(name, domain.facets)}")
+            inside = np.setdiff1d(domain.facets[name], outer)
+            if self.spaces.mesh.comm.allreduce(len(inside)) > 0:
+                raise InputError(f"part '{name}' has facets inside the domain, through which nothing leaves it")
+            chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
+        entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
+        ds = ufl.Measure("ds", domain=self.spaces.mesh, subdomain_data=[(1, entities)])
+        return self.spaces.integrate(ufl.dot(self.sigma, self.spaces.n) * ds(1))
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -92,15 +224,15 @@ class Solution:
         return {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
 
     def errors(self) -> dict[str, float] | None:
-        """Errors where the solution is known, else None (collective).
+        """Errors if the exact solution is known, otherwise None (collective).
 
-        L² norms of those of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance of the contact set to the
-        facets in whose midpoints the exact u is ψ.
+        They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
+        the contact set and the facets at whose midpoints the exact u is ψ.
         """
         if self.data.exact is None:
             return None
         spaces = self.spaces
-        u = self.data.exact + fem.Constant(spaces.mesh, 0.0)  # a plain number knows no mesh
+        u = self.data.exact + fem.Constant(spaces.mesh, 0.0)  # a plain number has no mesh
         metadata = quadrature(u)
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
         squares = {
@@ -143,7 +275,7 @@ class Solution:
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
     def violation(self) -> dict[str, float]:
-        """What ε leaves of the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or of (9b) (collective)."""
+        """The error by ε in the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or in (9b) (collective)."""
         spaces, data = self.spaces, self.data
         gap = self.p.x.array[: len(spaces.facets)] - data.psi_h
         excess = spaces.normal_flux(self.sigma) - data.q_Sh
@@ -155,7 +287,7 @@ class Solution:
         return left
 
     def summary(self) -> dict[str, Any]:
-        """Everything about the run that fits into numbers, ready for JSON (collective)."""
+        """All numbers of the run, ready for JSON (collective)."""
         spaces, options, outcome = self.spaces, self.options, self.outcome
         contact_facets, contact_measure = self.contact()
         own = {} if outcome.own_residual is None else {"own_residual": outcome.own_residual}

@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.discrete.data import Data, project_data
@@ -24,9 +24,11 @@ from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 
 type Remesh = Callable[[float], Domain]
-"""From a factor > 1 to a mesh of the domain that is coarser by it (collective). Raises InputError if there is none."""
+"""Maps a factor > 1 to a mesh of the domain that is coarser by this factor (collective). Raises InputError if there is
+no such mesh."""
 
 
+@collector_off()
 def solve(
     domain: Domain,
     boundary: Boundary,
@@ -45,29 +47,28 @@ def solve(
 
     Args:
         domain: The mesh with its parts.
-        boundary: Which parts are Γ_S and Γ_N; the rest is Γ_D.
+        boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
         problem: The data.
-        options: Algorithm, backend and their parameters.
-        start: Solution whose contact set is taken for the first one, on any mesh of the domain.
+        options: Algorithm, backend and their parameters; None for the defaults.
+        start: Solution on any mesh of the domain; its contact set is the first one.
         remesh: Makes coarser meshes, from which the sets of a large problem are predicted.
-        name: What results are called.
-        title: The same in more words.
-        source: What the problem was read from, see `Solution`.
-        watch: Has measured what went before.
+        name: Name of the results.
+        title: A longer name in words.
+        source: The case from which the problem was read, see `Solution`.
+        watch: A stopwatch that has measured the earlier phases; None for a new one.
         on_step: Called on all ranks after each iteration.
 
     Raises:
         InputError: If the problem cannot be discretised as asked.
-        NumericalFailure: If the sets do not settle or the result violates a KKT condition; its `solution` holds the
-            last state.
+        NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
-    options, watch = options or Options(), watch or Stopwatch()
-    method, comm = options.method, domain.mesh.comm
+    options, watch, comm = options or Options(), watch or Stopwatch(), domain.mesh.comm
+    method = options.method
     with watch.phase("assembly"):
         check_parts(domain, Boundary(gamma_s(boundary, problem), boundary.neumann))
         spaces, data = _discretised(domain, boundary, problem)
         _check(options, spaces, data, start)
-        # What is solved for is u − constant: beside a large constant ∇u would be rounding. −εu is not blind to it.
+        # The unknown is u − constant: ∇u would be lost in rounding otherwise. In stabilised methods −εu depends on it.
         constant = 0.0 if method.stabilised else data.common_constant(spaces)
         task = Task(
             spaces=spaces,
@@ -88,7 +89,7 @@ def solve(
     with watch.phase("kkt"):
         kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
         outcome.iterate.u.x.array[:] += constant
-        PETSc.garbage_cleanup(comm)  # in parallel PETSc only queues what Python lets go
+        PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
     solution = Solution(
         name=name,
         title=title,
@@ -104,13 +105,13 @@ def solve(
         timings=watch.longest(comm),
         peak_memory=peak_memory(comm),
     )
-    if solution.converged:
-        return solution
-    raise NumericalFailure(solution.outcome.reason, solution)
+    if not solution.converged:
+        raise NumericalFailure(solution.outcome.reason, solution)
+    return solution
 
 
 def _run(task: Task, options: Options) -> Outcome:
-    """Run the method; if it is told to end, its last state (collective)."""
+    """Run the method; if it is interrupted, return its last state (collective)."""
     try:
         return options.method.run(task)
     except LoopInterruption as interruption:
@@ -128,7 +129,7 @@ def _run(task: Task, options: Options) -> Outcome:
 
 
 def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
-    """Why an outcome is not a solution: by the residual of its own problem, if it has one, else by those of (9)."""
+    """Why an outcome is not a solution, or None; its own residual decides if there is one, else the KKT residuals."""
     if not outcome.converged:
         return outcome.reason
     if outcome.own_residual is None:
@@ -148,11 +149,11 @@ def gamma_s(boundary: Boundary, problem: Problem) -> list[str]:
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
-    """Without Γ_D the total load decides (collective).
+    """Check that there is one solution; without Γ_D the total load decides (collective).
 
-    The flux leaves through Γ_S alone: ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and must not be negative. If
-    it is 0, u is a solution of the Neumann problem that any large constant may be added to. It is the same with the
-    least flux that other laws allow in the place of q_S, and with the largest.
+    Without Γ_D the balance of the flux is ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and the left side is
+    ≥ 0. If it is 0, u solves the Neumann problem, and any large enough constant may be added to it. It is the same with
+    the smallest flux that other laws allow in the place of q_S, and with the largest.
 
     Raises:
         InputError: If there is no solution, or more than one.
@@ -163,20 +164,20 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
     verdict = "u is not unique" if 0 in data.total_load else "there is no solution"
     if data.laws.listed:
         raise InputError(
-            "no part of the boundary is left to u = u_D, and ∫f + ∫g_N and what the laws let through is between "
-            f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or part of the boundary in Γ_D"
+            "no part of the boundary is left for u = u_D, and ∫f + ∫g_N plus the flux that the laws allow is between "
+            f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or leave part of the boundary to Γ_D"
         )
     raise InputError(
-        "no part of the boundary is left to u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
-        f"{lowest:.3g}: {verdict}; it must be negative, or part of the boundary in Γ_D"
+        "no part of the boundary is left for u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+        f"{lowest:.3g}: {verdict}; make it negative, or leave part of the boundary to Γ_D"
     )
 
 
 def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None) -> None:
-    """Make sure that there is a solution, and that the method can find it and go on from this start (collective).
+    """Make sure that there is a solution, that the method can find it, and that it can use this start (collective).
 
     Raises:
-        InputError: If not.
+        InputError: If there is none, or the method cannot.
     """
     check_solvability(spaces, data)
     method = options.method
@@ -200,7 +201,7 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
 
 
 def same_domain(domain: Domain, other: Domain) -> bool:
-    """Whether two meshes are of one domain: by the name of the shape; with files, by bounding boxes (collective)."""
+    """Whether two meshes are of one domain: shapes have the same name, files the same bounding box (collective)."""
     if domain.is_shape and other.is_shape:
         return domain.name == other.name
     if domain.mesh.topology.dim != other.mesh.topology.dim:

@@ -1,4 +1,4 @@
-"""The classical algorithms that the fully mixed methods start from, behind the interface of the others.
+"""The classical algorithms from which the fully mixed methods were developed, with the interface of all methods.
 
 | algorithm        | in                   | what it solves, and what "converged" means                                 |
 |------------------|----------------------|----------------------------------------------------------------------------|
@@ -11,10 +11,10 @@
 | mixed-uzawa-h12  | `mixed_uzawa`        | (MLM-II)_h: likewise                                                       |
 | mixed-uzawa-wang | `stabilised`         | (MVI)_h: likewise                                                          |
 | slimane          | `stabilised`         | ∇·σ + f_h = εu for (9b): KKT residuals with the load f_h − εu below 1e-8   |
-| qp               | `quadratic`          | (MVI)_h as theorem 2 reads it: all KKT residuals below 1e-8                |
+| qp               | `quadratic`          | (MVI)_h in the form of theorem 2: all KKT residuals below 1e-8             |
 
-P1, penalty and Slimane's solutions are solutions of other discrete problems: what judges them is
-`Outcome.own_residual`. The KKT residuals of (9) are reported for all methods as they are; of the P1 methods dual,
-complementarity and mass balance are of the order of the discretisation error, of Slimane's the mass balance is of order
-ε.
+The P1 methods, penalties and Slimane's method solve other discrete problems, so they are judged by
+`Outcome.own_residual`. The KKT residuals of (9) are reported for all methods, unchanged. For the P1 methods dual,
+complementarity and mass balance are of the order of the discretisation error; for Slimane's method the mass balance is
+of order ε.
 """

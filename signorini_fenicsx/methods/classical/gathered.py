@@ -1,4 +1,4 @@
-"""Distributed arrays and matrices whole on rank 0, for algorithms that are not parallel."""
+"""Distributed arrays and matrices gathered on rank 0, for algorithms that are not parallel."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ class RootRows:
     """Arrays with some rows per rank, gathered on rank 0 and scattered back; all methods are collective."""
 
     def __init__(self, comm: MPI.Comm, size: int):
-        """Learn the number of rows of each rank."""
+        """Collect the number of rows of each rank."""
         self.comm = comm
         self._ends = np.cumsum(comm.allgather(size))[:-1]
 

@@ -1,12 +1,13 @@
 """A discrete H^{1/2}(Γ_S) inner product on Λ_h, its Riesz map and its projection onto p ≥ 0.
 
 The facet Laplacian K has a two-point flux between facets that share a vertex (2D) or an edge (3D), and p = 0 beyond the
-end of Γ_S, as H_00^{1/2} wants. With the mass matrix M = diag(|e|) and L = |Ω|^(1/d),
+end of Γ_S, as in H_00^{1/2}. With the mass matrix M = diag(|e|) and L = |Ω|^(1/d),
 
     H = M^{1/2} (M^{-1/2} K M^{-1/2} + L⁻²)^{1/2} M^{1/2},
 
-the square root by eigenvectors. Like K, H has no positive entry off its diagonal (the square root of an M-matrix is
-one), so that the primal-dual active set method for the projection ends after finitely many steps.
+where the square root is computed by eigenvectors. H, like K, has no positive entry off its diagonal, because the square
+root of an M-matrix is an M-matrix. So the primal-dual active set method for the projection ends after finitely many
+steps.
 """
 
 import itertools
@@ -58,14 +59,14 @@ class HalfNorm:
         return self._rows.scatter(None if g is None else scipy.linalg.cho_solve(self._factor, self._measure * g))
 
     def project(self, p: Array, flux: Array) -> Array:
-        """The H-projection of p − R flux onto q ≥ 0: the minimiser of ½qᵀHq − qᵀ(Hp − M flux) there."""
+        """The H-projection of p − R flux onto q ≥ 0: the minimiser of ½qᵀHq − qᵀ(Hp − M flux) over q ≥ 0."""
         both = self._rows.gather(np.column_stack([p, flux]))
         if self._matrix is None or both is None:
             return self._rows.scatter(None)
         return self._rows.scatter(self._minimise(self._matrix, self._matrix @ both[:, 0] - self._measure * both[:, 1]))
 
     def _minimise(self, matrix: Array, b: Array) -> Array:
-        """Primal-dual active set from the last free set: q = 0 or Hq = b, until the signs of q and Hq − b are right."""
+        """Primal-dual active set, starting from the last free set: q = 0 or Hq = b, until both q and Hq − b are ≥ 0."""
         q = np.zeros_like(b)
         for _ in range(len(b) + 1):
             free = self._free
@@ -79,7 +80,7 @@ class HalfNorm:
 
 
 def _facet_laplacian(vertices: npt.NDArray[np.int64], corners: Array) -> Array:
-    """K, from the vertex numbers and the corners of each facet, of shape (facets, d) and (facets, d, 3)."""
+    """K, from the vertex numbers, shape (facets, d), and the corners of each facet, shape (facets, d, 3)."""
     size, dim = vertices.shape
     middle = corners.mean(axis=1)
     ridges = defaultdict(list)  # facets around each vertex (2D) or edge (3D), with its place and measure

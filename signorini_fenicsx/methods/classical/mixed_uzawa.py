@@ -6,8 +6,8 @@ The spectrum of S reaches from O(1) to O(1/h), so
     mixed-uzawa1     σ·n ← max(0, σ·n − ρp)         converges for ρ < 2 λ_min(S),
     mixed-uzawa2     p ← max(0, p − ρσ·n)           converges for ρ < 2/λ_max(S),
 
-both in O(1/h) iterations, each a back substitution with one factorisation. mixed-uzawa-h12 projects in H^{1/2}(Γ_S)
-instead and takes a number of iterations that does not depend on h (see `half_uzawa`).
+both in O(1/h) iterations. Each iteration is a back substitution; there is one factorisation for all. mixed-uzawa-h12
+projects in H^{1/2}(Γ_S) instead, and its number of iterations does not depend on h (see `half_uzawa`).
 """
 
 import math
@@ -46,17 +46,17 @@ class _Response:
         self._recorder = Recorder(task.spaces, self.iterate, self._conditions(self.start), task.on_step)
 
     def gradient(self, x: Array) -> Array:
-        """The trace p for given σ·n, σ·n for given p; keeps the iterate."""
+        """The trace p for given σ·n, or σ·n for given p; the iterate is kept (collective)."""
         self.iterate: Iterate = self._system.respond(self._given, flux=x, trace=x)
         return self.iterate.p if self._by_flux else self.iterate.flux
 
     def slope(self, x: Array) -> Array:
-        """Its linear part, S⁻¹ or S."""
+        """The linear part of `gradient`, S⁻¹ or S, applied to x (collective)."""
         response = self._system.respond(self._given, flux=x, trace=x, loaded=False)
         return response.p if self._by_flux else response.flux
 
     def record(self, x: Array) -> None:
-        """Add the present iterate to the history."""
+        """Add the current iterate to the history (collective)."""
         self._recorder.add(self.iterate, self._conditions(x))
 
     def outcome(self, x: Array, step: StepLength, failure: str | None) -> Outcome:
@@ -65,7 +65,7 @@ class _Response:
             iterate=self.iterate,
             conditions=self._conditions(x),
             history=self._recorder.steps,
-            reason=failure or "the projection changes nothing any more",
+            reason=failure or "the last step is below the tolerance",
             converged=failure is None,
             backend=self._system.name,
             dofs=self._system.dofs,
@@ -83,7 +83,7 @@ class _Response:
 def flux_uzawa(task: Task) -> Outcome:
     """σ·n^(n) = max(0, σ·n^(n−1) − ρp^(n−1)), from σ·n^(0) = 0 (collective).
 
-    The step over ρ is a trace; its size is that of the KKT residual of p ≥ 0.
+    The step divided by ρ is a trace; it is measured like the KKT residual of p ≥ 0.
     """
     response = _Response(task, by_flux=True)
     return _pointwise(task, response, 1 / math.sqrt(task.spaces.length()))
@@ -92,7 +92,7 @@ def flux_uzawa(task: Task) -> Outcome:
 def trace_uzawa(task: Task) -> Outcome:
     """p^(n) = max(0, p^(n−1) − ρσ·n^(n−1)), from p^(0) = 0 (collective).
 
-    The step over ρ is a flux; its size is that of the KKT residual of σ·n ≥ 0.
+    The step divided by ρ is a flux; it is measured like the KKT residual of σ·n ≥ 0.
     """
     response = _Response(task, by_flux=False)
     return _pointwise(task, response, math.sqrt(task.spaces.length()))
@@ -122,14 +122,14 @@ def half_uzawa(task: Task) -> Outcome:
     """p^(n) = P(p^(n−1) − ρ R σ·n^(n−1)) in H^{1/2}(Γ_S), from p^(0) = 0 (collective).
 
     R is the Riesz map of the discrete H^{1/2} inner product (p, q)_H = pᵀHq (see `half_norm`), R = H⁻¹M with M the mass
-    matrix of Λ_h. The projection is the one that belongs to this inner product,
+    matrix of Λ_h. The projection is that of this inner product,
 
         P(z) = argmin over q ≥ 0 of ½(q − z)ᵀH(q − z),
 
-    a small bound-constrained quadratic programme, solved exactly: max(0, z), facet by facet, would have other fixed
-    points, because (z − P(z), q − P(z))_H ≤ 0 for all q ≥ 0 is what makes them solutions of (10c). H is spectrally
-    equivalent to S, so the number of iterations is bounded as h → 0. Dense, on rank 0: for up to a few thousand Γ_S
-    facets.
+    a small bound-constrained quadratic programme, which is solved exactly. Its fixed points solve (10c) because
+    (z − P(z), q − P(z))_H ≤ 0 for all q ≥ 0; max(0, z), facet by facet, would have other fixed points. H is spectrally
+    equivalent to S, so the number of iterations is bounded as h → 0. The algebra is dense and on rank 0, so this is for
+    up to a few thousand Γ_S facets.
     """
     response = _Response(task, by_flux=False)
     half = HalfNorm(task.spaces)
@@ -151,5 +151,5 @@ def half_uzawa(task: Task) -> Outcome:
 
 
 def _scale(spaces: Spaces, iterate: Iterate) -> float:
-    """‖σ‖ of the start, or 1 if there is nothing to solve."""
+    """‖σ‖ of the start, or 1 if it is 0 (collective)."""
     return math.sqrt(spaces.integrate(l2(iterate.sigma, ufl.dx))) or 1.0

@@ -1,8 +1,8 @@
 """Projected successive over-relaxation for (VI) in P1, in parallel: vertices of one colour at a time.
 
-Vertices of one colour share no matrix entry, so that relaxing them all at once is relaxing them one after another. The
-colours come from a greedy walk over the vertices in the order of their coordinates: neither they nor the iterates
-depend on the ranks.
+Vertices of one colour share no matrix entry, so relaxing all of them at once is the same as relaxing one after another.
+The colours come from a greedy walk over the vertices in the order of their coordinates, so that colours and iterates do
+not depend on the ranks.
 """
 
 import math
@@ -26,8 +26,8 @@ from signorini_fenicsx.methods.task import Task
 def over_relaxation(task: Task) -> Outcome:
     """u_i ← u_i − ω(Au − b)_i/A_ii, cut off at 0 on Γ_S, vertex by vertex, from u = 0 off Γ_D (collective).
 
-    ω = 2/(1 + √(1 − μ²)) is Young's optimal one for the spectral radius μ of Jacobi's iteration without contact; with
-    it the number of sweeps is of order 1/h, and 1/h² for ω = 1.
+    ω = 2/(1 + √(1 − μ²)) is Young's optimal value, with μ the spectral radius of Jacobi's iteration without contact.
+    With it the number of sweeps is of order 1/h, instead of 1/h² for ω = 1.
     """
     system = P1System(task.spaces, task.data)
     sweep = _Sweep(system, *_colours_and_omega(system))
@@ -90,7 +90,7 @@ class _Sweep:
 
 
 def _colours_and_omega(system: P1System) -> tuple[npt.NDArray[np.int64], float]:
-    """The colour of each owned vertex and ω, both found on rank 0 (collective)."""
+    """The colour of each owned vertex, and ω; both are computed on rank 0 (collective)."""
     rows = RootRows(system.spaces.mesh.comm, len(system.load))
     x = rows.gather(system.space.tabulate_dof_coordinates()[: len(system.load)])
     matrix = matrix_on_root(system.matrix)
@@ -105,7 +105,7 @@ def _colours_and_omega(system: P1System) -> tuple[npt.NDArray[np.int64], float]:
 
 
 def _greedy_colours(matrix: scipy.sparse.csr_array, order: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
-    """The first colour that no neighbour has yet, for one vertex after another."""
+    """Give one vertex after another the first colour that none of its neighbours has."""
     neighbours = np.split(matrix.indices, matrix.indptr[1:-1])
     colour = np.full(len(neighbours), -1)
     for vertex in order:

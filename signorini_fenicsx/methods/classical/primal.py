@@ -1,4 +1,4 @@
-"""The conforming P1 system that the primal methods share, and what it says about σ, u and p (see `forms/primal.py`)."""
+"""The conforming P1 system of the primal methods, and how σ, u and p are recovered from it (see `forms/primal.py`)."""
 
 import math
 from functools import cached_property
@@ -29,18 +29,18 @@ type Indices = npt.NDArray[np.int32]
 
 
 class P1System:
-    """(κ_h∇u, ∇v) = (f_h, v) + (g_N, v) + (q_S, v) in P1 with u = u_D at the vertices of Γ_D, in terms of u − ψ on Γ_S.
+    """(κ_h∇u, ∇v) = (f_h, v) + (g_N, v) + (q_S, v) in P1, u = u_D at the vertices of Γ_D; on Γ_S u stands for u − ψ.
 
-    Arrays hold values at the vertices of this rank, on Γ_S those of u − ψ.
+    Arrays hold values at the owned vertices, those of u − ψ on Γ_S.
 
     Attributes:
-        spaces: The mixed spaces, of which it takes mesh and Γ_S.
+        spaces: The mixed spaces, for mesh and Γ_S.
         space: P1.
         dirichlet: Owned vertices of Γ_D.
         signorini: Owned vertices of Γ_S that are not on Γ_D.
-        load: Right side: u_D on Γ_D, else the loads less what u_D and ψ contribute.
+        load: Right side: u_D on Γ_D, elsewhere the loads minus the contributions of u_D and ψ.
         weights: w_i = ∫_ΓS φ_i of the vertices `signorini`.
-        matrix: Stiffness matrix with the rows and columns of Γ_D those of the identity.
+        matrix: Stiffness matrix with identity rows and columns for Γ_D.
         diagonal: Its diagonal.
         dofs: Vertices over all ranks.
     """
@@ -85,7 +85,7 @@ class P1System:
         return self._solver.name()
 
     def change_matrix(self, *, fixed: Indices | None = None, added: Array | None = None) -> None:
-        """Make the next solves those with u = 0 at the vertices `fixed` and `added` to the diagonal (collective).
+        """Let the next solves fix u = 0 at the vertices `fixed` and add `added` to the diagonal (collective).
 
         Args:
             fixed: Some of the vertices `signorini`.
@@ -123,10 +123,10 @@ class P1System:
         return math.sqrt(max(self.dot(u, self._product(self._stiffness, u)), 0.0))
 
     def residual(self, u: Array, eps: float = 0.0) -> float:
-        """Natural residual of (VI) in P1, or of (P_ε) with ε > 0; free of scale (collective).
+        """Natural residual of (VI) in P1, or of (P_ε) if ε > 0; scale-free (collective).
 
-        With r_i the reaction and D_i the diagonal it is √(Σ D_i m_i²)/‖∇u‖, m_i = min(u_i + ε r_i/w_i, r_i/D_i) on Γ_S
-        and r_i/D_i in Ω. It vanishes at the solution only; it is infinite where ∇u = 0 is not the solution.
+        With r_i the reaction and D_i the diagonal it is √(Σ D_i m_i²)/‖∇u‖, where m_i = min(u_i + ε r_i/w_i, r_i/D_i)
+        on Γ_S and m_i = r_i/D_i in Ω. It is 0 only at the solution. It is infinite if ∇u = 0 and u is not the solution.
         """
         size = self.energy_norm(u + self._psi)
         reaction = self.times(u) - self.load
@@ -139,11 +139,11 @@ class P1System:
         return norm / size
 
     def conditions(self, zero: npt.NDArray[np.bool_], kind: Condition, beta: float = 1.0) -> SiteConditions:
-        """Facet conditions (collective): `kind` where u = 0 on Γ_D or in `zero` at all vertices.
+        """Facet conditions: `kind` on facets all of whose vertices are on Γ_D with u = 0, or in `zero` (collective).
 
         Args:
-            zero: Which of the vertices `signorini` are in contact.
-            kind: The condition of contact.
+            zero: Mask of the vertices `signorini`: True for those in contact.
+            kind: The condition for contact.
             beta: β of a ROBIN condition.
         """
         marked = fem.Function(self.space)
@@ -184,7 +184,7 @@ class P1System:
 
     @cached_property
     def _facet_vertices(self) -> Indices:
-        """Vertices of each Γ_S facet, owned or ghosts, shape (facets, d): those of its cell but the opposite one."""
+        """Vertices of each Γ_S facet, owned or ghost, shape (facets, d): those of its cell without the opposite one."""
         spaces = self.spaces
         dofs = self.space.dofmap.list[spaces.cells]
         opposite = np.argmax(spaces.V.dofmap.list[spaces.cells] == spaces.flux_dofs[:, None], axis=1)
@@ -196,7 +196,7 @@ class P1System:
 
 
 class P1Change:
-    """‖κ^½∇(u − u')‖, which is the change of σ since ∇u_h has no divergence, and ‖u − u'‖."""
+    """‖κ^½∇(u − u')‖ and ‖u − u'‖. The first is the change of σ, because ∇u_h has no divergence on cells."""
 
     def __init__(self, system: P1System):
         """Assemble the mass matrix (collective)."""
@@ -230,7 +230,7 @@ class P1History:
 
 
 def not_solved(residual: float) -> str | None:
-    """Why a natural residual is that of no solution, None if it is of one."""
+    """Why a natural residual is too large for a solution, or None if it is small."""
     return None if residual <= KKT else f"the natural residual of the P1 problem is {residual:.1e}, above {KKT:g}"
 
 

@@ -1,4 +1,4 @@
-"""Primal-dual active set for (VI) and semismooth Newton for (P_ε), in P1: the loop of the set rules on vertices."""
+"""Primal-dual active set for (VI) and semismooth Newton for (P_ε) in P1, by the loop of the set rules on vertices."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,9 +17,10 @@ from signorini_fenicsx.methods.set_rules import ALGORITHM_2, ALGORITHM_3, SetRul
 from signorini_fenicsx.methods.task import Task
 
 PRIMAL_DUAL = replace(ALGORITHM_2, forgets_start=False)
-"""u = 0 where λ − u > 0, else λ = 0, from the solution with λ = 0."""
+"""u = 0 where λ − u > 0, λ = 0 elsewhere; it starts from the solution with λ = 0."""
 PENALTY = replace(ALGORITHM_3, clip=None)
-"""λ = −u/ε where u ≤ 0, else λ = 0, from the solution with λ = 0: Newton's method for a piecewise linear problem."""
+"""λ = −u/ε where u ≤ 0, λ = 0 elsewhere; it starts from the solution with λ = 0. This is Newton's method for a
+piecewise linear problem."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class VertexBackend:
         return VertexPairs(p=p, flux=flux, linear_iterations=1, u=self.u)
 
     def without_flux(self, iterate: VertexPairs, where: Mask) -> VertexPairs:
-        """Not for P1.
+        """Not possible in P1, where the flux is no unknown.
 
         Raises:
             InputError: Always.
@@ -94,7 +95,7 @@ class VertexBackend:
         raise InputError("a rule that clips fluxes needs a backend whose unknown is the flux")
 
     def scales(self, iterate: VertexPairs) -> tuple[Array, Array]:
-        """The largest |u|, and what it would make of λ at each vertex alone (collective)."""
+        """The largest |u|, and the λ that it would give at each vertex through the matrix diagonal (collective)."""
         largest = max(self.comm.allgather(float(np.abs(iterate.u).max(initial=0.0))))
         diagonal = self.system.diagonal[self.system.signorini]
         return np.full(self.sites, largest), largest * diagonal / self.system.weights
@@ -108,11 +109,11 @@ class VertexBackend:
         return P1Change(self.system)
 
     def places(self) -> Array:
-        """The vertices."""
+        """Coordinates of the vertices, shape (sites, 3)."""
         return self.system.space.tabulate_dof_coordinates()[self.system.signorini]
 
     def in_mixed_spaces(self, iterate: VertexPairs, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """The projection of the flux, means, and the facets all of whose vertices are in contact (collective)."""
+        """The projected flux, means of u and p; facets with all vertices in contact are in contact (collective)."""
         touching = conditions.kind == self._contact
         return self.system.recover(iterate.u), self.system.conditions(touching, self._contact, self._slope)
 
@@ -136,7 +137,7 @@ def primal_penalty(task: Task) -> Outcome:
 
 
 def _on_vertices(task: Task, rule: SetRule) -> Outcome:
-    """The loop, judged by the natural residual of (VI) or, with a penalty, of (P_ε) (collective)."""
+    """Run the loop and judge its result by the natural residual of (VI) or, with a penalty, of (P_ε) (collective)."""
     backend = VertexBackend(task, rule.contact)
     parameters = Parameters(eps=task.eps, max_iterations=task.max_iterations)
     outcome = iterate_sets(backend, rule, parameters, on_step=task.on_step)

@@ -1,4 +1,4 @@
-"""Uzawa's iteration for (VL) in P1: a multiplier λ ≥ 0 per vertex of Γ_S, one factorisation for all steps."""
+"""Uzawa's iteration for (VL) in P1: a multiplier λ ≥ 0 per vertex of Γ_S, and one factorisation for all steps."""
 
 import math
 
@@ -15,8 +15,8 @@ from signorini_fenicsx.methods.task import Task
 def primal_uzawa(task: Task) -> Outcome:
     """λ^(n) = max(0, λ^(n−1) − ρu^(n−1)), u^(n) the solution with reaction w_i λ_i^(n), from λ^(0) = 0 (collective).
 
-    The map λ ↦ u on Γ_S is the discrete inverse of Dirichlet-to-Neumann: its largest eigenvalue does not depend on h,
-    its smallest is of order h, and the iteration takes O(1/h) steps.
+    The map λ ↦ u on Γ_S is the inverse of the discrete Dirichlet-to-Neumann map. Its largest eigenvalue does not depend
+    on h and its smallest is of order h, so the iteration takes O(1/h) steps.
 
     Raises:
         LinearSolveFailure: If a linear system cannot be solved.
@@ -25,7 +25,7 @@ def primal_uzawa(task: Task) -> Outcome:
     on, weights = system.signorini, system.weights
     u = system.solve(system.load)
     scale = system.energy_norm(u) or 1.0
-    length = math.sqrt(system.dot(np.ones(len(weights)), weights)) or 1.0  # all of Γ_S may be beside Γ_D
+    length = math.sqrt(system.dot(np.ones(len(weights)), weights)) or 1.0  # 0 if all vertices of Γ_S are on Γ_D
 
     def trace(multiplier: Array) -> Array:
         nonlocal u
@@ -61,7 +61,7 @@ def primal_uzawa(task: Task) -> Outcome:
         u,
         conditions(multiplier),
         failure,
-        reason="the projection changes nothing any more",
+        reason="the last step is below the tolerance",
         solver=system.solver(),
         details=step.details(),
     )

@@ -1,6 +1,6 @@
-"""The iteration that Uzawa's methods share: x^(n) = P(x^(n−1) − ρ g(x^(n−1))), P a projection and g affine.
+"""The iteration of all Uzawa methods: x^(n) = P(x^(n−1) − ρ g(x^(n−1))), with P a projection and g affine.
 
-With the linear part T of g symmetric and positive in the inner product that P belongs to, x^(n) converges for 0 < ρ <
+Let the linear part T of g be symmetric and positive in the inner product of P. Then x^(n) converges for 0 < ρ <
 2/λ_max(T) to the solution of the variational inequality of g, at the rate 1 − ρ λ_min(T) of gradient descent.
 """
 
@@ -16,18 +16,18 @@ from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.discrete.spaces import Spaces
 
 POWER_STEPS = 30
-"""Power iterations for λ_max. Their error is small beside the distance of RELAXATION from 2."""
+"""Power iterations for λ_max. Their error is small compared with the distance of RELAXATION from 2."""
 RELAXATION = 1.5
 """ρ λ_max(T) if ρ is automatic."""
 DIVERGED = 1e8
-"""Scale-free size of a step that no convergent iteration makes."""
+"""Scale-free size of a step. A larger step means divergence."""
 
 
 @dataclass(frozen=True)
 class StepLength:
-    """ρ, and the end of the range in which the iteration is sure to converge.
+    """ρ, and the end of the range of ρ in which the iteration converges for certain.
 
-    Contact takes unknowns out of the iteration, so that a larger ρ may still converge.
+    Contact removes unknowns from the iteration, so a larger ρ may converge too.
 
     Attributes:
         rho: ρ > 0.
@@ -38,11 +38,11 @@ class StepLength:
     limit: float
 
     def details(self) -> dict[str, float]:
-        """As a run reports it."""
+        """The numbers that a run reports."""
         return {"rho": self.rho, "rho_limit": self.limit}
 
     def warning(self) -> str:
-        """What a failed run says about ρ."""
+        """The remark of a failed run about ρ, empty if ρ is in its range."""
         return "" if self.rho < self.limit else f"; ρ = {self.rho:.3g} is outside of its range (0, {self.limit:.3g})"
 
 
@@ -58,7 +58,7 @@ def step_length(
         rho: ρ, or None for an automatic one.
         slope: T.
         inner: Inner product in which T is symmetric (collective).
-        start: Vector to start from, nearly orthogonal to no eigenvector.
+        start: Start vector on this rank; it should not be nearly orthogonal to the eigenvector of λ_max.
     """
     x, eigenvalue = start, 0.0
     for _ in range(POWER_STEPS):
@@ -75,14 +75,14 @@ def step_length(
 
 
 def scattered_values(spaces: Spaces) -> Array:
-    """A value per Γ_S facet that looks random but depends on its midpoint only, not on the ranks."""
+    """A pseudo-random value per Γ_S facet that depends only on its midpoint, not on the ranks."""
     dim = spaces.mesh.topology.dim
     x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
     return scattered(x)
 
 
 def scattered(x: Array) -> Array:
-    """A value per point, of shape (points, 3), that looks random."""
+    """A pseudo-random value per point; x has shape (points, 3)."""
     return np.sin(1e3 * (x @ np.sqrt([2.0, 3.0, 5.0]))) + 0.5
 
 
@@ -101,14 +101,14 @@ def iterate_projection(
     Args:
         start: x^(0) on this rank.
         evaluate: g.
-        project: From x and ρ g(x) to P(x − ρ g(x)).
-        size: Scale-free norm of a step over ρ (collective).
+        project: Maps x and ρ g(x) to P(x − ρ g(x)).
+        size: Scale-free norm of a step divided by ρ (collective).
         step: ρ.
         max_iterations: Iterations allowed.
-        record: Called after each iteration with its x; the last evaluation is that of this x.
+        record: Called after each iteration with its x; the last call of `evaluate` was with this x.
 
     Returns:
-        The last x, and why it is no solution or None.
+        The last x, and why it is no solution, or None.
     """
     x = start
     gradient = evaluate(x)

@@ -1,11 +1,10 @@
-"""(MVI)_h as theorem 2 reads it, the projection of 0 onto a convex set: ½‖τ‖² over τ ∈ Ṽ_h with ∇·τ = −f_h.
+"""(MVI)_h in the form of theorem 2, the projection of 0 onto a convex set: minimise ½‖τ‖² over τ ∈ Ṽ_h, ∇·τ = −f_h.
 
-In general the form is ½(κ⁻¹τ, τ) − (u_D, τ·n)_ΓD − (ψ, τ·n)_ΓS with τ·n ≥ q_S on Γ_S, τ·n = g_N on Γ_N. What is solved
-for is τ − σ_lift.
+For general data ½(κ⁻¹τ, τ) − (u_D, τ·n)_ΓD − (ψ, τ·n)_ΓS is minimised with τ·n ≥ q_S on Γ_S, τ·n = g_N on Γ_N. The
+unknown is τ − σ_lift.
 
-An interior-point solver gets the mass matrix of RT0, the divergence and the signs, and nothing else: no facet
-condition, no set, no multiplier. Its multipliers of ∇·τ = −f_h and of τ·n ≥ 0 are u_h and p_h. It runs on rank 0,
-without parallelism.
+An interior-point solver gets only the mass matrix of RT0, the divergence and the signs: no facet conditions, no sets,
+no multipliers. Its own multipliers of ∇·τ = −f_h and of τ·n ≥ 0 are u_h and p_h. It runs on rank 0 and is not parallel.
 """
 
 import numpy as np
@@ -26,14 +25,14 @@ from signorini_fenicsx.methods.history import Outcome, Recorder
 from signorini_fenicsx.methods.task import Task, nothing_yet
 
 FIXED = 2.0
-"""Instead of a sign: the unknown is 0."""
+"""Marks an unknown that is fixed to 0, in place of a sign."""
 
 
 def quadratic_programme(task: Task) -> Outcome:
     """Solve by PIQP (collective).
 
-    The history has one step: an interior-point solver does not show its iterates. Their number is the step's
-    `linear_iterations`.
+    The history has one step, because the solver does not show its iterates. The step's `linear_iterations` is their
+    number.
     """
     spaces = task.spaces
     V, Q, comm = spaces.V, spaces.Q, spaces.mesh.comm
@@ -105,7 +104,7 @@ def _minimise(
     Returns:
         x, the multipliers of both constraints, PIQP's status and its number of iterations.
     """
-    of_flux = 1 / np.sqrt(hessian.diagonal())  # unknowns and rows of one size, whatever κ and the cells are like
+    of_flux = 1 / np.sqrt(hessian.diagonal())  # scaling: unknowns and rows of one size for any κ and any cells
     divergence = divergence @ scipy.sparse.diags_array(of_flux)
     of_row = 1 / np.sqrt(divergence.power(2).sum(axis=1))
     linear, right = of_flux * linear, of_row * right

@@ -1,15 +1,14 @@
-"""Slimane's stabilised form, and the minimisation Uzawa iteration, each of whose steps has that form.
+"""Slimane's stabilised form, and the Uzawa iteration whose steps are minimisations of this form.
 
-Both minimise over the convex set Ṽ_h of fluxes with τ·n ≥ 0 on Γ_S, and their minimisers satisfy a unilateral mixed
-problem:
+Both minimise over the convex set Ṽ_h of fluxes with τ·n ≥ 0 on Γ_S. The minimisers satisfy a unilateral mixed problem:
 
     slimane            ½‖τ‖² + (1/2ε)‖∇·τ + f_h‖²,                      u = (1/ε)(∇·σ + f_h),
     mixed-uzawa-wang   ½‖τ‖² + (u^(n−1), ∇·τ + f_h) + (ρ/2)‖∇·τ + f_h‖², u^(n) = u^(n−1) + ρ(∇·σ^(n) + f_h).
 
-Slimane's solution solves −Δu + εu = f: its mass balance is off by εu, which tends to 0 with ε. Uzawa's iteration for
-the augmented Lagrangian of (MVI)_h ends only where ∇·σ + f_h = 0. It converges for any ρ > 0, by the factor 1/(1 +
-ρλ_1) per step with λ_1 the smallest eigenvalue of the mixed Laplacian, whatever h. Without its last term each step
-would be a minimisation with the mass matrix alone, but the step in u would be bounded by O(h²).
+Slimane's solution solves −Δu + εu = f: the residual of its mass balance is εu, which tends to 0 with ε. Uzawa's
+iteration for the augmented Lagrangian of (MVI)_h ends only where ∇·σ + f_h = 0. It converges for any ρ > 0, by the
+factor 1/(1 + ρλ_1) per step, where λ_1, the smallest eigenvalue of the mixed Laplacian, hardly depends on h. Without
+the last term each step would be a minimisation with the mass matrix alone, but then ρ would be bounded by O(h²).
 """
 
 import math
@@ -47,8 +46,8 @@ def stabilised_form(task: Task) -> Outcome:
 def minimisation_uzawa(task: Task) -> Outcome:
     """The Uzawa iteration in u for (MVI)_h, from u^(0) = 0 (collective).
 
-    Each minimisation starts from the facet sets of the one before, so that most of them are one back substitution. The
-    automatic ρ is |Ω|^(2/d), the square of a length like 1/λ_1.
+    Each minimisation starts from the facet sets of the one before, so most of them are one back substitution. The
+    automatic ρ is |Ω|^(2/d), which like 1/λ_1 is the square of a length.
 
     Raises:
         LinearSolveFailure: If a linear system cannot be solved.

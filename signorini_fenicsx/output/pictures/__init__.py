@@ -5,6 +5,7 @@ from pathlib import Path
 from types import ModuleType
 
 import matplotlib as mpl
+from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.case import Case
@@ -15,7 +16,7 @@ from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, d
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.solving.solution import Solution
 
-__all__ = ["draw_all", "draw_bounds", "draw_errors", "draw_mesh", "scene_of", "write_page"]
+__all__ = ["draw_all", "draw_bounds", "draw_errors", "draw_mesh", "overview", "scene_of", "write_page"]
 
 
 def scene_of(
@@ -67,6 +68,16 @@ def draw_all(folder: Path, scene: Scene) -> None:
     """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and, with one, `certificate.png`."""
     _files_of(scene).draw_files(folder, scene)
     draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
+
+
+@mpl.rc_context(style.STYLE)
+def overview(scene: Scene) -> Figure:
+    """The picture with everything in it; a notebook shows it."""
+    import matplotlib.pyplot  # noqa: F401 - it is what makes notebooks show figures
+
+    figure: Figure = _files_of(scene).overview(scene)
+    figure.draw_without_rendering()  # ticks are made here, in this style
+    return figure
 
 
 def write_page(path: Path, scene: Scene) -> None:

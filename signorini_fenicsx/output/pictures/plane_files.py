@@ -22,7 +22,12 @@ def draw_files(folder: Path, scene: Scene) -> None:
     if scene.fields.indicator is not None:
         _draw_map(folder / "certificate.png", plane, "certificate")
     _draw_traces(folder / "signorini.png", scene)
-    _draw_overview(folder / "overview.png", plane)
+    style.save(_overview(plane), folder / "overview.png")
+
+
+def overview(scene: Scene) -> Figure:
+    """The picture with everything in it."""
+    return _overview(Plane(scene))
 
 
 def draw_mesh_file(path: Path, scene: Scene) -> None:
@@ -80,7 +85,7 @@ def _draw_part(scene: Scene, row: list[Axes], part: int, number: int) -> None:
         number += 1
 
 
-def _draw_overview(path: Path, plane: Plane) -> None:
+def _overview(plane: Plane) -> Figure:
     """Maps above, traces and iterations below; a wide domain has two maps in a row."""
     scene = plane.scene
     parts = range(min(len(scene.labels), OVERVIEW_PARTS))
@@ -106,4 +111,4 @@ def _draw_overview(path: Path, plane: Plane) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     style.legend_below(figure, [*plane.handles(), *traces.handles()], 6)
-    style.save(figure, path)
+    return figure

@@ -38,7 +38,12 @@ def draw_files(folder: Path, scene: Scene) -> None:
         space.draw_contact(figure, row[2], f"{style.letter(number)} contact set", view)
         number += 1
     _finish(figure, space, folder / "signorini.png")
-    _draw_overview(folder / "overview.png", space)
+    style.save(_overview(space), folder / "overview.png")
+
+
+def overview(scene: Scene) -> Figure:
+    """The picture with everything in it."""
+    return _overview(Space(scene))
 
 
 TRACES = {"p": "$p_h$", "flux": r"$\sigma_h\cdot n$"}
@@ -63,7 +68,7 @@ def _finish(figure: Figure, space: Space, path: Path) -> None:
     style.save(figure, path)
 
 
-def _draw_overview(path: Path, space: Space) -> None:
+def _overview(space: Space) -> Figure:
     scene = space.scene
     figure = Figure(figsize=(12.5, 9), layout="constrained")
     panels = figure.subplots(2, 3).ravel()
@@ -78,4 +83,5 @@ def _draw_overview(path: Path, space: Space) -> None:
     draw_steps(panels[5], scene.history, "(f) iteration errors")
     panels[5].legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    _finish(figure, space, path)
+    style.legend_below(figure, space.handles())
+    return figure

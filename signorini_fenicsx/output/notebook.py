@@ -1,0 +1,50 @@
+"""A solution as notebooks show it: a figure, or a table with one."""
+
+import base64
+import html as text
+import io
+
+from matplotlib.figure import Figure
+
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields, gather_marks
+from signorini_fenicsx.solving.solution import Solution
+
+DPI = 75
+"""Of the picture beside the table."""
+
+
+def figure(solution: Solution, certificate: Certificate | None = None) -> Figure | None:
+    """The overview of a solution (collective; None on all ranks but 0)."""
+    table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
+    cells = gather_fields(solution, None if certificate is None else certificate.indicator)
+    if table is None or cells is None or boundary is None:
+        return None
+    from signorini_fenicsx.output import pictures  # costs a second, only where it is needed
+
+    return pictures.overview(pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate))
+
+
+def html(solution: Solution) -> str | None:
+    """A table of what counts and the overview (collective; None on all ranks but 0)."""
+    spaces, outcome = solution.spaces, solution.outcome
+    facets, measure = solution.contact()
+    picture = figure(solution)
+    if picture is None:
+        return None
+    rows = {
+        "algorithm": f"{solution.method.title} ({solution.options.algorithm_name})",
+        "mesh": f"h = {spaces.domain.h:.4g}, {spaces.Q.dofmap.index_map.size_global} cells",
+        "contact": f"{facets} of {spaces.Lambda.dofmap.index_map.size_global} facets, measure {measure:.6g}",
+        "converged" if solution.converged else "failed": f"{outcome.reason}, {len(outcome.history)} iterations",
+        "largest KKT residual": f"{max(vars(solution.kkt).values()):.1e}",
+    }
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{text.escape(name)}</th>"
+        f"<td style='text-align:left'>{text.escape(value)}</td></tr>"
+        for name, value in rows.items()
+    )
+    png = io.BytesIO()
+    picture.savefig(png, format="png", dpi=DPI)
+    image = f"<img alt='overview' src='data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}'>"
+    return f"<table><caption>{text.escape(solution.title or solution.name)}</caption>{cells}</table>{image}"

@@ -1,0 +1,150 @@
+"""What a solution can be asked: values at points, fluxes through parts, its trace in UFL, how it shows itself."""
+
+import doctest
+import gc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from dolfinx.fem.petsc import LinearProblem
+from mpi4py import MPI
+
+from signorini_fenicsx import Boundary, InputError, Problem, Solution, Step, domain_of, load_solution, solve
+from signorini_fenicsx.solving import solution as module
+
+COMM = MPI.COMM_WORLD
+WALLS = {
+    "bottom": lambda x: np.isclose(x[1], 0),
+    "low": lambda x: (x[1] < 0.5) & (np.isclose(x[0], 0) | np.isclose(x[1], 0)),
+    "right": lambda x: np.isclose(x[0], 1),
+}
+
+
+def solved(f: str = "40*(x - 0.6)", n: int = 8, **data: object) -> Solution:
+    """On a square with Γ_S below and Γ_N on the right."""
+    square = mesh.create_unit_square(COMM, n, n, ghost_mode=mesh.GhostMode.none)
+    boundary = Boundary(["bottom"], ["right"])
+    return solve(domain_of(square, WALLS), boundary, Problem(f=f, psi="0.1*x - 0.05", **data))
+
+
+def test_examples():
+    failed, tried = doctest.testmod(module, extraglobs={"solution": solved()}, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert tried > 7
+    assert failed == 0
+
+
+@pytest.mark.parallel([1, 3])
+def test_values_at_points_of_any_rank():
+    """Each rank asks for points of its own, some outside; all get what the formulae of P0 and RT0 say."""
+    solution = solved()
+    spaces = solution.spaces
+    cells = np.arange(len(solution.u.x.array), dtype=np.int32)
+    centres = mesh.compute_midpoints(spaces.mesh, 2, cells)
+    everywhere = np.concatenate(COMM.allgather(centres))[:, :2]
+    u = np.concatenate(COMM.allgather(solution.u.x.array))
+    values = solution.at(everywhere[COMM.rank :])
+    np.testing.assert_array_equal(values.u, u[COMM.rank :])
+    f = 40 * (everywhere[COMM.rank :, 0] - 0.6)  # its mean on a cell: it is linear
+    step = np.array([1e-3, 0])
+    up = np.array([0, 1e-3])
+    divergence = (solution.at(everywhere[COMM.rank :] + step).sigma - values.sigma)[:, 0] + (
+        solution.at(everywhere[COMM.rank :] + up).sigma - values.sigma
+    )[:, 1]
+    np.testing.assert_allclose(divergence / 1e-3, -f, atol=1e-8)
+    outside = [[0.3, 0.4], [1.001, 0.5], [np.nan, 0.5], [0.5, -3], [1.0, 1.0]] if COMM.rank == 0 else []
+    found = np.isfinite(solution.at(outside).u)
+    assert found.tolist() == ([True, False, False, False, True] if COMM.rank == 0 else [])
+    for wrong in ([0.5, 0.5], [[1, 2, 3]], [["a", "b"]], [[1], [2, 3]]):
+        with pytest.raises(InputError, match=r"points: must be an array of shape \(n, 2\), a row for each point"):
+            solution.at(wrong if COMM.rank == 0 else [[0.5, 0.5]])
+
+
+@pytest.mark.parallel([1, 3])
+def test_fluxes_balance_the_load():
+    solution = solved(g_N=-0.3)
+    spaces = solution.spaces
+    assert solution.flux_through() == pytest.approx(-40 * (0.5 - 0.6), abs=1e-11)
+    assert solution.flux_through("right") == pytest.approx(-0.3, abs=1e-12)
+    flux = COMM.allreduce(spaces.facet_measure @ spaces.normal_flux(solution.sigma))
+    assert solution.flux_through("bottom") == pytest.approx(flux, abs=1e-12)
+    both = solution.flux_through(["low", "bottom"])  # they overlap
+    assert both == pytest.approx(solution.flux_through(["bottom", "low", "low"]), abs=1e-14)
+    assert both != pytest.approx(solution.flux_through("low") + flux, abs=1e-3)
+    with pytest.raises(InputError, match=r"unknown part 'bottm'; there are .* \(did you mean 'bottom'\?\)"):
+        solution.flux_through("bottm")
+    square = mesh.create_unit_square(COMM, 4, 4)
+    middle = {"bottom": WALLS["bottom"], "middle": lambda x: np.isclose(x[0], 0.5)}
+    facets = {name: mesh.locate_entities(square, 1, where) for name, where in middle.items()}
+    inner = solve(domain_of(square, facets), Boundary(["bottom"]), Problem(f=1.0))
+    with pytest.raises(InputError, match="part 'middle' has facets inside the domain"):
+        inner.flux_through("middle")
+
+
+@pytest.mark.parallel([1, 2])
+def test_trace_in_ones_own_ufl():
+    """A conforming solution with p_h as its Dirichlet data, by Nitsche's method, is near u_h: 4 times finer, twice."""
+    distances = []
+    for n in (8, 32):
+        solution = solved(n=n)
+        spaces, p = solution.spaces, solution.p
+        space = fem.functionspace(spaces.mesh, ("P", 1))
+        w, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+        x, normal, ds = ufl.SpatialCoordinate(spaces.mesh), spaces.n, spaces.ds
+        a = ufl.inner(ufl.grad(w), ufl.grad(v)) * ufl.dx
+        a += (10 * n * w * v - ufl.inner(ufl.grad(w), normal) * v - ufl.inner(ufl.grad(v), normal) * w) * ds
+        L = 40 * (x[0] - 0.6) * v * ufl.dx + (10 * n * v - ufl.inner(ufl.grad(v), normal)) * p * ds
+        dofs = fem.locate_dofs_geometrical(space, lambda x: np.isclose(x[0], 0) | np.isclose(x[1], 1))
+        problem = LinearProblem(
+            a,
+            L,
+            bcs=[fem.dirichletbc(0.0, dofs, space)],
+            entity_maps=[spaces.entity_map],
+            petsc_options_prefix="own_",
+            petsc_options={"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"},
+        )
+        difference = problem.solve() - solution.u
+        distances.append(np.sqrt(spaces.integrate(difference**2 * ufl.dx)))
+    assert distances[1] < distances[0] / 3
+    assert distances[1] < 0.02
+
+
+@pytest.mark.parallel([1, 2])
+def test_it_shows_and_writes_itself(folder: Path):
+    solution = solved(n=4)
+    assert len(repr(solution)) < 100
+    figure, page = solution.plot(), solution._repr_html_()
+    if COMM.rank == 0:
+        assert figure.axes[0].get_title() == "(a) $u_h$"
+        assert "algorithm" in page
+        assert "src='data:image/png;base64,iVBOR" in page
+        assert len(page) < 400_000
+    else:
+        assert figure is None
+        assert page is None
+    solution.write(folder / "new" / "run", plot=True)
+    solution.write(folder / "new" / "run")  # the pictures go with the result that they are of
+    names = {path.name for path in (folder / "new" / "run").iterdir()}
+    assert {"summary.json", "facets.csv", "solution.xdmf"} <= names
+    assert "overview.png" not in names
+    assert load_solution(folder / "new" / "run", COMM).norms() == pytest.approx(solution.norms())
+
+
+def test_a_solve_is_safe_from_the_collector():
+    """Python's collector would free meshes whenever it likes, which may hang MPI."""
+    enabled = []
+    square = mesh.create_unit_square(COMM, 4, 4)
+    domain, boundary = domain_of(square, WALLS), Boundary(["bottom"])
+
+    def on_step(step: Step) -> None:
+        enabled.append(gc.isenabled())
+
+    gc.enable()
+    solve(domain, boundary, Problem(f="40*(x - 0.6)"), on_step=on_step)
+    assert gc.isenabled()
+    assert enabled
+    assert not any(enabled)
+    with pytest.raises(InputError):
+        solve(domain, boundary, Problem(f="0*"))
+    assert gc.isenabled()
