@@ -4,7 +4,7 @@ import csv
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -90,7 +90,8 @@ def write_solution(
                 part = folder / f"{FILE}.part"
                 write_checkpoint(part, solution, cells, table, marks)
                 part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
-                write_facets(folder / "facets.csv", solution.spaces.part_names, table)
+                names = solution.data.laws.names() if solution.data.laws.listed else []
+                write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
                 if boundary is not None:
                     from signorini_fenicsx.output import pictures  # costs a second, only where it is needed
 
@@ -159,15 +160,15 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
 
 
-def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> None:
+def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str] = ()) -> None:
     """Write one row per Γ_S facet, by part and then along it (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition"])
-        for part, x, measure, p, flux, condition in zip(
-            table.part, table.x.tolist(), table.measure, table.p, table.flux, table.condition, strict=True
-        ):
-            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
+        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition", *["segment"][: len(segments)]])
+        columns = table.x.tolist(), table.measure, table.p, table.flux, table.condition, table.segment
+        for part, x, measure, p, flux, condition, segment in zip(table.part, *columns, strict=True):
+            name = [segments[segment]] if segments else []
+            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower(), *name])
 
 
 def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
@@ -202,7 +203,7 @@ def _sizes(solution: Solution) -> dict[str, int]:
     head = 12_000 + 3_000 * ranks
     return {
         "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
-        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 3 * number) + head,
+        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 4 * number) + head,
         "solution.h5": cells * ((dim + 1) * number + place + 3 * number) + points * dim * number + head,
     }
 
@@ -240,7 +241,10 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
-    _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition])
+    segments = []
+    if solution.data.laws.listed:
+        segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
+    _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
 
     sigma = centroid_flux(solution)
     magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")

@@ -274,6 +274,22 @@ class Solution:
         count = comm.allreduce(int(np.count_nonzero(touching)))
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
+    def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
+        spaces, segment = self.spaces, self.segments().segment
+        found: dict[str, dict[str, dict[str, float]]] = {}
+        for law in self.data.laws.of_parts:
+            for part in law.law.parts:
+                here = spaces.part_of_facet == spaces.part_names.index(part)
+                on = [here & (segment == number) for number in range(len(law.law.segments))]
+                local = np.array([[np.count_nonzero(some), spaces.facet_measure[some].sum()] for some in on])
+                counts = spaces.mesh.comm.allreduce(local).tolist()
+                found[part] = {
+                    name: {"facets": int(facets), "measure": measure}
+                    for name, (facets, measure) in zip(law.law.segments, counts, strict=True)
+                }
+        return found
+
     def violation(self) -> dict[str, float]:
         """The error by ε in the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or in (9b) (collective)."""
         spaces, data = self.spaces, self.data
@@ -304,6 +320,7 @@ class Solution:
             "dofs": outcome.dofs,
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
+            **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
             "iterations": len(outcome.history),
             "rough_steps": outcome.rough_steps,
             "converged": outcome.converged,

@@ -73,7 +73,7 @@ def _draw_traces(path: Path, scene: Scene) -> None:
     panels = figure.subplots(len(scene.labels), 2, squeeze=False)
     for part, row in enumerate(panels):
         _draw_part(scene, row, part, 2 * part)
-    style.legend_below(figure, traces.handles(), 6)
+    style.legend_below(figure, traces.handles(scene), 6)
     style.save(figure, path)
 
 
@@ -110,5 +110,5 @@ def _overview(plane: Plane) -> Figure:
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, [*plane.handles(), *traces.handles()], 6)
+    style.legend_below(figure, [*plane.handles(), *traces.handles(scene)], 6)
     return figure
