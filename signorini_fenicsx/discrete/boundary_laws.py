@@ -14,7 +14,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.laws import Graph, Law, Signorini
-from signorini_fenicsx.discrete.spaces import Spaces, cell_measures
+from signorini_fenicsx.discrete.spaces import Spaces
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in the order of bounds."""
@@ -78,14 +78,13 @@ def signorini_alone(spaces: Spaces, data: Mapping[str, Expr]) -> BoundaryLaws:
 
 
 def several_laws(
-    spaces: Spaces, laws: Sequence[tuple[str, Law, Mapping[str, Expr]]], conductivity: Array, means_of: MeansOf
+    spaces: Spaces, laws: Sequence[tuple[str, Law, Mapping[str, Expr]]], means_of: MeansOf
 ) -> tuple[BoundaryLaws, Array, Array]:
     """Several laws, each on its parts (collective).
 
     Args:
         spaces: The discrete spaces.
         laws: For each law its name, itself and its data.
-        conductivity: Mean eigenvalue of κ_h per cell of this rank.
         means_of: Takes means.
 
     Returns:
@@ -108,10 +107,7 @@ def several_laws(
         psi_h[rows], q_Sh[rows] = graph.reference
         chains.append((rows, _chains(graph, len(rows))))
         of_parts.append(PartLaw(law, name, rows, data))
-    every = joined(chains, number)
-    thickness = cell_measures(spaces.Q)[spaces.cells] / spaces.facet_measure
-    every = replace(every, rho=conductivity[spaces.cells] / thickness)
-    return BoundaryLaws(tuple(of_parts), every), psi_h, q_Sh
+    return BoundaryLaws(tuple(of_parts), joined(chains, number)), psi_h, q_Sh
 
 
 def _chains(graph: Graph, number: int) -> Chains:

@@ -27,7 +27,6 @@ class Chains:
         flux: σ·n there, descending.
         slope: β of each segment, ∞ if it is vertical, shape (sites, corners + 1).
         value: p on a vertical segment, σ·n + βp on another.
-        rho: What ρ is unless one is given: the size of σ·n that goes with p = 1, per site.
         plain: Whether all chains, on all ranks, have one corner, and that at the reference: then all values are 0.
     """
 
@@ -35,7 +34,6 @@ class Chains:
     flux: Array
     slope: Array
     value: Array
-    rho: Array | float = 1.0
     plain: bool = False
 
     @classmethod
@@ -151,10 +149,7 @@ class Chains:
 
     def take(self, sites: slice | np.ndarray) -> Chains:
         """Those of some sites."""
-        rho = self.rho if isinstance(self.rho, float) else self.rho[sites]
-        return replace(
-            self, p=self.p[sites], flux=self.flux[sites], slope=self.slope[sites], value=self.value[sites], rho=rho
-        )
+        return replace(self, p=self.p[sites], flux=self.flux[sites], slope=self.slope[sites], value=self.value[sites])
 
 
 def joined(parts: Sequence[tuple[np.ndarray, Chains]], sites: int) -> Chains:

@@ -81,7 +81,10 @@ class Data:
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
-        return _conductivities(self.kappa_h, spaces)
+        if is_constant(self.kappa_h):
+            return np.full(spaces.Q.dofmap.index_map.size_local, float(self.kappa_h))
+        shape = self.kappa_h.ufl_shape or (1, 1)
+        return np.trace(self.kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D and ψ (collective)."""
@@ -127,8 +130,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     f_h.x.array[:] = f_means
     check_means("f", "in the domain", f_means, spaces)
 
-    kappa_h = _projected_conductivity(spaces, kappa)
-    laws, psi_h, q_Sh = _boundary_laws(spaces, problem, psi, q_S, kappa_h)
+    laws, psi_h, q_Sh = _boundary_laws(spaces, problem, psi, q_S)
     dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, spaces.ds_dirichlet, "on Γ_D")
     neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, spaces.ds_neumann, "on Γ_N")
     near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
@@ -143,6 +145,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     sigma_lift.x.array[spaces.flux_dofs] = q_Sh * spaces.facet_measure / spaces.basis_flux
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
+    kappa_h = _projected_conductivity(spaces, kappa)
     loads = [cell_measures(spaces.Q) * f_h.x.array, spaces.neumann_measure * neumann_means]  # no ghosts
     lowest, highest = (
         total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
@@ -169,9 +172,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     )
 
 
-def _boundary_laws(
-    spaces: Spaces, problem: Problem, psi: Expr, q_S: Expr, kappa_h: Expr
-) -> tuple[BoundaryLaws, Array, Array]:
+def _boundary_laws(spaces: Spaces, problem: Problem, psi: Expr, q_S: Expr) -> tuple[BoundaryLaws, Array, Array]:
     """What holds on Γ_S, with u and κ∇u·n at the reference of each facet (collective)."""
     listed = {part for law in problem.laws for part in law.parts}
     plain = [part for part in spaces.part_names if part not in listed]
@@ -199,7 +200,7 @@ def _boundary_laws(
         weighted = _facet_means(spaces, name, weight * value, facets, ds, "on its parts")
         return np.divide(weighted, weights, out=means, where=weights > 0)
 
-    return several_laws(spaces, laws, _conductivities(kappa_h, spaces), means_of)
+    return several_laws(spaces, laws, means_of)
 
 
 def _read(law: Law, name: str, spaces: Spaces) -> dict[str, Any]:
@@ -215,14 +216,6 @@ def _read(law: Law, name: str, spaces: Spaces) -> dict[str, Any]:
         except InputError as error:
             raise InputError(f"[[law]] {name}.{key}: {error}") from None
     return read
-
-
-def _conductivities(kappa_h: Expr, spaces: Spaces) -> Array:
-    """Mean eigenvalue of κ_h on each cell of this rank."""
-    if is_constant(kappa_h):
-        return np.full(spaces.Q.dofmap.index_map.size_local, float(kappa_h))
-    shape = kappa_h.ufl_shape or (1, 1)
-    return np.trace(kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
 
 def _exact(spaces: Spaces, given: Given | None) -> Expr | None:

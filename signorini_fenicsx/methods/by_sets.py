@@ -23,7 +23,7 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
     """
     with task.watch.phase("assembly"):
         backend = task.backend(task.spaces, task.data)
-    parameters = Parameters(task.rho, task.eps, task.max_iterations, floating=_floating(task))
+    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=_floating(task))
     outcome = _from_best_start(backend, rule, parameters, task)
     if backend.precise is None or not outcome.converged:
         return outcome

@@ -12,8 +12,8 @@ Schur complement S on Γ_S. For the penalties this holds in the shifted quantiti
 (S⁻¹ + ε/|e|)⁻¹ or S + ε|e| in place of S. These matrices are symmetric and positive definite. For them, changing one
 site at a time ends after finitely many steps, if it is always the last, in a fixed order, of those that want to change
 (Murty). It also ends if all sites change whenever fewer want to change than ever before, and one at a time otherwise
-(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on. For laws
-with several corners both hold as well, if a site that changes alone moves by one segment.
+(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on. Both
+hold as well for laws with several corners, where a site moves by one segment at a time.
 """
 
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Kinds, SiteConditions
 from signorini_fenicsx.methods.history import History, OnStep, Outcome, reached
-from signorini_fenicsx.methods.set_rules import SetRule, Ties
+from signorini_fenicsx.methods.set_rules import Present, SetRule
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class Parameters:
     """Parameters of an iteration.
 
     Attributes:
-        rho: ρ > 0 of the rule; None for that of the law.
+        rho: ρ > 0 of the rule.
         eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
         tie: A value below this share of its scale is rounding.
         floating: |e| per site if there is no Γ_D, so that some site must hold u; otherwise None.
     """
 
-    rho: float | None = None
+    rho: float = 1.0
     eps: float = 1.0
     max_iterations: int = 50
     tie: float = TIE
@@ -135,8 +135,8 @@ def _wanted[I: Pairs](
     p, flux = iterate.p, iterate.flux
     if solved_with is None and rule.forgets_start:
         p, flux = np.zeros_like(p), np.zeros_like(flux)
-    ties = Ties(parameters.tie * scales[0], parameters.tie * scales[1], segment)
-    following = rule.following(law, p, flux, parameters.rho, ties)
+    present = Present(segment, parameters.tie * scales[0], parameters.tie * scales[1])
+    following = rule.following(law, p, flux, parameters.rho, present)
     if parameters.floating is not None and not law.plain:
         following = _held(law, following, iterate, parameters.floating, backend.comm)
     return law.conditions(following)
@@ -213,14 +213,11 @@ class _Safeguard[I: Pairs]:
         return wanted if all_may else self._one_changed(conditions, wanted, self._places)
 
     def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
-        """Conditions with one site moved by one segment towards what it wants (collective).
-
-        It is the last one, in an order that does not depend on the ranks.
-        """
+        """Conditions with one site changed: the last by its place, an order that does not depend on the ranks."""
         changing = [(*places[i], i) for i in np.flatnonzero(conditions.differ(wanted))]
         *place, index = max(changing, default=(-1,))
         last = max(self.backend.comm.allgather(place))
         segment = self.law.segments(conditions)
         if place and place == last:
-            segment[index] += np.sign(self.law.segments(wanted)[index] - segment[index])
+            segment[index] = self.law.segments(wanted)[index]
         return self.law.conditions(segment)

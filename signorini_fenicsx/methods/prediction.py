@@ -20,8 +20,12 @@ from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSegments
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import sampled
-from signorini_fenicsx.methods.set_rules import SetRule
+from signorini_fenicsx.methods.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Coarser
+
+
+NOTHING = -1.0
+"""Size of p or σ·n below which it is rounding: nothing is."""
 
 
 @dataclass(frozen=True)
@@ -30,14 +34,14 @@ class Prediction:
 
     Attributes:
         rule: The algorithm.
-        rho: Its ρ, None for that of the law.
+        rho: Its ρ.
         eps: Its ε.
         coarser: Makes coarser meshes; None if there are none.
         tuning: Has the sizes from which a prediction is worth its cost.
     """
 
     rule: SetRule
-    rho: float | None
+    rho: float
     eps: float
     coarser: Coarser | None
     tuning: Tuning
@@ -46,9 +50,11 @@ class Prediction:
         """The law of each site, changed by the penalty if there is one."""
         return self.rule.law(chains, self.eps)
 
-    def wanted(self, law: Chains, p: Array, flux: Array) -> SiteConditions:
-        """The next conditions by the rule, from p and σ·n per site."""
-        return law.conditions(self.rule.following(law, p, flux, self.rho))
+    def wanted(self, law: Chains, conditions: SiteConditions, p: Array, flux: Array) -> SiteConditions:
+        """The next conditions by the rule, from p and σ·n per site under these conditions."""
+        return law.conditions(
+            self.rule.following(law, p, flux, self.rho, Present(law.segments(conditions), -1.0, -1.0))
+        )
 
     def is_worth_it(self, spaces: Spaces) -> bool:
         """Whether the problem is so large that a prediction saves more than it costs."""
@@ -109,7 +115,7 @@ class Prediction:
         changed: list[int] = []
         while len(changed) < 3 or changed[-1] < changed[-3]:
             watch = _Watch(self, law, conditions, comm)
-            wanted = self.wanted(law, *backend.solve_until(conditions, watch))
+            wanted = self.wanted(law, conditions, *backend.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
             if changed[-1] == 0:
                 return conditions, len(changed) - 1
@@ -139,7 +145,7 @@ class Prediction:
             return wanted
         for _ in range(self.tuning.patch_steps):
             conditions = wanted
-            wanted = self.wanted(law, *solve(conditions))
+            wanted = self.wanted(law, conditions, *solve(conditions))
             if wanted.changes([conditions], spaces.mesh.comm)[0] == 0:
                 break
         return wanted
@@ -154,7 +160,7 @@ class _Watch:
 
     def __call__(self, p: Array, flux: Array) -> bool:
         """Look at the next iterate; return whether to stop (collective)."""
-        wanted, tuning = self._prediction.wanted(self._law, p, flux), self._prediction.tuning
+        wanted, tuning = self._prediction.wanted(self._law, self._conditions, p, flux), self._prediction.tuning
         changing, moved = wanted.changes([self._conditions, self._last], self._comm).tolist()
         self._last = wanted
         self._steady = self._steady + 1 if moved <= tuning.leeway * changing else 0

@@ -9,8 +9,8 @@ iterates.
 
 *Other laws.* The Signorini law has one corner, at ψ and q_S, and a rule says on which side of it a site continues. A
 law with several corners is a chain of segments (see `discrete/chains.py`). The same rule is asked at each corner, with
-p and σ·n measured from there, and a site goes to the segment behind all corners that it has passed. The rules of
-Algorithms 1 and 2 look at w = ρp − σ·n, which grows along the chain, and differ only where w is that of a corner.
+p and σ·n measured from there, and a site moves towards the segment behind all corners that it has passed, by one
+segment in a step. Then as before only signs matter: with longer moves the sets would often cycle, and ρ would matter.
 """
 
 from __future__ import annotations
@@ -37,16 +37,14 @@ class SetRule:
         forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
         penalty: Its penalty law, which gives β on ROBIN sites; None for the multiplier formulations.
         clip: Maps conditions and σ·n to the sites where σ·n is set to 0 after the solve (Step 3); None for no clip.
-        scales_flux: Whether ρ multiplies σ·n, not p.
     """
 
     start: Condition
-    rule: Callable[[Array, Array, Array | float], Kinds]
+    rule: Callable[[Array, Array, float], Kinds]
     contact: Condition = Condition.ZERO_TRACE
     forgets_start: bool = False
     penalty: Penalty | None = None
     clip: Callable[[Kinds, Array], Mask] | None = None
-    scales_flux: bool = False
 
     def law(self, chains: Chains, eps: float) -> Chains:
         """The law that the sites get in the end: with a penalty, that of the penalty."""
@@ -56,46 +54,36 @@ class SetRule:
         """The segment of each site in the start solve (Step 1)."""
         return law.beside_reference(steep=self.start == self.contact)
 
-    def following(self, law: Chains, p: Array, flux: Array, rho: float | None, ties: Ties | None = None) -> Kinds:
-        """The segment of each site that the rule makes of p and σ·n (Step 2).
-
-        Args:
-            law: The law of each site.
-            p: Trace per site.
-            flux: σ·n per site.
-            rho: ρ, None for that of the law.
-            ties: What is rounding.
-        """
-        scale = 1 / law.rho if self.scales_flux else law.rho
+    def following(self, law: Chains, p: Array, flux: Array, rho: float, present: Present | None = None) -> Kinds:
+        """The next segment of each site by the rule, from p and σ·n per site (Step 2)."""
         segment = np.zeros(len(p), dtype=np.int8)
         for corner in range(law.corners):
             trace, excess = p - law.p[:, corner], flux - law.flux[:, corner]
-            tied = np.zeros(len(p), dtype=bool) if ties is None else ties.at(trace, excess)
-            trace, excess = np.where(tied, 0.0, trace), np.where(tied, 0.0, excess)
-            passed = self.rule(trace, excess, rho or scale) != self.contact
-            if ties is not None and ties.segment is not None:
-                passed = np.where(tied, ties.segment > corner, passed)
-            segment += passed
-        return segment
+            if present is None:
+                segment += self.rule(trace, excess, rho) != self.contact
+                continue
+            tied = (np.abs(trace) <= present.trace) & (np.abs(excess) <= present.flux)
+            passed = self.rule(np.where(tied, 0.0, trace), np.where(tied, 0.0, excess), rho) != self.contact
+            segment += passed if present.segment is None else np.where(tied, present.segment > corner, passed)
+        if present is None or present.segment is None:
+            return segment
+        return present.segment + np.sign(segment - present.segment)
 
 
 @dataclass(frozen=True)
-class Ties:
-    """Where p and σ·n are both rounding beside a corner, a site stays on its side of it.
+class Present:
+    """What the rule has to know of the present iterate besides p and σ·n.
 
     Attributes:
-        trace: What is rounding in p, per site.
-        flux: What is rounding in σ·n.
-        segment: The present segment of each site; None at the start, which is no decision: then a tie is p = σ·n = 0.
+        segment: The segment of each site; a site where p and σ·n are rounding beside a corner stays on its side of it.
+            None after the algorithm's own start, which is no decision: then a tie counts as p = σ·n = 0.
+        trace: What is rounding in p, per site or for all.
+        flux: What is rounding in σ·n, per site or for all.
     """
 
-    trace: Array
-    flux: Array
     segment: Kinds | None
-
-    def at(self, trace: Array, flux: Array) -> Mask:
-        """Where these are ties."""
-        return (np.abs(trace) <= self.trace) & (np.abs(flux) <= self.flux)
+    trace: Array | float = 0.0
+    flux: Array | float = 0.0
 
 
 def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:
@@ -109,7 +97,7 @@ def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:
 #   Step 5     Repeat from Step 2 until the sets repeat.
 
 
-def rule_1(p: Array, flux: Array, rho: Array | float) -> Kinds:
+def rule_1(p: Array, flux: Array, rho: float) -> Kinds:
     """Step 2: a site is active, that is NO_FLUX, if σ·n − ρp < 0; ties are in contact."""
     return _either(flux - rho * p < 0, Condition.NO_FLUX, Condition.ZERO_TRACE)
 
@@ -124,12 +112,12 @@ ALGORITHM_1 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_1)
 #   Step 5     Repeat from Step 2 until the sets repeat.
 
 
-def rule_2(p: Array, flux: Array, rho: Array | float) -> Kinds:
+def rule_2(p: Array, flux: Array, rho: float) -> Kinds:
     """Step 2: a site is active, that is ZERO_TRACE, if p − ρσ·n < 0; ties are open."""
     return _either(p - rho * flux < 0, Condition.ZERO_TRACE, Condition.NO_FLUX)
 
 
-ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2, scales_flux=True)
+ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2)
 
 
 # Algorithm 3, for the penalty formulation (MPε-I)_h, (25): σ·n = [p]_-/ε.
@@ -139,7 +127,7 @@ ALGORITHM_2 = SetRule(start=Condition.NO_FLUX, forgets_start=True, rule=rule_2, 
 #   Step 4  Repeat from Step 2 until the sets repeat.
 
 
-def rule_3(p: Array, flux: Array, rho: Array | float) -> Kinds:
+def rule_3(p: Array, flux: Array, rho: float) -> Kinds:
     """Step 2: a site is active, that is NO_FLUX, if p > 0; ties are penalised."""
     return _either(p > 0, Condition.NO_FLUX, Condition.ROBIN)
 
@@ -158,7 +146,7 @@ ALGORITHM_3 = SetRule(start=Condition.NO_FLUX, rule=rule_3, contact=Condition.RO
 #   Step 3  Repeat from Step 2 until the sets repeat.
 
 
-def rule_4(p: Array, flux: Array, rho: Array | float) -> Kinds:
+def rule_4(p: Array, flux: Array, rho: float) -> Kinds:
     """Step 2: a site is active, that is ZERO_TRACE, if σ·n > 0; ties are penalised."""
     return _either(flux > 0, Condition.ZERO_TRACE, Condition.ROBIN)
 

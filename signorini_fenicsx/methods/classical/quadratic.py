@@ -83,7 +83,7 @@ def quadratic_programme(task: Task) -> Outcome:
     sigma_h.x.array[:] += data.sigma_lift.x.array
     iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h)
     law = data.laws.chains
-    conditions = law.conditions(ALGORITHM_2.following(law, p, flux, None))
+    conditions = law.conditions(ALGORITHM_2.following(law, p, flux, 1.0))
 
     recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
     recorder.add(iterate, conditions)
