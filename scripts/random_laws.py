@@ -2,8 +2,8 @@
 
 uv run python scripts/random_laws.py --seeds 300
 
-Each seed draws what `random_problems.py` draws, and a law for each part of Γ_S: Signorini, friction, two-sided bounds, a
-wall, a regulator or a random monotone graph, with data that vary along the part. Some have no Γ_D.
+Each seed draws what `random_problems.py` draws, and a law for each part of Γ_S: Signorini, friction, two-sided bounds,
+a wall, a regulator or a random monotone graph, with data that vary along the part. Some have no Γ_D.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -111,7 +111,9 @@ def examine(seed: int) -> Result | None:
     except (NumericalFailure, InputError):
         difference = np.nan
     else:
-        difference = max(distance(found.sigma, expected.sigma), distance(found.p, expected.p))
+        size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (found.p, found.u))
+        apart = float(np.abs(found.p.x.array - expected.p.x.array).max(initial=0.0))
+        difference = max(distance(found.sigma, expected.sigma), apart / size if size > 0 else 0.0)
     return Result(words, found.outcome.reason, max(vars(found.kkt).values()), difference)
 
 

@@ -140,4 +140,4 @@ def _refuse(what: str, size: Array, means: Mapping[str, Array], spaces: Spaces, 
     size_there, place = max(comm.allgather(worst))
     if place:
         at = ", ".join(f"{x:.4g}" for x in place)
-        raise InputError(f"[[law]] {what}, as on the facet around ({at}), by {size_there:.3g}")
+        raise InputError(f"[[law]] {what}, as on the facet at ({at}), by {size_there:.3g}")

@@ -23,7 +23,6 @@ from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.methods.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Coarser
 
-
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
 
@@ -52,9 +51,8 @@ class Prediction:
 
     def wanted(self, law: Chains, conditions: SiteConditions, p: Array, flux: Array) -> SiteConditions:
         """The next conditions by the rule, from p and σ·n per site under these conditions."""
-        return law.conditions(
-            self.rule.following(law, p, flux, self.rho, Present(law.segments(conditions), -1.0, -1.0))
-        )
+        present = Present(law.segments(conditions), NOTHING, NOTHING)
+        return law.conditions(self.rule.following(law, p, flux, self.rho, present))
 
     def is_worth_it(self, spaces: Spaces) -> bool:
         """Whether the problem is so large that a prediction saves more than it costs."""

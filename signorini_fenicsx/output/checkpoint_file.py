@@ -152,6 +152,8 @@ class Checkpoint:
         if self.case is not None:
             return [*self.case.boundary.signorini, *self.case.law_parts]
         assert self.about.given is not None
+        if "laws" in self.about.given.missing:
+            return self.about.part_names
         return [*self.about.given.signorini, *(part for law in self.about.given.laws for part in law["parts"])]
 
     @property
