@@ -1,4 +1,4 @@
-"""What adaptive refinement saves: unknowns and seconds to the certified error of each uniform mesh.
+"""Gain of adaptive refinement: unknowns and seconds that it needs for the certified error of each uniform mesh.
 
 Usage: python scripts/adaptive_gain.py [MAX_CELLS [CASE …]]
 
@@ -8,8 +8,9 @@ mesh the table gives its certified relative error, then unknowns and seconds of
 - uniform: this mesh, the seconds of all meshes up to it, and those of this mesh alone,
 - adaptive: the first adaptive mesh with at most this error, and the seconds of all meshes up to it,
 
-and the ratios: unknowns, seconds over seconds, and seconds of the uniform mesh alone over all adaptive ones. All starts
-are warm, and a first run on small meshes, not counted, compiles the forms.
+and the ratios: of the unknowns, of the seconds, and of the seconds of the uniform mesh alone to those of all adaptive
+meshes. Each mesh starts from the contact set of the mesh before. A first run on small meshes compiles the forms and
+does not count.
 """
 
 import sys

@@ -1,8 +1,8 @@
-"""This program against what one could use instead: one table, one picture.
+"""Compares the speed of this program with alternatives: one table, one picture.
 
-Each competitor runs in a process of its own, reads the same mesh file, and counts only if its KKT residual and its flux
-error are right. Runs are interleaved; medians and extremes are given. Seconds are those of the solver, from the mesh to
-the fields: without the mesh and without the final KKT check.
+Each competitor runs in a separate process and reads the same mesh file. Its time counts only if its KKT residual and
+its flux error are right. Runs are interleaved; medians and extremes are given. Seconds are those of the solver, from
+the mesh to the fields, without making the mesh and without the final KKT check.
 
     uv run --group bench python scripts/benchmark.py            # long: the saddle points take most of it
     uv run --group bench python scripts/benchmark.py --quick
@@ -26,6 +26,7 @@ from rich.table import Table
 
 from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
 
 WORKERS = Path(__file__).with_name("benchmark")
@@ -41,9 +42,9 @@ SKFEM, NGSOLVE = "scikit-fem + PyAMG, P1", "NGSolve, P1"
 METHODS = (OURS, ALONE, FRESH, REUSE, SNESVI, SKFEM, NGSOLVE, KNOWN)
 ON_TWO_RANKS = (OURS, KNOWN)
 FACTORED_UP_TO = {"transition": 1.5e6, "transition3d": 2.2e5}
-"""Cells up to which a factorisation of the saddle point fits into the memory of a common machine."""
+"""Largest number of cells for which a factorisation of the saddle point fits into the memory of a common machine."""
 RUN_ONCE_FROM = 30.0
-"""Seconds from which a run is not repeated."""
+"""Runs that take longer than this many seconds are not repeated."""
 TARGETS = {  # least cells: a / ours, b / ours, ours / f
     "transition": {130_000: (25, 6, 1.5), 1_000_000: (40, 10, 1.5)},
     "transition3d": {80_000: (20, 9, 2.0), 500_000: (60, 20, 2.0)},
@@ -85,7 +86,7 @@ def main(
     case: Annotated[str | None, typer.Option(help="transition or transition3d; both if not given.")] = None,
     output: Annotated[Path, typer.Option(help="Folder of the table and the picture.")] = Path("results/benchmark"),
 ) -> None:
-    """Run all competitors on all meshes and show who needs how long."""
+    """Run all competitors on all meshes and print their times."""
     rows: list[Row] = []
     sizes = QUICK if quick else FULL
     output.mkdir(parents=True, exist_ok=True)
@@ -122,7 +123,7 @@ def write_mesh(case: str, h: str, path: Path) -> int:
     settings = load_case(case).with_values({"geometry.mesh": "structured", "solve.h": h})
     grid = SHAPES[settings.geometry.shape].grid
     assert grid is not None
-    points, cells = grid(settings.solve.h, "right")
+    points, cells = grid(settings.solve.h, "right", Share())
     np.savez(path, points=points, cells=cells)
     return len(cells)
 
@@ -175,7 +176,7 @@ def summarise(case: str, method: str, ranks: int, results: list[dict]) -> Row:
 
 
 def check(rows: list[Row]) -> None:
-    """Make sure that all have solved the problem: the same cells, small residuals, the right flux.
+    """Make sure that all competitors have solved the problem: the same cells, small residuals, the right flux.
 
     Raises:
         RuntimeError: If one has not.
@@ -225,7 +226,7 @@ def table(rows: list[Row]) -> Table:
 
 
 def targets(rows: list[Row]) -> Table:
-    """The ratios that matter, on the smallest mesh of each class of sizes."""
+    """The main ratios, on the smallest mesh of each class of sizes."""
     result = Table(title="Ratios of solver time; ~ extrapolated by a power law", title_justify="left")
     for name in (
         "mesh",

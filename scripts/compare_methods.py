@@ -46,7 +46,7 @@ STYLES = ("o-", "s--", "^:", "v-.")
 
 
 def complain(method: str, failure: NumericalFailure) -> None:
-    """Say which method failed and why."""
+    """Print which method failed and why."""
     if COMM.rank == 0:
         print(f"{method} failed: {failure}")
 
@@ -62,7 +62,7 @@ def show(rows: list[MethodRow]) -> None:
 
 
 def summarise(rows: dict[int, list[MethodRow]]) -> None:
-    """Print what the figure shows, and for each method its largest distance from Algorithm 1."""
+    """Print the values of the figure, and for each method its largest distance from Algorithm 1."""
     if COMM.rank == 0:
         title = "geometric means over the examples, h ≤ " + " / ".join(f"2^-{level}" for level in rows)
         table = Table("method", *PANELS, "distance", title=title)
@@ -104,7 +104,7 @@ def main() -> None:
     options = parser.parse_args()
     first, last = (int(level) for level in options.levels.split(":"))
 
-    for method in METHODS:  # compiles the forms, which no time should contain
+    for method in METHODS:  # compiles the forms, so that no time contains this
         solve_case(load_case("example1").with_values({"solve.algorithm": method, "solve.h": 0.25}))
     rows: dict[int, list[MethodRow]] = {level: [] for level in range(first, last + 1)}
     for example in options.examples.split(","):

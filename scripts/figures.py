@@ -1,4 +1,4 @@
-"""Draw the slides' tables and figures from a folder that `scripts/reproduce.py` has filled; no PDE code is needed.
+"""Draws the tables and figures of the slides from the results of `scripts/reproduce.py`, without any PDE code.
 
 Usage: python scripts/figures.py [FOLDER]      (default: results/reproduction)
 
@@ -36,7 +36,7 @@ STYLE = {
 }
 SLIDES = {"alg1": "Algorithm 1", "alg2": "Algorithm 2", "alg3": "Algorithm 3", "alg4": "Algorithm 4"}
 QUANTILE = 0.99
-"""Colours of |σ_h| end here, so that a corner does not spoil them."""
+"""The colour scale of |σ_h| ends here, because a corner may have much larger values."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class KeptRun:
     Attributes:
         folder: Its folder.
         parameters: All keys of its case, dotted.
-        seconds: What it took.
+        seconds: Its wall time.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class KeptRun:
         return str(self.parameters["solve.algorithm"])
 
     def rows(self, name: str) -> list[dict[str, float]]:
-        """A CSV file of numbers; what is empty is not a number."""
+        """A CSV file of numbers, with NaN for empty cells."""
         with (self.folder / name).open(newline="", encoding="utf-8") as file:
             return [{key: float(value or "nan") for key, value in row.items()} for row in csv.DictReader(file)]
 
@@ -86,7 +86,7 @@ def as_html(text: str) -> str:
 
 
 def settings(runs: list[KeptRun]) -> str:
-    """Algorithms, h and ε of some runs, and what studies vary."""
+    """Algorithms, h and ε of some runs, and the parameters that studies vary."""
     words = [" and ".join(sorted({SLIDES[run.algorithm] for run in runs}))]
     studies = [run for run in runs if (run.folder / "convergence.csv").exists()]
     if not studies:
@@ -118,7 +118,7 @@ def read_runs(folder: Path, names: list[str]) -> list[KeptRun]:
 
 
 def draw_region(runs: list[KeptRun]) -> Figure:
-    """Figure 1: a smooth domain whose boundary is part Γ_D, part Γ_S."""
+    """Figure 1: a smooth domain whose boundary consists of Γ_D and Γ_S."""
     t = np.linspace(0, 2 * np.pi, 400)
     r = 1 + 0.12 * np.cos(2 * t + 0.4) + 0.08 * np.sin(3 * t)
     x, y = 1.5 * r * np.cos(t), r * np.sin(t)
@@ -172,7 +172,7 @@ TRACES = {"u": ("$u_h$", "C0"), "flux": (r"$\sigma_h\cdot n$", "C3"), "p": ("$p_
 
 
 def draw_traces(runs: list[KeptRun]) -> Figure:
-    """u_h, σ_h·n and p_h along Γ_S: a row per part, a column per quantity."""
+    """u_h, σ_h·n and p_h along Γ_S: one row per part, one column per quantity."""
     arrays = runs[0].solution()
     names = arrays["about"]["part_names"]
     labels = [arrays["about"]["parts"][name] for name in names]
@@ -187,7 +187,7 @@ def draw_traces(runs: list[KeptRun]) -> Figure:
 
 
 def draw_penalty_traces(runs: list[KeptRun]) -> Figure:
-    """u_εh, σ_εh·n and p_εh together: a row per ε, a column per part of Γ_S."""
+    """u_εh, σ_εh·n and p_εh together: one row per ε, one column per part of Γ_S."""
     solutions = [(run.parameters["solve.eps"], run.solution()) for run in runs]
     names = solutions[0][1]["about"]["part_names"]
     figure = Figure(figsize=(5.4 * len(names), 3.2 * len(solutions)), layout="constrained")
@@ -212,7 +212,7 @@ def _coordinate(label: str) -> str:
 
 
 def _legend_below(figure: Figure, axes: Axes, renamed: dict[str, str] | None = None, columns: int = 3) -> None:
-    """One legend for all panels, under them, where it covers nothing."""
+    """One legend below all panels, where it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()
     for old, new in (renamed or {}).items():
         labels = [label.replace(old, new) for label in labels]
@@ -226,7 +226,7 @@ def _trace(axes: Axes, arrays: dict[str, Any], part: int, key: str, color: str, 
 
 
 def draw_iterations(runs: list[KeptRun]) -> Figure:
-    """‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q, a panel per algorithm."""
+    """‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q, one panel per algorithm."""
     figure = Figure(figsize=(4.6 * len(runs), 3.4), layout="constrained")
     panels = figure.subplots(1, len(runs), squeeze=False)[0]
     for number, (axes, run) in enumerate(zip(panels, runs, strict=True)):
@@ -297,7 +297,7 @@ COLUMNS = {
 
 
 def table_rows(run: KeptRun, slides: dict[str, dict[str, float]]) -> list[list[str]]:
-    """The lines of a table: our errors and orders, and the slides' beside them."""
+    """The lines of a table: our errors and orders, and those of the slides."""
     lines = []
     for row in run.rows("convergence.csv"):
         theirs, before = slides.get(f"{row['level']:g}", {}), slides.get(f"{row['level'] - 1:g}", {})
@@ -313,7 +313,7 @@ def table_rows(run: KeptRun, slides: dict[str, dict[str, float]]) -> list[list[s
 
 
 def make(folder: Path, names: Sequence[str] | None = None) -> None:
-    """Draw what `reproduction.json` lists, or some of it, and the page that shows all of it."""
+    """Draw the items of `reproduction.json`, or some of them, and the page that shows all of them."""
     with mpl.rc_context(STYLE):
         _make(folder, names)
 

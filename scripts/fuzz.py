@@ -1,11 +1,12 @@
-"""Break inputs of all kinds, give each to a process of its own, and print a table of what came out.
+"""Breaks inputs of all kinds, runs the program on each in a separate process, and prints a table of the results.
 
     uv run python scripts/fuzz.py --count 2000 [--seed 0] [--kind mesh --kind geo] [--ranks 2]
     uv run python scripts/fuzz.py --only mesh17 [--seed 0]      # that input again; its folder is kept
 
 Each input is run in a folder with files of the user. It must be solved (0), fail (1) or be refused (2) with one
-sentence, and whatever it is, nothing may crash, hang, write outside the output folder or lose a file: the columns on
-the right, explained in `fuzzing/judge.py`, are all 0, or the exit status is 1. Seed, kind and number make the input.
+sentence. For no input may the program crash, hang, write outside the output folder or lose a file. The columns on the
+right, explained in `fuzzing/judge.py`, count such events; if one of them is not 0, the exit status is 1. Seed, kind and
+number determine the input.
 """
 
 import argparse
@@ -25,7 +26,7 @@ KINDS = ("case", "option", "expression", "mesh", "geo", "checkpoint", "study")
 
 
 def main() -> None:
-    """Run all, print what was bad at once and the table at the end."""
+    """Run all inputs; print each bad outcome at once, and the table at the end."""
     options = _options()
     begin_again()
     pencil = Path(tempfile.mkdtemp(prefix="signorini-fuzz-"))
@@ -66,7 +67,7 @@ class Fuzz:
         self._counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
 
     def run(self, kind: str, index: int, keep: bool = False) -> None:
-        """Make an input and start it; its verdict comes later."""
+        """Make an input and start its run, which is judged later."""
         name = f"{kind}{index}"
         root = self._pencil / name
         rng = random.Random(f"{self._seed}/{name}")
@@ -99,7 +100,7 @@ class Fuzz:
             print("    " + detail.replace("\n", "\n    "), flush=True)
 
     def replay(self, name: str) -> None:
-        """Run one input alone, show all that it said, and keep its folder."""
+        """Run one input alone, show all its output, and keep its folder."""
         kind = name.rstrip("0123456789")
         self.run(kind, int(name.removeprefix(kind)), keep=True)
         self.runner.finish()

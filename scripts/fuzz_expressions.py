@@ -1,6 +1,6 @@
-"""Random texts for the expression parser: nothing but UFL or a clean refusal may come out, and soon.
+"""Random texts for the expression parser: each must soon give UFL or a clean refusal.
 
-The trees of valid ones are enclosed over random boxes: no value or derivative in a point may lie outside.
+The trees of valid texts are enclosed over random boxes: no value or derivative in a point may be outside the enclosure.
 
 uv run python scripts/fuzz_expressions.py --minutes 10 --seed 1
 """
@@ -33,7 +33,7 @@ from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.meshing import build_domain
 
 SECONDS = 2.0
-"""CPU time that a text may take."""
+"""Largest CPU time for a text."""
 NAMES = ["x", "y", "z", "pi"]
 FUNCTIONS = ["sin", "cos", "tan", "tanh", "atan2", "exp", "log", "sqrt", "abs", "min", "max"]
 NUMBERS = ["0", "1", "2", "-1", "1/2", "0.5", "1e308", "1e-308", "1e999", "9" * 400, "31", "-0.0", "1_0", "0xF", "7j"]
@@ -77,7 +77,7 @@ def soup(rng: random.Random) -> str:
 
 
 def damaged(rng: random.Random) -> str:
-    """A valid expression with some characters lost, doubled, swapped or strange."""
+    """A valid expression with some characters removed, doubled, swapped or replaced by strange ones."""
     text = list(valid(rng, 6))
     for _ in range(rng.randint(1, 3)):
         i = rng.randrange(len(text))
@@ -107,12 +107,12 @@ def numbers(rng: random.Random) -> str:
 
 
 def strange(rng: random.Random) -> str:
-    """Any code points."""
+    """Random code points."""
     return "".join(chr(rng.choice([rng.randrange(128), rng.randrange(0x110000)])) for _ in range(rng.randint(0, 40)))
 
 
 def long(rng: random.Random) -> str:
-    """Around and far above the allowed length."""
+    """Texts of about the allowed length, and much longer ones."""
     return rng.choice(["x+", "(", "1", "x ", "sin(", " "]) * rng.choice([400, 1000, 10_000, 1_000_000]) + "x"
 
 
@@ -129,14 +129,14 @@ KINDS: list[Callable[[random.Random], str]] = [
 
 
 def texts(seed: int) -> Iterator[str]:
-    """An endless sequence of texts, `long` ones being rare."""
+    """An endless sequence of texts; those of `long` are rare."""
     rng = random.Random(seed)
     while True:
         yield rng.choices(KINDS, weights=[6, 6, 6, 3, 3, 3, 0.2, 1])[0](rng)
 
 
 def outcome(text: str, x: ufl.SpatialCoordinate) -> str:
-    """What became of a text: "UFL" or "refused".
+    """Read a text; return "UFL" or "refused".
 
     Raises:
         AssertionError: If it was anything else, or took too long.
@@ -163,7 +163,7 @@ def outcome(text: str, x: ufl.SpatialCoordinate) -> str:
 
 
 def check_enclosures(seed: int) -> bool:
-    """Whether a random tree, which the seed decides, is enclosed over most of some random boxes.
+    """Whether the random tree of a seed has enclosures over most of some random boxes.
 
     Raises:
         AssertionError: If a value or a derivative in a point, computed with 64 bits, is outside.
@@ -176,7 +176,7 @@ def check_enclosures(seed: int) -> bool:
         return False
     boxes = 40
     centres = rng.uniform(-2, 2, (2, boxes))
-    centres[:, ::5] = np.round(centres[:, ::5])  # where things are 0 and boxes touch branches
+    centres[:, ::5] = np.round(centres[:, ::5])  # where values are 0 and boxes touch branches
     sizes = 10 ** rng.uniform(-6, 0.5, boxes)
     lo, hi = (centres + sign * sizes * rng.integers(0, 2, (2, boxes)) for sign in (-1, 1))
     value, gradient = interval_and_gradient(tree, {"x": Interval(lo[0], hi[0]), "y": Interval(lo[1], hi[1])})
@@ -185,13 +185,13 @@ def check_enclosures(seed: int) -> bool:
     points = np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None]).astype(np.longdouble)
     values, gradients = values_and_gradient(tree, {"x": points[0], "y": points[1]})
     for found, enclosure in [(values, value), (gradients[..., 0], gradient[0]), (gradients[..., 1], gradient[1])]:
-        outside = (found < enclosure.lo) | (found > enclosure.hi)  # not so if one of them is NaN
+        outside = (found < enclosure.lo) | (found > enclosure.hi)  # False if one of them is NaN
         assert not outside.any(), f"outside of the enclosure of {text!r}"
     return bool(value.finite.mean() > 0.5)
 
 
 def main() -> None:
-    """Fuzz for some minutes and print what came out; ends with a traceback at the first failure."""
+    """Fuzz for some minutes and print the counts; ends with a traceback at the first failure."""
     arguments = argparse.ArgumentParser(description=main.__doc__)
     arguments.add_argument("--minutes", type=float, default=10)
     arguments.add_argument("--seed", type=int, default=1)

@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/gallery.md: u of each shipped case on a coarse mesh, small enough to be committed.
+"""Draws the pictures of docs/gallery.md: u of each shipped case on a coarse mesh, in small files.
 
 Usage: python scripts/gallery.py [CASE …]
 """
@@ -15,7 +15,7 @@ from signorini_fenicsx.meshes.shapes import SHAPES
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
-"""The diameter of a shape over h."""
+"""The diameter of a shape divided by h."""
 WIDTH = 900
 
 

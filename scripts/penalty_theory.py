@@ -1,4 +1,4 @@
-"""Examine the slides' statements on the penalty formulations numerically: the bounds (27), (28) and "I ⇔ II".
+"""Tests the statements of the slides on the penalty formulations numerically: the bounds (27), (28) and "I ⇔ II".
 
 Usage: python scripts/penalty_theory.py [LEVEL]
 
@@ -6,7 +6,7 @@ For examples 4 to 6 on meshes h ≤ 2^-2 … 2^-LEVEL (default 5) and ε = 1 …
 
 - bound I:  (‖σ‖_V + ‖u‖_Q + ‖[p]_-‖_Λ/√ε + ‖p‖_Λ) / ‖f_h‖_Q, which (27) says is bounded in h and ε,
 - bound II: (‖σ‖_V + ‖u‖_Q + ‖[σ·n]_-‖_Λ/√ε) / ‖f_h‖_Q, which (28) says is bounded,
-- I − II:   ‖σ_I − σ_II‖_V / ‖σ_I‖_V, how far the two formulations are from each other,
+- I − II:   ‖σ_I − σ_II‖_V / ‖σ_I‖_V, the distance between the two formulations,
 - sign I, sign II: ‖[p]_-‖_Λ/ε and ‖[σ·n]_-‖_Λ/ε, bounded if the signs of proposition 3 hold up to O(ε).
 """
 
@@ -25,7 +25,7 @@ from signorini_fenicsx.solving.solution import Solution
 
 
 def bound(solution: Solution, violation: float, *, with_trace: bool) -> float:
-    """Left side of (27) or (28) over ‖f_h‖."""
+    """Left side of (27) or (28) divided by ‖f_h‖."""
     norms = solution.norms()
     left = np.hypot(norms["sigma_L2"], norms["div_sigma_L2"]) + norms["u_L2"]
     left += violation / np.sqrt(case_of(solution).solve.eps) + with_trace * norms["p_L2"]

@@ -1,11 +1,11 @@
-"""The certified bound on random problems, against solutions on the mesh refined twice: how sharp, and never too low.
+"""Tests the certified bound on random problems against solutions on the mesh refined twice: sharp, and never too low.
 
 uv run python scripts/random_bounds.py --seeds 100 --jumps aligned        (also under mpirun)
 
-A seed draws shape, mesh and boundary parts as `random_problems.py` does, at times without Γ_D, smooth or rough f, and
-waves for u_D ≥ ψ, ψ, q_S and g_N. κ is 1 (`none`), or jumps between 1 and 1e6: between coarse cells (`aligned`), or
-also within them (`across`). A row has ‖σ_f − σ_h‖ with σ_f from the finer mesh, and the ratio of the bound to it. Where
-this is below 1, the finer mesh's own bound tells whether σ_f is not good enough or the bound too low.
+A seed chooses shape, mesh and boundary parts as `random_problems.py` does, sometimes without Γ_D, a smooth or rough f,
+and waves for u_D ≥ ψ, ψ, q_S and g_N. κ is 1 (`none`), or jumps between 1 and 1e6: between coarse cells (`aligned`), or
+also within them (`across`). A row has ‖σ_f − σ_h‖ with σ_f from the finer mesh, and the ratio of the bound to it. If
+this ratio is below 1, the bound of the finer mesh decides whether σ_f is not accurate enough or the bound is too low.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -46,13 +46,13 @@ JUMPS = ("none", "aligned", "across")
 
 @dataclass(frozen=True)
 class Row:
-    """What a seed gave.
+    """The result of a seed.
 
     Attributes:
-        problem: In words.
+        problem: The problem in words.
         difference: ‖σ_f − σ_h‖ in the energy norm.
         bound: The bound of ‖σ − σ_h‖.
-        wrong: Whether the bound is proved to be too low, by the finer mesh's own bound.
+        wrong: Whether the bound of the finer mesh proves that the bound is too low.
     """
 
     problem: str
@@ -62,12 +62,12 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Bound over error."""
+        """The bound divided by the error."""
         return self.bound / self.difference
 
 
 class Wave:
-    """sin(k·x + a) on any mesh; numbers are constants of forms, which so are compiled once for all seeds."""
+    """sin(k·x + a) on any mesh; numbers are constants, so that forms are compiled once for all seeds."""
 
     def __init__(self, rng: np.random.Generator, size: float, amplitude: float = 1.0):
         self._k, self._a, self._amplitude = rng.uniform(1, 10, 3) / size, rng.uniform(0, 6), amplitude
@@ -121,11 +121,11 @@ def in_cells(function: fem.Function, source: Domain, domain: Domain) -> fem.Func
 
 
 def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Domain, Callable[[Domain], Problem]]:
-    """A case, its mesh, the same refined twice, and the data on each (collective)."""
+    """A case, its mesh, the mesh refined twice, and the data on both (collective)."""
     rng = np.random.default_rng(seed)
     case = random_case(rng)
     if SHAPES[str(case.geometry.shape)].dim == 3:
-        case = case.with_values({"solve.h": 1.5 * case.solve.h})  # 64 times the cells come on top
+        case = case.with_values({"solve.h": 1.5 * case.solve.h})  # refinement makes 64 times the cells
     pulled = bool(rng.random() < 0.2)
     coarse = mesh_case(case, comm)
     if pulled:
@@ -166,7 +166,7 @@ def difference(coarse: Solution, fine: Solution) -> float:
 
 
 def main() -> int:
-    """Print a row per seed and the ratios' median and maximum; 1 if a bound is too low."""
+    """Print a row per seed, and median and maximum of the ratios; return 1 if a bound is too low."""
     arguments = argparse.ArgumentParser(description=main.__doc__)
     arguments.add_argument("--seeds", type=int, default=100)
     arguments.add_argument("--first", type=int, default=0)

@@ -1,10 +1,10 @@
-"""Random problems against an independent solver: all converge or fall back, pass the KKT conditions and agree with it.
+"""Tests random problems against an independent solver: all must converge, satisfy the KKT conditions and agree with it.
 
 uv run python scripts/random_problems.py --seeds 300
 
 Each seed draws a shape, a mesh (structured, unstructured, or stretched and sheared), boundary parts, smooth or rough
-data, κ with jumps of up to 1e6, an algorithm and a backend. Algorithms 1 and 2 are held against SNESVI, Algorithms 3
-and 4 against SNES on the block system with the same ε.
+data, κ with jumps of up to 1e6, an algorithm and a backend. Algorithms 1 and 2 are compared with SNESVI, Algorithms 3
+and 4 with SNES on the block system with the same ε.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -33,20 +33,20 @@ from signorini_fenicsx.solving.solver import solve
 type Array = npt.NDArray[np.float64]
 
 AGREE = 1e-7
-"""Relative difference of p and σ that rounding may make."""
+"""Largest relative difference of p and σ by rounding."""
 SIZES = {"square": 0.2, "lshape": 0.4, "half_disk": 0.3, "annulus": 0.4, "cube": 0.6, "lprism": 0.9, "ball": 0.9}
 REFERENCES = {"alg1": "vi", "alg2": "vi", "alg3": "snes1", "alg4": "snes2"}
 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a seed.
+    """The result of a seed.
 
     Attributes:
         problem: The problem in words.
         ending: Why the algorithm ended.
         kkt: Largest KKT residual.
-        difference: Largest relative difference of p or σ from the reference; NaN if that one failed.
+        difference: Largest relative difference of p or σ from the reference; NaN if the reference failed.
     """
 
     problem: str
@@ -56,7 +56,7 @@ class Result:
 
     @property
     def good(self) -> bool:
-        """Whether it is a solution, and that of the reference where there is one."""
+        """Whether it is a solution, and equal to the reference if there is one."""
         return self.ending.startswith("the facet sets repeat") and self.kkt <= KKT and not self.difference > AGREE
 
 
@@ -112,7 +112,7 @@ def random_case(rng: np.random.Generator) -> Case:
 
 
 def distort(rng: np.random.Generator, domain: Domain) -> bool:
-    """Stretch and shear four meshes of ten; whether this one."""
+    """Stretch and shear four of ten meshes; return whether this one was."""
     x = domain.mesh.geometry.x
     bad = bool(rng.random() < 0.4)
     if bad:
@@ -122,7 +122,7 @@ def distort(rng: np.random.Generator, domain: Domain) -> bool:
 
 
 def random_data(rng: np.random.Generator, domain: Domain, contrast: float, *, rough: bool) -> Problem:
-    """Data of order 1 on a mesh of any extent: κ jumps between 1 and its contrast, f is a wave or noise."""
+    """Data of order 1 on a mesh of any size: κ jumps between 1 and its contrast, f is a wave or noise."""
     size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
 
     def wave() -> Wave:
@@ -171,7 +171,7 @@ def distance(found: fem.Function, expected: fem.Function) -> float:
 
 
 def main() -> int:
-    """Examine the seeds and print each problem that is not as it should be; 1 if there is one."""
+    """Examine the seeds and print each problem with a wrong result; return 1 if there is one."""
     arguments = argparse.ArgumentParser(description=main.__doc__)
     arguments.add_argument("--seeds", type=int, default=300)
     arguments.add_argument("--first", type=int, default=0)

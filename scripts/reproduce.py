@@ -1,10 +1,10 @@
-"""Make the slides' tables and figures again: run the declared studies as far as needed, then draw.
+"""Makes the tables and figures of the slides again: runs the declared studies as far as needed, then draws.
 
 Usage: [mpirun -n N] python scripts/reproduce.py [--quick] [--output FOLDER] ITEM...
 
-ITEM is table1 … table6, figure1 … figure22 or all. Each is a selection of the runs of a study in `data/studies/`; runs
-that several items share, or that an earlier call has finished, are done once. `--quick` takes coarse meshes. What it
-leaves, `results/reproduction/index.html` among it, can be drawn again with `scripts/figures.py` alone.
+ITEM is table1 … table6, figure1 … figure22 or all. Each is a selection of the runs of a study in `data/studies/`. Runs
+that several items share, or that an earlier call has finished, are done once. `--quick` uses coarse meshes.
+`scripts/figures.py` alone can draw the results again, including `results/reproduction/index.html`.
 """
 
 import argparse
@@ -37,8 +37,8 @@ class Item:
 
     Attributes:
         draw: Key of `figures.DRAWN`, or "table".
-        caption: What it shows, in words.
-        studies: Declared studies that hold its runs.
+        caption: Its contents in words.
+        studies: Declared studies with its runs.
         where: Parameters that select them.
     """
 
@@ -48,7 +48,7 @@ class Item:
     where: dict[str, object] = field(default_factory=dict)
 
     def selects(self, run: Run) -> bool:
-        """Whether a run of its studies is one of its own."""
+        """Whether a run of its studies belongs to this item."""
         return all(run.parameters[key] == value for key, value in self.where.items())
 
 
@@ -105,7 +105,7 @@ def items() -> dict[str, Item]:
 
 
 def runs_of(item: Item, *, quick: bool) -> list[Run]:
-    """The runs that an item is made of."""
+    """The runs of an item."""
     runs = [run for name in item.studies for run in load_study(name)[1] if item.selects(run)]
     return [coarser(run) for run in runs] if quick else runs
 
@@ -135,7 +135,7 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
 
 
 def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], folder: Path, *, quick: bool) -> None:
-    """Write `reproduction.json`, which says what the figures are made of, and draw the wanted ones (rank 0)."""
+    """Write `reproduction.json`, which lists the runs of the figures, and draw the wanted figures (rank 0)."""
     import figures
 
     option = " --quick" if quick else ""
@@ -162,7 +162,7 @@ def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], folder: Path, *, q
 
 
 def _slides(item: Item) -> dict[str, dict[str, float]]:
-    """The slides' errors per level, as they print them."""
+    """The errors of the slides per level, as printed there."""
     errors = slides_errors(str(item.where["case"]), str(item.where["solve.algorithm"]))
     return {str(level): {"sigma_V": sigma, "u_Q": u} for level, (sigma, u) in errors.items()}
 

@@ -1,4 +1,4 @@
-"""Whether a change of the code changed results: 60 runs recorded before and after it, and compared.
+"""Tests whether a change of the code changes results: records 60 runs before and after it and compares them.
 
 Usage: python scripts/same_results.py record FOLDER [--only WORD]    solve, a folder per run, on 1 to 3 ranks
        python scripts/same_results.py compare BEFORE AFTER           the largest relative differences; status 1 if any
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 DIRECT, ITERATIVE = 1e-12, 1e-9
-"""Largest relative difference that is rounding, of a factorisation and of anything that iterates."""
+"""Largest relative difference by rounding, for a factorisation and for iterative solvers."""
 COUNTS = ("cells", "signorini_facets", "dofs", "contact_facets", "iterations", "rough_steps", "converged")
 SMALL = 1e-3
 ITERATIVE_METHODS = {"uzawa", "psor", "qp", "vi"}
@@ -62,7 +62,7 @@ def name_of(ranks: int, case: str, algorithm: str, options: dict[str, str]) -> s
 
 
 def record(folder: Path, only: str) -> None:
-    """Solve all of it, or what has this word in its name."""
+    """Do all runs, or those with this word in their names."""
     for ranks, case, algorithm, options in runs():
         name = name_of(ranks, case, algorithm, options)
         if only not in name:
@@ -77,7 +77,7 @@ def record(folder: Path, only: str) -> None:
 
 
 def numbers(summary: dict[str, Any]) -> dict[str, float]:
-    """What must not change beyond rounding, by dotted names."""
+    """The values that may change only by rounding, by dotted names."""
     certificate = summary.get("certificate", {})
     values = {f"norms.{key}": value for key, value in summary["norms"].items()}
     values |= {f"errors.{key}": value for key, value in summary.get("errors", {}).items() if value is not None}
@@ -86,7 +86,7 @@ def numbers(summary: dict[str, Any]) -> dict[str, float]:
 
 
 def difference(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, str]:
-    """The largest relative difference of two summaries and where it is; infinite where a count differs."""
+    """The largest relative difference of two summaries and its name; infinite if a count differs."""
     for key in COUNTS:
         if before[key] != after[key]:
             return float("inf"), f"{key}: {before[key]} and {after[key]}"
@@ -107,7 +107,7 @@ def allowed(summary: dict[str, Any]) -> float:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print the differences of all runs, the largest last; 1 if one is too large or a run is missing."""
+    """Print the differences of all runs, the largest last; return 1 if one is too large or a run is missing."""
     rows, bad = [], 0
     for run in runs():
         name = name_of(*run)

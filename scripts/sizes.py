@@ -1,6 +1,6 @@
-"""Refuse modules and functions that are too long to be read: `python scripts/sizes.py`, a part of CI.
+"""Refuses modules and functions that are too long: `python scripts/sizes.py`, a part of CI.
 
-A function is counted without its docstring.
+The docstring of a function does not count.
 """
 
 import ast
@@ -16,7 +16,7 @@ FUNCTION = 60
 
 
 def too_long(root: Path) -> Iterator[str]:
-    """What is longer than that in the repository at `root`, a sentence each."""
+    """One sentence for each module and function in the repository at `root` that is too long."""
     for folder, most in MODULE.items():
         for path in sorted((root / folder).rglob("*.py")):
             name, text = path.relative_to(root), path.read_text(encoding="utf-8")

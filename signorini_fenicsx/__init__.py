@@ -2,7 +2,7 @@
 
 A problem:
 
-- `domain_of(mesh, parts)` is a mesh of one's own as a `Domain`; `Boundary` says which of its parts are Γ_S and Γ_N;
+- `domain_of(mesh, parts)` makes a `Domain` of your own mesh; `Boundary` names its parts that are Γ_S and Γ_N;
 - `Problem` holds the data f, κ, u_D, g_N, ψ, q_S;
 - `load_case` reads a case file, or a shipped case by its name.
 
@@ -11,28 +11,28 @@ Solving it:
 - `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
   values at points, fluxes through parts, `plot`, `write`;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
-- `compare` sets two solutions side by side;
+- `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.
 
-How it is solved, and what one may replace:
+Algorithms and backends, and how to replace them:
 
 - `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
-- `SetRule`, `Method` with `Task`, `Outcome` and `Step`: an algorithm of one's own;
-- `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: a
-  discretisation of one's own.
+- `SetRule`, `Method` with `Task`, `Outcome` and `Step`: your own algorithm;
+- `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: your
+  own discretisation.
 
-What cannot be is an `InputError`, a run without a solution a `NumericalFailure`. Examples are in
+Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`. For examples see
 `help(signorini_fenicsx.api)`; the command line is `signorini`.
 """
 
 from signorini_fenicsx.base.mpi_first import keep_order
 
-TYPE_CHECKING = False  # for those who check types it is not; typing's own takes longer to import than all of this
+TYPE_CHECKING = False  # type checkers take it as True; importing it from typing would take longer than this module
 if TYPE_CHECKING:
     from signorini_fenicsx.api import *  # noqa: F403 - all of `__all__` but the version
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "METHODS",
@@ -74,7 +74,7 @@ keep_order()
 
 
 def __getattr__(name: str) -> object:
-    """Load the names of `signorini_fenicsx.api` when one is used: DOLFINx takes a second."""
+    """Load the names of `signorini_fenicsx.api` when one is used, because DOLFINx takes a second to import."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from signorini_fenicsx import api

@@ -1,4 +1,4 @@
-"""Signorini problems from Python: a mesh and UFL of one's own, own set rules, own discretisations.
+"""Signorini problems from Python: your own mesh and UFL, your own set rules and discretisations.
 
 >>> import dolfinx.mesh, numpy as np, ufl
 >>> from mpi4py import MPI
@@ -19,25 +19,25 @@ case file, UFL on the mesh, functions of a finite element space or of points, se
 >>> certify(solution).relative < 0.3
 True
 
-A solution can be asked for values at points and for fluxes, shows itself in a notebook and writes the files of the
-command line; its docstring says more:
+A solution gives values at points and fluxes, writes the files of the command line and draws itself in a notebook. See
+the docstring of `Solution`:
 
 >>> solution.at([[0.5, 0.25]]).sigma.shape, round(solution.flux_through("bottom"), 3)
 ((1, 2), 0.706)
 
-`adapt` refines where this bound says that the error is. It wants a function that solves on a mesh of the domain, so
-data in UFL are written on that mesh:
+`adapt` refines where this bound finds the error. It needs a function that solves the problem on a given mesh of the
+domain; UFL data must be written on that mesh:
 
 >>> def solve_on(domain, start):
 ...     x = ufl.SpatialCoordinate(domain.mesh)
 ...     return solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), psi=0.1 * x[0] - 0.05), start=start)
 >>> finer, certificate = adapt(domain, solve_on, max_cells=500)
 
-`load_solution` reads a solution that was written, `compare` sets two of them side by side, and
+`load_solution` reads a solution that was written, `compare` compares two solutions, and
 `solve_case(load_case("example1"))` solves a case file. On several ranks Python's garbage collector should be off, see
 `collect_garbage`; `solve` and the other functions here keep it off while they run.
 
-An algorithm of one's own is a start and a rule; here Algorithm 1, in words:
+Your own algorithm is a start and a rule; here Algorithm 1 as an example:
 
 >>> def rule(p, flux, rho):
 ...     return np.where(flux > rho * p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
@@ -46,8 +46,8 @@ An algorithm of one's own is a start and a rule; here Algorithm 1, in words:
 >>> bool(np.array_equal(other.contact_set().inside, solution.contact_set().inside))
 True
 
-A discretisation of one's own is a `Backend`: an object that solves one linear problem under given conditions on its
-sites. With `FacetBackend` it needs a name, a size and a solve. A method of one's own is a `Method`, whose `run` gets a
+Your own discretisation is a `Backend`: an object that solves one linear problem under given conditions on its sites.
+With `FacetBackend` it needs `name`, `dofs`, `solver` and `solve`. Your own method is a `Method`, whose `run` gets a
 `Task` and returns an `Outcome`. All of them are options: `Options(algorithm=…, backend=…)`.
 """
 

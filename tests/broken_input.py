@@ -1,4 +1,4 @@
-"""Case files and meshes broken at random, from a seed: as users break them, and as nobody would."""
+"""Case files and meshes that are broken at random, from a seed, in likely and unlikely ways."""
 
 import random
 import re

@@ -1,4 +1,4 @@
-"""The command line in tests: in the processes of the test, which saves their start, or as a shell starts it."""
+"""The command line in tests: inside the processes of the test, which saves time, or in new processes."""
 
 import contextlib
 import csv
@@ -20,9 +20,9 @@ type Ended = subprocess.CompletedProcess[str]
 
 
 def signorini(folder: Path, *arguments: str) -> Ended:
-    """Run `signorini` on the ranks of the test, as if in a folder; not with options of PETSc, which has its own by now.
+    """Run `signorini` on the ranks of the test, as if in a folder (collective).
 
-    Collective; what rank 0 has said is returned on all ranks.
+    PETSc options are not possible, because PETSc is initialised already. The output of rank 0 is returned on all ranks.
     """
     out, err = io.StringIO(), io.StringIO()
     COMM.Barrier()
@@ -40,7 +40,7 @@ def signorini(folder: Path, *arguments: str) -> Ended:
 
 
 def launched(folder: Path, *arguments: str, ranks: int = 1) -> Ended:
-    """Run `signorini` in processes of its own."""
+    """Run `signorini` in new processes."""
     return run(folder, "signorini", *arguments, ranks=ranks)
 
 

@@ -1,4 +1,4 @@
-"""What a confined process can do."""
+"""A module that tries what a confined process can do."""
 
 import ctypes
 import os
@@ -17,7 +17,7 @@ LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def clone3() -> None:
-    """Ask for a new process in the newest way."""
+    """Start a process by clone3, the newest call."""
     arguments = (ctypes.c_uint64 * 11)()
     arguments[4] = signal.SIGCHLD
     if LIBC.syscall(ctypes.c_long(435), ctypes.byref(arguments), ctypes.c_long(88)) < 0:
@@ -39,7 +39,7 @@ def thread() -> None:
 
 
 def attempts(folder: Path) -> dict[str, Callable[[], object]]:
-    """All that is forbidden; the parent is the process that must not be hurt."""
+    """All forbidden actions; the parent is the process that they must not harm."""
     there, new = folder / "there", folder / "new"
     return {
         "system": lambda: os.system(f"touch {new}") and os.wait(),
@@ -73,7 +73,7 @@ def attempts(folder: Path) -> dict[str, Callable[[], object]]:
 
 
 def main(arguments: list[str], result: BinaryIO) -> None:
-    """Do something that a limit ends, or try all that is forbidden and write what was not refused."""
+    """Do something that a limit ends, or try all forbidden actions and write those that were not refused."""
     what, folder = arguments[0], Path(arguments[1])
     if what == "sleep":
         time.sleep(1000)

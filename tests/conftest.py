@@ -1,4 +1,4 @@
-"""Shared by all tests: cases on coarse meshes, a folder that all ranks agree on."""
+"""Fixtures and hooks of all tests: cases on coarse meshes, a folder that is the same on all ranks."""
 
 import gc
 import os
@@ -19,14 +19,14 @@ LAUNCHES = pytest.StashKey[Launches]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let the processes of a launch run what their parent has chosen, slow or not."""
+    """Let the processes of a launch run the tests that their parent has chosen, slow or not."""
     if IS_CHILD:
         config.option.markexpr = ""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test for several numbers of ranks the largest, up to USUAL_RANKS, runs by default; the others are slow."""
+    """Mark tests for several numbers of ranks as slow, except with the largest number up to USUAL_RANKS."""
     for item in items:
         marker = item.get_closest_marker("parallel")
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
@@ -36,20 +36,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Plan one launch for each number of ranks; modules that stay need not be looked at between tests."""
+    """Plan one launch for each number of ranks, and freeze modules, so that the collector skips them between tests."""
     session.stash[LAUNCHES] = Launches(session.items)
     gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_setup(item: pytest.Function) -> None:
-    """Where mpi-pytest would launch mpirun for a single test, take the result of the common launch."""
+    """Use the result of the common launch where mpi-pytest would launch mpirun for a single test."""
     if not IS_CHILD and MPI.COMM_WORLD.size == 1 and number_of_ranks(item) > 1:
         item.obj = lambda **fixtures: item.session.stash[LAUNCHES].check(item)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """In a launch, tell the parent process what came out."""
+    """In a launch, report results to the parent process."""
     if IS_CHILD:
         tell_parent(report)
 

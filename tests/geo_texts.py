@@ -1,4 +1,4 @@
-"""Texts of `.geo` files: usual ones, which mesh, and hostile ones, which are refused; these touch a file `hacked`."""
+"""Texts of `.geo` files: usual ones, which Gmsh meshes, and hostile ones, which must be refused; they write hacked."""
 
 SQUARE = """Point(1) = {0, 0, 0, 0.3}; Point(2) = {1, 0, 0, 0.3}; Point(3) = {1, 1, 0, 0.3}; Point(4) = {0, 1, 0, 0.3};
 Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1};
@@ -88,7 +88,7 @@ Physical Surface("boundary") = Abs(Boundary{ Volume{5}; }); Physical Volume("v")
 }
 
 CALL = ' "touch hacked";'
-"""What follows the name of a command."""
+"""Text after the name of a command."""
 
 HOSTILE = [
     "Curve Loop(1) = {2147483648:n};",

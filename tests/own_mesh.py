@@ -1,4 +1,4 @@
-"""Domains made of given points and cells, whose facets are told apart by their midpoints."""
+"""Domains made of given points and cells; midpoints of facets define Γ_S."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ type Mask = npt.NDArray[np.bool_]
 def own_domain(
     comm: MPI.Comm, points: npt.ArrayLike, cells: npt.ArrayLike, signorini: Callable[[Array], Mask]
 ) -> Domain:
-    """A domain whose boundary is Γ_S, called "bottom", where the midpoints (3, n) of facets say so (collective)."""
+    """A domain with Γ_S, called "bottom", made of the facets chosen by midpoints of shape (3, n) (collective)."""
     points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
     dim = points.shape[1]
     own = comm.rank == 0

@@ -1,4 +1,4 @@
-"""Refinement that keeps the domain and does not know the number of ranks, and adaptive runs with the best rate."""
+"""Refinement keeps the domain and does not depend on the number of ranks; adaptive runs have the best rate."""
 
 import itertools
 import json
@@ -42,7 +42,7 @@ def refined(comm: MPI.Comm, shape: str, mesh: str, h: float, times: int) -> Doma
 
 @pytest.mark.parallel([1, 3])
 def test_refined_meshes_fill_the_domain():
-    """No gap and no overlap, parts complete, curved boundaries met, cells of decent shape."""
+    """No gaps and no overlaps, complete parts, vertices on curved boundaries, cells of good shape."""
     for shape, mesh, h in [
         ("lshape", "structured", 0.8),
         ("half_disk", "unstructured", 0.5),
@@ -72,7 +72,7 @@ def test_refined_meshes_fill_the_domain():
 
 @pytest.mark.parallel([3])
 def test_refinement_does_not_depend_on_the_ranks():
-    """The same cells, also where edges of equal length compete to be bisected."""
+    """The cells are the same on any number of ranks, also where edges have equal length."""
     for shape, mesh, h in [
         ("square", "structured", 0.5),
         ("cube", "structured", 0.9),
@@ -90,7 +90,7 @@ def test_refinement_does_not_depend_on_the_ranks():
 
 @pytest.mark.parallel([1, 3])
 def test_dorfler():
-    """The smallest set with the wanted part, but for ties, which are taken together."""
+    """The smallest set with the wanted share; ties are marked together."""
     rng = np.random.default_rng(COMM.rank)
     indicator = rng.uniform(0, 1, 50 + COMM.rank) ** 3
     everything = np.concatenate(COMM.allgather(indicator))
@@ -106,7 +106,7 @@ def test_dorfler():
 
 
 def test_a_cell_that_would_be_flattened_is_a_failure():
-    """Six cells are too few for an annulus: the midpoints of the inner triangle's edges have too far to go."""
+    """Six cells are too few for an annulus: the midpoints on the inner triangle would have to move too far."""
     angles = np.linspace(0, 2 * np.pi, 4)[:3]
     ring = np.column_stack([np.cos(angles), np.sin(angles)])
     points = np.concatenate([0.5 * ring, ring])
@@ -162,7 +162,7 @@ def test_adaptive_runs_do_not_depend_on_the_ranks():
 
 
 def test_all_algorithms_and_the_end():
-    """Every algorithm refines down to the target and not beyond."""
+    """Every algorithm refines until the target is reached and then stops."""
     for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "vi"):
         case = load_case("example4").with_values({"solve.h": 0.4, "solve.algorithm": algorithm})
         rows: list[AdaptRow] = []

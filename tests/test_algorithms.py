@@ -27,7 +27,7 @@ def test_algorithm_1():
 
 
 def test_algorithm_2():
-    """The same but for ties, which are open."""
+    """As for Algorithm 1, but ties are open."""
     np.testing.assert_array_equal(rule_2(P, FLUX, 1.0), [NO_FLUX, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
 
 

@@ -1,4 +1,4 @@
-"""The Python interface: its examples, data of all kinds, refusals, and a discretisation of one's own."""
+"""The Python interface: its examples, data of all kinds, refusals, and a user's discretisation."""
 
 import doctest
 from collections.abc import Callable, Mapping
@@ -68,7 +68,7 @@ def test_examples():
 
 @pytest.mark.parallel([1, 2])
 def test_kinds_of_data(folder: Path):
-    """Numbers, UFL, functions of points, finite element functions and values per region say the same."""
+    """Numbers, UFL, functions of points, finite element functions and values per region give the same result."""
     mesh, parts = square()
     x = ufl.SpatialCoordinate(mesh)
     quadratic = fem.Function(fem.functionspace(mesh, ("Lagrange", 2)))
@@ -104,7 +104,7 @@ def test_kinds_of_data(folder: Path):
 
 @pytest.mark.parallel([1, 3])
 def test_functions_of_points_choose_parts_and_ghosts_do_not_matter():
-    """The solution goes back to a mesh with ghosts cell by cell, since these are the same on the same ranks."""
+    """A solution can be copied cell by cell to a mesh with ghosts, because the ranks own the same cells."""
     mesh, parts = square()
     walls = {name: WALLS[name] for name in ("bottom", "right")}
     regions = {"west": lambda x: x[0] < 0.5 + 1e-9, "east": lambda x: x[0] > 0.5 - 1e-9}
@@ -136,7 +136,7 @@ def test_functions_of_points_choose_parts_and_ghosts_do_not_matter():
 
 
 class Counting(FacetBackend):
-    """A backend of one's own: the hybrid one, counting its solves."""
+    """A user's backend: the hybrid one, which counts its solves."""
 
     name = "counting"
     solves = 0
@@ -169,7 +169,7 @@ def test_own_backend():
 
 
 def one_step(task: Task) -> Outcome:
-    """A method of one's own: contact everywhere, which is right for f < 0."""
+    """A user's method: contact everywhere, which is right for f < 0."""
     backend = task.backend(task.spaces, task.data)
     conditions = SiteConditions.everywhere(Condition.ZERO_TRACE, backend.sites)
     return Outcome(
@@ -186,7 +186,7 @@ def one_step(task: Task) -> Outcome:
 
 @pytest.mark.parallel(2)
 def test_own_method():
-    """It is judged by the KKT residuals like any other."""
+    """A user's method is judged by the KKT residuals like any other."""
     mesh, parts = square()
     domain, boundary = domain_of(mesh, parts), Boundary(["bottom"])
     options = Options(algorithm=Method("contact everywhere", "", one_step))
@@ -199,7 +199,7 @@ def test_own_method():
 
 @pytest.mark.parallel(2)
 def test_what_is_given_in_python_is_written_and_read(folder: Path):
-    """Numbers and texts are in the file; UFL is asked for in one sentence. Meshes of one's own refine and compare."""
+    """Numbers and texts are in the file; a sentence asks for UFL. Results on a user's mesh refine and compare."""
     mesh, parts = square()
     domain, boundary = domain_of(mesh, parts), Boundary(["bottom"], ["right"])
     text, x = "40*(x - 0.6)", ufl.SpatialCoordinate(mesh)
@@ -213,9 +213,9 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     assert len(again.outcome.history) <= len(solution.outcome.history)
     ufl_given = solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]]), Options(algorithm=OWN))
     write_solution(ufl_given, folder)
-    with pytest.raises(InputError, match="f: given in Python as what no file can hold; give load_solution the problem"):
+    with pytest.raises(InputError, match="f: given in Python, so not in the file; pass the problem to load_solution"):
         load_solution(folder, COMM)
-    with pytest.raises(InputError, match="the algorithm was given in Python; give load_solution the options"):
+    with pytest.raises(InputError, match="the algorithm was given in Python; pass the options to load_solution"):
         load_solution(folder, COMM, problem=solution.problem)
     read = load_solution(folder, COMM, problem=solution.problem, options=ufl_given.options)
     assert compare(read, solution).relative["sigma_V"] < 1e-5

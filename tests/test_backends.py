@@ -24,7 +24,7 @@ MULTIGRID, DIRECT = Tuning(direct_up_to=0), Tuning(direct_up_to=10**6)
 
 
 def assert_same_iterates(case: Case, tolerance: float, tuning: Tuning | None = None) -> None:
-    """Every algorithm takes the same sets and ends in the same σ, u, p with both backends (collective)."""
+    """Every algorithm has the same sets and the same final σ, u, p with both backends (collective)."""
     domain = mesh_case(case, COMM)
     for algorithm in ("alg1", "alg2", "alg3", "alg4"):
         mixed, facet = (
@@ -74,7 +74,7 @@ def test_cube_and_random_loads(folder: Path):
 
 @pytest.mark.parallel([1, 2])
 def test_multigrid_iterations_do_not_grow():
-    """CG to 1e-12 takes at most 20 iterations in 2D, on every step and mesh, wherever the sets started."""
+    """CG to 1e-12 takes at most 20 iterations in 2D, in every step and mesh, from any start of the sets."""
     examples = [("example1", "alg1"), ("example5", "alg4")]
     for (name, algorithm), h in itertools.product(examples, (1 / 8, 1 / 32, 1 / 64)[: 4 - COMM.size]):
         solution = solve_case(
@@ -87,7 +87,7 @@ def test_multigrid_iterations_do_not_grow():
 
 @pytest.mark.parallel([1, 2])
 def test_snesvi_finds_the_same():
-    """SNESVI, which shares neither rule nor loop, ends in the sets and fields of Algorithm 1."""
+    """SNESVI, which uses neither rule nor loop, finds the sets and fields of Algorithm 1."""
     for tuning, name in itertools.product((MULTIGRID, DIRECT), ("example2", "example3")):
         case = load_case(name).with_values({"solve.h": 1 / 16})
         loop = solve_case(case, COMM, tuning=tuning)
@@ -101,7 +101,7 @@ def test_snesvi_finds_the_same():
 
 @pytest.mark.parallel([1, 2])
 def test_bad_cells():
-    """Aspect ratio 20 and obtuse angles slow CG down; sets and fields stay those of the saddle point."""
+    """Aspect ratio 20 and obtuse angles slow CG down, but sets and fields are those of the saddle point."""
     tuning = Tuning(direct_up_to=0, predict_from=0)
     case = load_case("example1").with_values({"geometry.mesh": "structured", "solve.h": 1 / 32})
     domain = mesh_case(case, COMM)
@@ -119,7 +119,7 @@ def test_bad_cells():
 
 
 def test_wrong_prediction_is_corrected():
-    """From any conditions whatever Algorithm 1 ends in the same solution."""
+    """Algorithm 1 finds the same solution from any start conditions."""
     case = load_case("example1").with_values({"solve.h": 1 / 16})
     expected = solve_case(case)
     backend = HybridBackend(expected.spaces, expected.data)
@@ -132,7 +132,7 @@ def test_wrong_prediction_is_corrected():
 
 
 def test_user_options_choose_the_solver():
-    """Any KSP and PC can be asked for; one that does not solve the problem is a failure, not a result."""
+    """Any KSP and PC can be chosen; one that does not solve the problem is a failure, not a result."""
     options = PETSc.Options()
     case = load_case("example1").with_values({"solve.h": 1 / 8})
     chosen = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": "1e-13"}
@@ -153,7 +153,7 @@ def test_user_options_choose_the_solver():
 
 
 def test_an_option_with_a_prefix_is_for_some_solvers_and_nothing_stays():
-    """A bare option is for all solvers, one with a prefix wins; PETSc's database is the user's afterwards."""
+    """An option without prefix is for all solvers, one with a prefix overrides it; PETSc's database is restored."""
     options = PETSc.Options()
     case = load_case("example1").with_values({"solve.h": 1 / 8})
     chosen = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": "1e-13", "mixed_ksp_type": "preonly"}

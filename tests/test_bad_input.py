@@ -1,4 +1,4 @@
-"""Bad input on the command line: one sentence, exit status 2, nothing touched."""
+"""Bad input on the command line: one sentence, exit status 2, no file changed."""
 
 from pathlib import Path
 
@@ -82,7 +82,7 @@ BAD_INPUT = [
 
 
 def untouchable(folder: Path) -> list[Path]:
-    """Files and folders that stand in the way of a command, and that it must leave alone."""
+    """Files and folders that are in the way of a command, which must not change them."""
     (folder / "file").write_text("mine")
     (folder / "full").mkdir()
     (folder / "full" / "mine").write_text("mine")
@@ -124,7 +124,7 @@ def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
 @pytest.mark.parallel(2)
 @pytest.mark.parametrize(("arguments", "message"), [row for row in BAD_INPUT if row[1] in IN_PARALLEL])
 def test_bad_input_in_parallel(folder: Path, arguments: list[str], message: str):
-    """All ranks end with the status, whichever of them has met the reason."""
+    """All ranks end with the status, whichever rank finds the error."""
     if MPI.COMM_WORLD.rank == 0:
         untouchable(folder)
     done = signorini(folder, *arguments)

@@ -1,4 +1,4 @@
-"""Cases: the shipped ones load, and each malformed one gets a sentence that names place and reason."""
+"""Cases: the shipped ones load; for each malformed case a sentence names place and reason."""
 
 from pathlib import Path
 

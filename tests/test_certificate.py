@@ -1,4 +1,4 @@
-"""The error bound holds: on random data, for penalties and unfinished linear solves, at the seam of Γ_D and Γ_S."""
+"""The error bound is true: for random data, penalties and unfinished linear solves, and where Γ_D meets Γ_S."""
 
 import math
 from pathlib import Path
@@ -74,7 +74,7 @@ def test_random_data(seeds: range):
 
 @pytest.mark.parametrize("name", ["example2", "example5"])
 def test_sharp_at_corners(name: str):
-    """At corners, where v is worst, the bound exceeds the error by less than 9 %."""
+    """At corners, where v is least accurate, the bound exceeds the error by less than 9 %."""
     values = {"solve.h": 1 / 8, "solve.algorithm": "alg1", "geometry.mesh": "structured"}
     solution = solve_case(load_case(name).with_values(values))
     fine = solve_case(case_of(solution).with_values({"solve.h": 1 / 64}))
@@ -86,7 +86,7 @@ def test_sharp_at_corners(name: str):
 
 @pytest.mark.parametrize("algorithm", ["alg3", "alg4", "snes1", "snes2", "vi"])
 def test_penalty_solutions(algorithm: str):
-    """The bound is for the solution of the Signorini problem, so it counts the error of the penalty in."""
+    """The bound is for the solution of the Signorini problem, so it includes the error of the penalty."""
     for eps in (1.0, 1e-2, 1e-6):
         case = load_case("transition").with_values(
             {"solve.h": 1 / 8, "solve.algorithm": algorithm, "solve.eps": eps, "solve.backend": "mixed"}
@@ -99,7 +99,7 @@ def test_penalty_solutions(algorithm: str):
 
 @pytest.mark.parallel(2)
 def test_unfinished_linear_solve():
-    """What CG leaves when it is stopped early is part of the error, and of the bound."""
+    """If CG is stopped early, its error is part of the error and of the bound."""
     options = PETSc.Options()
     chosen = {"ksp_type": "cg", "pc_type": "jacobi", "ksp_norm_type": "unpreconditioned", "ksp_rtol": "1e-2"}
     for name, value in chosen.items():
@@ -119,7 +119,7 @@ def test_unfinished_linear_solve():
 
 
 def test_where_dirichlet_meets_signorini(folder: Path):
-    """Convex data that vanish at Γ_S pull their interpolant's correction below 0 there: v still has to be ≥ 0."""
+    """Convex data that vanish at Γ_S make the correction of their interpolant negative there; v must still be ≥ 0."""
     case = make_case(folder, parts=["bottom"], f="-4", h=0.3)
     for u_D in ("abs(x - 0.45)^3", "sin(9*x)^2*y + x^4"):
         case = case.with_values({"problem.u_D": u_D})

@@ -1,4 +1,4 @@
-"""Solutions kept and read again on another number of ranks, and runs that start from them."""
+"""Solutions that are written and read on another number of ranks, and runs that start from them."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ def kept(case: Case, comm: MPI.Comm, folder: Path) -> Solution:
 
 @pytest.mark.parallel([1, 3])
 def test_read_on_any_number_of_ranks(folder: Path):
-    """What all ranks write one rank reads, and the other way round, to rounding and with the same residuals."""
+    """One rank reads what all ranks write, and the reverse: equal up to rounding and with the same residuals."""
     for name, values in [
         ("example2", {"solve.algorithm": "alg1"}),
         ("example6", {"solve.algorithm": "alg4", "solve.eps": 0.5}),
@@ -59,7 +59,7 @@ def test_read_on_any_number_of_ranks(folder: Path):
 
 @pytest.mark.parallel([1, 2])
 def test_start_from_another_solution(folder: Path):
-    """Starting at the solution takes one step, from a coarser one fewer than cold; the result is the same."""
+    """A start from the solution takes one step, one from a coarser solution fewer than a cold start; same result."""
     cold_case = load_case("example2").with_values({"solve.h": 2**-5})
     cold = solve_case(cold_case, COMM)
     kept(cold_case.with_values({"solve.h": 2**-4}), COMM, folder)

@@ -1,4 +1,4 @@
-"""The classical algorithms against Algorithm 1, against each other, and against what theory says of them."""
+"""The classical algorithms against Algorithm 1, against each other, and against theory."""
 
 import itertools
 import math
@@ -52,7 +52,7 @@ def test_all_are_registered():
 
 
 def test_mixed_methods_equal_algorithm_1():
-    """The Uzawa iterations, the interior-point method and SNESVI solve (MLM-I)_h: every unknown to 1e-8."""
+    """The Uzawa iterations, the interior-point method and SNESVI solve (MLM-I)_h, every unknown up to 1e-8."""
     for name in (*(f"example{i}" for i in range(1, 7)), "transition"):
         exact = solve_case(example(name, h=1 / 4 if name == "example5" else 1 / 8), COMM)
         for method in (*MIXED, "vi"):
@@ -64,7 +64,7 @@ def test_mixed_methods_equal_algorithm_1():
 
 
 def test_primal_methods_solve_one_problem():
-    """Uzawa, over-relaxation and active sets agree; (9a) and p ≥ 0 hold, mass balance does not and says so.
+    """Uzawa, over-relaxation and active sets agree; (9a) and p ≥ 0 hold; mass balance does not, as reported.
 
     Where u_D ≠ 0, (9a) holds up to the error of u_D by its vertex values.
     """
@@ -134,7 +134,7 @@ def test_order_in_h_of_the_stabilised_form():
 
 
 def test_slimane_is_off_by_eps_u():
-    """∇·σ + f_h = εu in every cell, reported as what it is: a violated mass balance of a converged run."""
+    """∇·σ + f_h = εu in every cell; it is reported as the violated mass balance of a converged run."""
     solution = solve_case(example("example2", algorithm="slimane", eps=0.5), COMM)
     divergence = fem.Function(solution.spaces.Q)
     divergence.interpolate(fem.Expression(ufl.div(solution.sigma), solution.spaces.Q.element.interpolation_points))
@@ -165,7 +165,7 @@ def test_iterations_over_h():
 
 
 def test_no_method_is_another():
-    """Each has iterates of its own."""
+    """Each method has its own iterates."""
     case = example("example2", h=1 / 4, eps=1e-2)
     domain = mesh_case(case, COMM)
     changes = {
@@ -202,9 +202,9 @@ def test_no_load():
     ("method", "outside"), [("mixed-uzawa1", 4), ("mixed-uzawa2", 1.3), ("mixed-uzawa-h12", 1.3), ("uzawa", 4)]
 )
 def test_range_of_rho(method: str, outside: float):
-    """Inside of the reported range it converges to the same solution, far enough outside it does not and says why.
+    """For ρ inside the reported range it converges to the same solution; far outside it fails and says why.
 
-    In σ·n and λ the eigenvector of λ_max is smooth and not wholly in the contact set: a larger ρ still converges.
+    In σ·n and λ the eigenvector of λ_max is smooth and not only in the contact set, so a larger ρ still converges.
     """
     case = example("example1", algorithm=method)
     automatic = solve_case(case)
@@ -219,7 +219,7 @@ def test_range_of_rho(method: str, outside: float):
 
 @pytest.mark.parametrize("by_flux", [False, True])
 def test_range_is_that_of_all_eigenvalues(by_flux: bool):
-    """2/λ_max from power iterations is that of the whole matrix of the Dirichlet-to-Neumann map or its inverse."""
+    """2/λ_max by power iterations is that of the full matrix of the Dirichlet-to-Neumann map or its inverse."""
     solution = solve_case(example("example5", h=1 / 4, algorithm="mixed-uzawa1" if by_flux else "mixed-uzawa2"))
     spaces = solution.spaces
     system = MixedBackend(spaces, solution.data)
@@ -236,7 +236,7 @@ def test_range_is_that_of_all_eigenvalues(by_flux: bool):
 
 @pytest.mark.parallel([1, 2])
 def test_half_norm(folder: Path):
-    """R represents, the projection satisfies its variational inequality, and the clipped z is farther away."""
+    """R is the Riesz map; the projection satisfies its variational inequality; max(0, z) is farther away."""
     cube = make_case(folder, shape="cube", parts=["bottom", "left"], f="1", h=0.5)
     for case in (example("example2"), example("example6"), cube):
         spaces = solve_case(case, COMM).spaces

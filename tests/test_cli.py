@@ -130,7 +130,7 @@ def test_pictures_are_drawn(runs: dict[int, Path], ranks: int):
 
 
 def test_copies_of_another_mpirun_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """They would overwrite each other's results; one task of a launcher is nothing special."""
+    """Separate copies would overwrite each other's results; a single task of a launcher is accepted."""
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     done = launched(tmp_path, "solve", "example1", "--h", "1/4")
     assert done.returncode == 2, done.stderr
@@ -176,7 +176,7 @@ def test_rerun_replaces_results_and_keeps_foreign_files(tmp_path: Path):
 
 @pytest.mark.parametrize("failing_rank", [0, 1])
 def test_an_unexpected_error_on_one_rank_ends_all(tmp_path: Path, failing_rank: int):
-    """No rank is left waiting in a collective call, and the traceback is seen."""
+    """No rank waits forever in a collective call, and the traceback is printed."""
     script = tmp_path / "broken.py"
     script.write_text(
         "import sys\n"
@@ -211,7 +211,7 @@ def test_lists_can_be_set(tmp_path: Path):
 
 
 def test_state_with_nan_is_kept(tmp_path: Path):
-    """A solver that blows up leaves its state behind, with null where a number is not finite."""
+    """After a solver has diverged its state is kept, with null for numbers that are not finite."""
     options = ["-snes_type", "nrichardson", "-snes_max_it", "2000", "-snes_linesearch_type", "basic"]
     done = launched(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1", "--", *options)
     assert done.returncode == 1

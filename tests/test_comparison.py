@@ -1,4 +1,4 @@
-"""Distances of contact sets that are known, and comparisons that do not depend on order, mesh or ranks."""
+"""Known distances of contact sets, and comparisons that do not depend on order, mesh or ranks."""
 
 import json
 import math
@@ -51,7 +51,7 @@ def test_known_sets():
 
 @pytest.mark.parallel([1, 2])
 def test_solutions():
-    """Finer solutions are closer; order and ranks do not matter; a solution does not differ from itself."""
+    """Finer solutions are closer; order and ranks do not matter; a solution has no difference from itself."""
     case = load_case("example2")
     found = []
     for comm in (COMM, MPI.COMM_SELF):

@@ -1,4 +1,4 @@
-"""Compiled forms: what a killed process left in the cache, living ones, no compiler."""
+"""Compiled forms: files of killed processes and of living ones in the cache, and no compiler."""
 
 import fcntl
 import os
@@ -23,7 +23,7 @@ def small_form(comm: MPI.Comm) -> ufl.Form:
 
 
 def as_killed(cache: Path, age: float) -> Path:
-    """Leave the cache as a process does that is killed while it compiles its only form."""
+    """Leave the cache like a process that is killed while it compiles its only form."""
     (ready,) = cache.glob("*.c.cached")
     ready.unlink()
     for path in cache.iterdir():
@@ -59,7 +59,7 @@ def test_a_form_that_may_be_alive_is_left_alone(tmp_path: Path):
 
 @pytest.mark.parallel([1, 2])
 def test_a_form_is_loaded_once(folder: Path):
-    """Also if only some of the ranks have it already, and not for other options."""
+    """A form is kept also if only some ranks have it already, but not for other options."""
     if COMM.rank == 0:
         compiled(MPI.COMM_SELF, small_form(MPI.COMM_SELF), jit_options={"cache_dir": folder})
     COMM.Barrier()

@@ -1,4 +1,4 @@
-"""A confined process: what it cannot do, what its limits say, and that it dies with its parent."""
+"""A confined process: forbidden actions, the messages of its limits, and its end with its parent."""
 
 import os
 import platform
@@ -60,7 +60,7 @@ def test_it_dies_with_its_parent():
     while child is None and parent.poll() is None:
         child = next(iter(children(parent.pid)), None)
     assert child is not None
-    while b"confined_probe" not in Path(f"/proc/{child}/cmdline").read_bytes():  # not yet what it will be
+    while b"confined_probe" not in Path(f"/proc/{child}/cmdline").read_bytes():  # it has not started the module yet
         time.sleep(0.01)
     parent.send_signal(signal.SIGKILL)
     parent.wait()
@@ -73,7 +73,7 @@ def children(parent: int) -> list[int]:
 
 
 def gone(process: int) -> bool:
-    """Whether a process ends within ten seconds; nobody may have waited for it yet."""
+    """Whether a process ends within ten seconds, even if its parent has not waited for it."""
     for _ in range(1000):
         stat = Path(f"/proc/{process}/stat")
         if not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z":

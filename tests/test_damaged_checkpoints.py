@@ -1,4 +1,4 @@
-"""Checkpoints that are damaged, or made to break the program: each is refused in one sentence."""
+"""Checkpoints that are damaged or hostile: each is refused in one sentence."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ def arrays_of(folder: Path) -> Arrays:
 
 
 def entry(name: str, value: float) -> Callable[[Arrays], Arrays]:
-    """The first entry of an array replaced."""
+    """Replace the first entry of an array."""
 
     def change(arrays: Arrays) -> Arrays:
         array = arrays[name].copy()
@@ -48,7 +48,7 @@ def entry(name: str, value: float) -> Callable[[Arrays], Arrays]:
 
 
 def about(**values: Any) -> Callable[[Arrays], Arrays]:
-    """Some of the words replaced."""
+    """Replace some of the texts."""
     return lambda arrays: {"about": np.array(json.dumps(json.loads(str(arrays["about"])) | values))}
 
 
@@ -67,14 +67,14 @@ DAMAGE = {
     "space": (whole("points", lambda x: np.pad(x, ((0, 0), (0, 1)))), "cells has type int64 and shape"),
     "single": (whole("points", lambda x: x.astype(np.float32)), "points has type float32"),
     "narrow": (whole("cells", lambda x: x[:, :2]), "cells has type int64 and shape"),
-    "negative": (entry("cells", -1), "has a point that the file does not hold"),
-    "huge": (entry("cells", 2**63 - 1), "has a point that the file does not hold"),
+    "negative": (entry("cells", -1), "has a point that is not in the file"),
+    "huge": (entry("cells", 2**63 - 1), "has a point that is not in the file"),
     "repeated": (whole("cells", lambda x: np.repeat(x[:, :1], 3, axis=1)), "without volume"),
     "short": (whole("u", lambda x: x[:-1]), "u has type float64 and shape"),
-    "object": (whole("u", lambda x: x.astype(object)), "does not have the size that it says"),
+    "object": (whole("u", lambda x: x.astype(object)), "does not have the size that it states"),
     "vertices": (entry("facet_vertices", 10**6), "facets with values are not those of Γ_S"),
-    "condition": (entry("facet_condition", 256), "holds what is no condition"),
-    "part": (entry("part_0", 10**6), "has a point that the file does not hold"),
+    "condition": (entry("facet_condition", 256), "has a value that is no condition"),
+    "part": (entry("part_0", 10**6), "has a point that is not in the file"),
     "deep": (lambda arrays: {"about": np.array('{"a":' * 10**5)}, "recursion limit"),
     "words": (lambda arrays: {"about": np.array(3)}, "must be a section"),
     "history": (about(history=[{"x": 1}]), "missing key 'iteration'"),
@@ -102,7 +102,7 @@ def test_what_is_missing_is_told(good: Path, tmp_path: Path, missing: str):
 
 
 def test_archives_that_take_memory_are_refused(tmp_path: Path):
-    """By what they say of themselves, before anything is unpacked."""
+    """Large archives are refused by their stated sizes, before anything is unpacked."""
     path = tmp_path / FILE
     for compression, shape in [
         (zipfile.ZIP_DEFLATED, (2**20,)),
@@ -168,13 +168,13 @@ def test_the_state_of_a_failed_run_is_read(tmp_path: Path):
 
 
 def test_a_structured_lshape_keeps_its_facets(good: Path):
-    """Its grid has points in the notch, which a file does not hold."""
+    """The grid of the shape has points in the notch, which a file does not contain."""
     read = load_solution(good, COMM)
     assert read.spaces.facet_measure.sum() == pytest.approx(4)
 
 
 def test_methods_with_residuals_of_their_own(tmp_path: Path):
-    """Their solutions violate (9), which is no damage, and other changes are."""
+    """Solutions that violate (9) by their method are not damaged; other changes are damage."""
     case = load_case("example1").with_values({"solve.h": 0.25, "solve.algorithm": "primal-pdas"})
     write_solution(solve_case(case, COMM), tmp_path, fields=False)
     read = load_solution(tmp_path, COMM)

@@ -1,4 +1,4 @@
-"""Dirichlet data: affine solutions are reproduced to rounding, by every algorithm and both backends."""
+"""Dirichlet data: every algorithm and both backends reproduce affine solutions up to rounding."""
 
 import itertools
 from pathlib import Path
@@ -24,7 +24,7 @@ AFFINE = [("2 + x", (1, 0), ["bottom", "top"]), ("-y", (0, -1), ["bottom"]), ("5
 
 @pytest.mark.parallel([1, 2])
 def test_affine_solutions(folder: Path):
-    """σ_h = ∇u, the cell means u_h and the facet means p_h are exact, but for the ε of a penalty."""
+    """σ_h = ∇u, the cell means u_h and the facet means p_h are exact, except for the ε of a penalty."""
     ways = [(0, "alg1", "hybrid"), (0, "alg4", "hybrid")]
     if COMM.size == 1:
         ways += [(10**6, name, "hybrid") for name in ("alg1", "alg2", "alg3", "alg4", "snes1", "snes2", "vi")]

@@ -1,4 +1,4 @@
-"""Enclosures hold, wherever one looks, find what quadrature does not see, and are sharp where data are smooth."""
+"""Enclosures are true in all points, find what quadrature misses, and are sharp for smooth data."""
 
 import random
 from pathlib import Path
@@ -42,7 +42,7 @@ def value_of(p: Quadratic, vertices: np.ndarray, points: np.ndarray) -> np.ndarr
 @pytest.mark.parametrize("corners", [2, 3, 4])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_enclosures_hold(dim: int, corners: int):
-    """Of random expressions on random simplices: sampled values and slopes."""
+    """Sampled values and slopes of random expressions on random simplices are inside the enclosures."""
     if corners > dim + 1:
         return
     known = 0
@@ -98,7 +98,7 @@ def test_means_and_norms():
 
 
 def test_what_quadrature_does_not_see():
-    """A disc, a peak and a wave on a coarse mesh; of the wave it is said where too little is known."""
+    """A disc, a peak and a wave on a coarse mesh; for the wave the unresolved places are reported."""
     vertices = squares(5)
     area = 0.02
     zero = constant(np.zeros(50), 2)
@@ -123,7 +123,7 @@ def test_what_quadrature_does_not_see():
 
 
 def test_smooth_data_are_cheap():
-    """One box a cell, and remainders of third order; exact for quadratics, also in pieces that the mesh fits."""
+    """One box per cell, and remainders of third order; exact for quadratics, also piecewise ones that the mesh fits."""
     tree = read("40*(x-0.6) + sin(5*x)*exp(y)", "xy")
     norms = []
     for n in (8, 16):
@@ -163,7 +163,7 @@ def test_gradients_by_tolerance():
 
 @pytest.mark.parallel([1, 2])
 def test_partition_changes_nothing(folder: Path):
-    """The same for each cell and facet, also where the budget or the cap ends the bisection."""
+    """The results do not depend on the ranks, also where the budget or the cap ends the bisection."""
     case = make_case(folder, parts=["bottom"], f="1 if (x-0.4)^2 + y^2 < 0.01 else sin(300*x*y)", h=0.3)
     case = case.with_values({"problem.q_S": "-abs(x - 0.3)", "problem.kappa": [["2", "x/9"], ["x/9", "1"]]})
     spaces = build_spaces(mesh_case(case, MPI.COMM_WORLD), ["bottom"])

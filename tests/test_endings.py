@@ -1,4 +1,4 @@
-"""Ends that are not the program's choice: signals, full disks, readers that go away."""
+"""Ends from outside: signals, full disks, readers of the output that close."""
 
 import os
 import shutil
@@ -21,7 +21,7 @@ SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
 
 
 def told_to_end(monkeypatch: pytest.MonkeyPatch, module: object, name: str, call: int, number: int) -> None:
-    """Let the program get a signal in the so many-th call of a function."""
+    """Send the program a signal in a given call of a function."""
     function: Callable[..., object] = getattr(module, name)
     calls = [0]
 
@@ -83,7 +83,7 @@ def test_a_signal_before_the_loop_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
-    told_to_end(monkeypatch, solver, "project_data", 1, signal.SIGTERM)  # after Gmsh, which sets handlers of its own
+    told_to_end(monkeypatch, solver, "project_data", 1, signal.SIGTERM)  # after Gmsh, which sets its own handlers
     assert ended(monkeypatch, *SOLVE) == 1
     assert capsys.readouterr().err.strip() == "failed: interrupted by SIGTERM"
     assert list(tmp_path.iterdir()) == []
@@ -103,7 +103,7 @@ def test_a_signal_in_a_destructor_is_not_lost():
 
 
 def test_a_signal_to_the_program(tmp_path: Path):
-    """As a shell sends it: PETSc has handlers of its own. The sweeps would not end soon."""
+    """A signal as from a shell, although PETSc has its own handlers. Without it the sweeps would take long."""
     far = ("--algorithm", "psor", "--set", "problem.psi=-1e8")
     with subprocess.Popen(
         ["signorini", *SOLVE, *far], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -119,7 +119,7 @@ def test_a_signal_to_the_program(tmp_path: Path):
 
 
 def test_a_reader_that_goes_away(tmp_path: Path):
-    """The results are written all the same, and nothing is said about it."""
+    """If the reader of the output closes it, the results are written and there is no message."""
     with subprocess.Popen(
         ["signorini", *SOLVE], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as solve:
@@ -150,7 +150,7 @@ A_SMALL_DISK = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=1500k none
 
 @pytest.mark.parallel
 def test_a_disk_that_others_fill(tmp_path: Path):
-    """It is full when the fields are written, after there was room; one rank of two writes."""
+    """The disk becomes full while the fields are written; one of two ranks writes."""
     (tmp_path / "filling.py").write_text(FILLING)
     (tmp_path / "disk").mkdir()
     if shutil.which("unshare") is None or run(tmp_path, *A_SMALL_DISK, "true", ranks=1).returncode != 0:
@@ -163,7 +163,7 @@ def test_a_disk_that_others_fill(tmp_path: Path):
 
 @pytest.mark.parametrize("checked", [True, False])
 def test_a_full_disk_keeps_the_state(tmp_path: Path, checked: bool):
-    """No file may grow beyond some bytes: said before ADIOS2 begins, and also if it is ADIOS2 that fails."""
+    """With a limit on file sizes: reported before ADIOS2 begins, and also if ADIOS2 itself fails."""
     script = tmp_path / "limited.py"
     script.write_text(
         "import resource\n"

@@ -1,4 +1,4 @@
-"""Cases with a known solution: rates and bounds of the errors, and what the certificate says about them."""
+"""Cases with known solutions: rates and bounds of the errors, and their certificates."""
 
 import functools
 import itertools
@@ -22,11 +22,11 @@ COMM = MPI.COMM_WORLD
 
 @dataclass(frozen=True)
 class Expected:
-    """What a case should reach on its meshes.
+    """Expected results of a case on its meshes.
 
     Attributes:
-        u: Solution, if not the case's own.
-        f: Load, if not the case's own.
+        u: Solution; None for that of the case.
+        f: Load; None for that of the case.
         constants: Bounds of ‖σ−σ_h‖_V/h, ‖u−u_h‖/h, ‖p−p_h‖_Λ/h and ‖Π_h u−u_h‖/h².
         contact: Measure of the exact contact set, or None where it is degenerate or so flat that h is no scale for it.
         levels: Mesh sizes.
@@ -72,7 +72,7 @@ def solutions(name: str) -> list[Solution]:
 
 
 def all_errors(solution: Solution) -> dict[str, float]:
-    """‖σ−σ_h‖_V, ‖u−u_h‖, ‖p−p_h‖_Λ and the super-close ‖Π_h u−u_h‖."""
+    """‖σ−σ_h‖_V, ‖u−u_h‖, ‖p−p_h‖_Λ and ‖Π_h u−u_h‖, which superconverges."""
     errors = solution.errors()
     assert errors is not None
     Q = solution.spaces.Q
@@ -89,7 +89,7 @@ def all_errors(solution: Solution) -> dict[str, float]:
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_orders_and_bounds(name: str):
-    """Order 1, super-close order 2, and the contact set to within a facet or so."""
+    """Order 1, order 2 for the means, and the contact set to within about a facet."""
     rows = []
     for solution in solutions(name):
         mesh, h = solution.spaces.mesh, solution.spaces.domain.h
@@ -107,7 +107,7 @@ def test_orders_and_bounds(name: str):
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_certificate(name: str):
-    """The bound holds on every mesh, is sharp, and what it bounds, the sum of both errors, is the gap."""
+    """The bound is true on every mesh and sharp, and the sum of both squared errors is the gap."""
     for solution in solutions(name):
         spaces = solution.spaces
         certificate = certify(solution)

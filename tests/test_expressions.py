@@ -1,4 +1,4 @@
-"""Text to UFL: values are right, and nothing but arithmetic gets through."""
+"""Text to UFL: values are right, and only arithmetic is accepted."""
 
 import itertools
 import math
@@ -27,7 +27,7 @@ POINT = (0.3, -0.7)
 
 
 def at_point(text: str) -> float:
-    """The value in UFL, NumPy and intervals, which are the same but for rounding."""
+    """The value in UFL, NumPy and intervals, which are equal up to rounding."""
     value = float(parse_expression(text, X)(POINT))
     coordinates = dict(zip("xy", np.array(POINT)[:, None], strict=True))
     tree = read(text, "xy")
@@ -143,7 +143,7 @@ def test_not_numbers(text: str):
 
 
 def test_random_texts():
-    """What ten minutes of `scripts/fuzz_expressions.py` look for, for a moment."""
+    """The test of `scripts/fuzz_expressions.py` for a short time."""
     for text in itertools.islice(texts(seed=7), 400):
         outcome(text, X)
 
@@ -155,7 +155,7 @@ def test_messages_can_be_printed():
 
 
 def test_enclosures_hold():
-    """What `scripts/fuzz_expressions.py` does for minutes: random trees, boxes and points in them."""
+    """Random trees, boxes and points in them, as in `scripts/fuzz_expressions.py`, for a short time."""
     assert sum(check_enclosures(seed) for seed in range(150)) > 50
 
 
@@ -194,21 +194,21 @@ BOX = {"x": Interval(np.array([0.25]), np.array([0.5])), "y": Interval(np.array(
     ],
 )
 def test_ranges(text: str, lo: float, hi: float):
-    """The range itself, but for rounding; NaN where the expression may be undefined."""
+    """The interval is the range up to rounding; NaN where the expression may be undefined."""
     found = interval(read(text, "xy"), BOX)
     np.testing.assert_allclose([found.lo[0], found.hi[0]], [lo, hi], rtol=1e-14, atol=1e-14)
     assert math.isnan(lo) or found.lo[0] <= lo <= hi <= found.hi[0]
 
 
 def test_decimals_and_pi_are_enclosed():
-    """0.1 is no float: its enclosure is not one either; 0.5 and 3 are."""
+    """0.1 is not a float, so its enclosure has two different ends; 0.5 and 3 are floats."""
     for text, exact in [("0.1", False), ("1e-400", False), ("0.5", True), ("3", True), ("1_0.25", True), ("pi", False)]:
         found = interval(read(text, "xy"), BOX)
         assert (found.lo[0] == found.hi[0]) == exact
 
 
 def test_gradients():
-    """NumPy's gradients are UFL's; a box knows nothing of a jump, and of a kink both sides."""
+    """Gradients in NumPy are those of UFL; over a box a jump gives no gradient, and a kink both gradients."""
     texts = ["x^3*sin(y) + tan(x)", "exp(x)/(2 + y)", "sqrt(x)*log(x) + tanh(x*y)", "(1 + x)^y", "atan2(y, x)"]
     texts += ["max(x, y, 0) + min(x^2, y)", "abs(y)*x", "x^2 if x > y else cos(y)"]
     points = {"x": np.array([0.3, 1.2, 0.7]), "y": np.array([-0.7, 0.4, 2.0])}

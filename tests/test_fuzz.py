@@ -1,4 +1,4 @@
-"""Broken inputs of all kinds at the command line, through `scripts/fuzz.py`: see there for what is asked of them."""
+"""Broken inputs of all kinds on the command line, by `scripts/fuzz.py`, where the requirements are explained."""
 
 import sys
 from pathlib import Path
@@ -53,7 +53,7 @@ def test_verdicts_on_processes(tmp_path: Path, ending: Ending, bad: set[str]):
 
 
 def test_verdicts_on_files(tmp_path: Path):
-    """What is new outside the output, and what is gone or other, but for results that new ones replace."""
+    """New files outside the output, and files that are gone or changed, except results that new ones replace."""
     broken, out = Broken(["check", "case.toml"], ""), tmp_path / "work" / "out"
     out.mkdir(parents=True)
     (out / "summary.json").touch()

@@ -1,4 +1,4 @@
-"""General data κ, u_D, g_N, ψ, q_S: affine solutions to rounding, manufactured ones at order 1, backends alike."""
+"""General data κ, u_D, g_N, ψ, q_S: affine solutions up to rounding, others with order 1, equal backends."""
 
 import itertools
 import math
@@ -33,7 +33,7 @@ AFFINE = {
     "problem.kappa": MATRIX,
     "problem.u_D": "1 + x - y/2",
     "problem.psi": "1 - x - y/2",
-    "problem.q_S": "-11/4 if x < 1e-13 else 0",  # so near the corner that the enclosure of the mean sees no jump
+    "problem.q_S": "-11/4 if x < 1e-13 else 0",  # so near the corner that the enclosure of the mean has no jump
     "problem.g_N": "7/4",
     "boundary.neumann": ["right"],
 }
@@ -52,7 +52,7 @@ def affine_errors(solution: Solution) -> list[float]:
 
 @pytest.mark.parallel([1, 2])
 def test_affine_solutions(folder: Path):
-    """Every method reproduces an affine solution with a matrix κ and conditions of all kinds, but for its ε."""
+    """Every method reproduces an affine solution with a matrix κ and all kinds of conditions, up to its ε."""
     case = make_case(folder, parts=["left", "top"], f="0", h=0.3).with_values(AFFINE | {"solve.eps": 1e-12})
     domain = mesh_case(case, COMM)
     ways = [(0, "alg1", "hybrid"), (0, "alg3", "hybrid")]
@@ -94,7 +94,7 @@ def energy_error(solution: Solution, u: Expr) -> float:
 
 @pytest.mark.parametrize("which", [*(pytest.param(which, marks=pytest.mark.slow) for which in (0, 1)), 2])
 def test_manufactured_solutions(folder: Path, which: int):
-    """Order 1 in σ, u and p, a certified bound that holds and is sharp, and the free boundary within a facet."""
+    """Order 1 in σ, u and p, a certified bound that is true and sharp, and the free boundary within a facet."""
     case = make_case(folder, mesh="structured", parts=["bottom"], f="0", h=0.3)
     case = case.with_values({"boundary.neumann": ["right"]})
     errors = []

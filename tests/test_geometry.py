@@ -1,4 +1,4 @@
-"""Meshes: as fine as asked, boundary parts complete and disjoint, curved boundaries met by their vertices."""
+"""Meshes: the wanted h, complete and disjoint boundary parts, vertices on curved boundaries."""
 
 import dolfinx.mesh
 import numpy as np

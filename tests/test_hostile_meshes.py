@@ -94,7 +94,7 @@ REFUSED = {
     "a polygon": ("vtu", vtu(kind=7), "polygon"),
     "one coordinate": ("vtu", vtu(width=1, points="0 1 2"), r"shape \(3, 1\); 2 or 3 coordinates"),
     "four coordinates": ("vtu", vtu(width=4, points="0 " * 12), r"shape \(3, 4\); 2 or 3 coordinates"),
-    "a point that is not there": ("vtu", vtu(cells="0 1 9"), "a point that the file does not hold"),
+    "a point that is not there": ("vtu", vtu(cells="0 1 9"), "a point that is not in the file"),
     "offsets of another mesh": ("vtu", vtu(end=-5), "mesh|cannot be read|points for each|holds"),
     "xdmf: cells too wide": (
         "xdmf",
@@ -112,7 +112,7 @@ REFUSED = {
     "xdmf: one coordinate": ("xdmf", xdmf(points="0 1 2", shape="3 1"), r"shape \(3, 1\); 2 or 3 coordinates"),
     "xdmf: points in a row": ("xdmf", xdmf(shape="6"), r"shape \(6,\); 2 or 3 coordinates"),
     "xdmf: numbers missing": ("xdmf", xdmf(tags="7"), "the grid 'sides' has 1 numbers for 2 elements"),
-    "xdmf: sides out of range": ("xdmf", xdmf(sides=("0 1 1 9", "2 2")), "a point that the file does not hold"),
+    "xdmf: sides out of range": ("xdmf", xdmf(sides=("0 1 1 9", "2 2")), "a point that is not in the file"),
     "xdmf: not a number": ("xdmf", xdmf(points="0 0 1 0 0 x"), "cannot be read"),
     "xdmf: too few": ("xdmf", xdmf(points="0 0 1"), "cannot be read"),
     "xdmf: a file elsewhere": ("xdmf", hdf("/etc/passwd"), "'/etc/passwd', which is outside the folder of the mesh"),
@@ -182,7 +182,7 @@ def test_what_was_changed_is_a_mesh(tmp_path: Path, suffix: str, text: str):
 
 
 def strip(n: int, left: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Points and cells of n squares on top of each other, of n triangles on each side."""
+    """Points and cells of n squares, one above the other, each cut into two triangles."""
     low = np.stack([np.full(n + 1, left), np.linspace(y, y + 1, n + 1)], axis=1)
     points = np.concatenate([low, low + np.array([1, 0])])
     a = np.arange(n)
@@ -191,7 +191,7 @@ def strip(n: int, left: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pieces(*parts: tuple[np.ndarray, np.ndarray], join: bool = True) -> FileMesh:
-    """One mesh of several; those of their points that are equal become one."""
+    """Join several meshes into one; equal points become one point."""
     starts = np.cumsum([0] + [len(points) for points, _ in parts])
     points = np.concatenate([points for points, _ in parts])
     cells = np.concatenate([cells + start for (_, cells), start in zip(parts, starts, strict=False)])
@@ -202,7 +202,7 @@ def pieces(*parts: tuple[np.ndarray, np.ndarray], join: bool = True) -> FileMesh
 
 
 def cube(points: list[list[float]], flipped: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra from the middle over the two triangles of each face, which is split in one of two ways."""
+    """Tetrahedra from the middle to the two triangles of each face, which is split in one of two ways."""
     corners = np.array(points, dtype=float)
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     triangles = []
@@ -251,7 +251,7 @@ def test_meshes_that_are_not_joined(name: str):
 
 
 def test_a_crack_has_both_sides_in_parts():
-    """Then it is meant; with one side only, the other would silently be Γ_D."""
+    """A crack with both sides in parts is accepted; with one side only, the other would silently be Γ_D."""
     check_boundary(cracked(), {"signorini": ["left", "right"]})
     check_boundary(cracked(), {"signorini": ["left"], "neumann": ["right"]})
     with pytest.raises(InputError, match="2 facets in no part lie on other facets"):

@@ -1,4 +1,4 @@
-"""A case looked at before it is solved, output for programs, and broken case files: one sentence each."""
+"""Inspection of a case before it is solved, output for programs, and broken case files: one sentence each."""
 
 import json
 import os
@@ -21,7 +21,7 @@ from signorini_fenicsx.cli.main import main
 
 
 def test_sizes_are_those_of_the_mesh():
-    """Exact for mesh files, near for shapes; the parts have their conditions and measures."""
+    """Sizes are exact for mesh files, estimates for shapes; the parts have their conditions and measures."""
     for name, tolerance in (("dam", 0), ("electropainting", 0), ("example2", 0.25), ("cube", 0.35)):
         case = load_case(name)
         case = case if case.geometry.file else case.with_values({"solve.h": 0.2})
@@ -42,7 +42,7 @@ def test_sizes_are_those_of_the_mesh():
 
 
 def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Each is refused with one line of decent length, or is still a case."""
+    """Each is refused with one line of moderate length, or is still a case."""
     monkeypatch.chdir(tmp_path)
     rng = random.Random(7)
     said = []
@@ -58,7 +58,7 @@ def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_output_for_programs(tmp_path: Path, ranks: int):
-    """--json: one object on standard output, the summary; --quiet: nothing. Neither has colours or goes with errors."""
+    """--json prints one object, the summary; --quiet prints nothing. Errors go elsewhere, and there are no colours."""
     done = launched(tmp_path, "solve", "example1", "--h", "1/4", "--json", ranks=ranks)
     assert (done.returncode, done.stderr) == (0, "")
     summary = json.loads(done.stdout)
@@ -73,7 +73,7 @@ def test_output_for_programs(tmp_path: Path, ranks: int):
 
 
 def test_output_of_other_commands_for_programs(tmp_path: Path):
-    """Those of `export`, `convergence` and `study` are theirs: the summary, the rows with the slopes, the runs."""
+    """The objects of `export`, `convergence` and `study` are the summary, the rows with the slopes, the runs."""
     commands = {
         "export": ["r", "--output", "out"],
         "convergence": ["example1", "--levels", "1:2", "--reference", "3", "--output", "out"],
@@ -162,7 +162,7 @@ def test_shell_completion(words: str, expected: str):
 
 
 def test_quiet_is_of_one_command_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """What one command is told is not for the next one in the same process."""
+    """Options of one command do not affect the next one in the same process."""
     said = []
     for words in (["check", "dam", "-q"], ["methods"], ["version", "--json"], ["methods"]):
         monkeypatch.setattr(sys, "argv", ["signorini", *words])

@@ -98,14 +98,14 @@ def test_formats_agree(tmp_path: Path):
 
 
 def midpoints(mesh: FileMesh, name: str) -> np.ndarray:
-    """Of the facets or cells of a part or region, in an order that does not depend on their numbers."""
+    """Midpoints of the facets or cells of a part or region, in an order that does not depend on their numbers."""
     vertices = mesh.parts[name] if name in mesh.parts else mesh.cells[mesh.regions[name]]
     middle = np.round(mesh.points[vertices].mean(axis=1), 10)
     return middle[np.lexsort(middle.T)]
 
 
 def test_gmsh_versions_and_overlapping_groups(tmp_path: Path):
-    """Names survive all versions; an element may be in several groups, of which format 2.2 then lists copies."""
+    """All versions keep names; an element may be in several groups, and format 2.2 then lists copies of it."""
     import gmsh
 
     geo = tmp_path / "square.geo"
@@ -168,7 +168,7 @@ def test_a_named_shape_from_a_file_has_the_same_solution(tmp_path: Path):
 
 @pytest.mark.parallel([1, 3])
 def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
-    """Solve, keep, read on one rank, refine: facets, regions and numbers are those of one rank."""
+    """Solve, write, read on one rank, refine: facets, regions and numbers are those of one rank."""
     case = cube_case(folder)
     together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
     for one in (together, alone):
@@ -191,7 +191,7 @@ def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
 
 
 def check_cube(solution: Solution) -> None:
-    """Parts lie where they should and are complete; so are the regions."""
+    """Parts and regions are in the right places and complete."""
     domain = solution.spaces.domain
     mesh, comm = domain.mesh, domain.mesh.comm
     places = zip(("1", "2", "3", "4", "5", "6"), SHAPES["cube"].parts.values(), strict=True)
@@ -210,7 +210,7 @@ def check_cube(solution: Solution) -> None:
 
 @pytest.mark.parametrize("scale", [1e-12, pytest.param(1e12, marks=pytest.mark.slow)])
 def test_any_unit_of_length(tmp_path: Path, scale: float):
-    """Lengths scaled by 1e±12 change nothing but the lengths, in solving, comparing and refining."""
+    """Scaling lengths by 1e±12 changes only lengths, in solving, comparing and refining."""
     found = []
     for s in (1.0, scale):
         solutions = []
@@ -247,7 +247,7 @@ MESSAGES = {
     "_left_facet": "1 facet in no part",
     "_overlap": "'others' and 'bottom' share 1 facet",
     "_inside": "has 1 facet inside the domain",
-    "_nowhere": "has 1 facet that no cell has",
+    "_nowhere": "has 1 facet without a cell",
     "_no_cells": "neither triangles nor tetrahedra",
     "_floating_component": "2 components .* no Dirichlet facet",
 }
@@ -315,7 +315,7 @@ def test_a_geometry_runs_no_commands(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parallel([1, 2])
 def test_seepage_through_the_dam():
-    """Water leaves the face right above the downstream level and nowhere else, and what enters leaves."""
+    """Water leaves the face only just above the downstream level, and inflow and outflow are equal."""
     solution = solve_case(load_case("dam"), COMM)
     spaces = solution.spaces
     y = dolfinx.mesh.compute_midpoints(spaces.mesh, 1, spaces.facets)[:, 1]

@@ -1,4 +1,4 @@
-"""What is installed, and what is too long to be read."""
+"""The installed package, and the sizes of modules and functions."""
 
 import importlib.metadata
 import os
@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_every_room_is_installed():
-    """The list in pyproject.toml is complete, and the package is the only name that an installation takes."""
+    """The list in pyproject.toml is complete, and an installation adds only one name, that of the package."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         packages = tomllib.load(file)["tool"]["setuptools"]["packages"]
     folders = [path.parent.relative_to(ROOT) for path in (ROOT / "signorini_fenicsx").rglob("__init__.py")]
@@ -27,7 +27,7 @@ def test_every_room_is_installed():
 
 
 def python(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run Python as one does in a shell."""
+    """Run Python as in a shell."""
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("PMI", "HYDI", "MPI", "PYTHON"))}
     return subprocess.run(
         [sys.executable, *arguments], cwd=folder, env=plain | environment, capture_output=True, text=True, check=False
@@ -56,7 +56,7 @@ def test_names_of_the_package():
 
 
 def test_without_dolfinx(tmp_path: Path):
-    """One sentence, not a traceback; without site-packages there is none."""
+    """Without site-packages there is no DOLFINx: one sentence, not a traceback."""
     command = "from signorini_fenicsx.cli.start import main; main()"
     done = python(tmp_path, "-S", "-c", command, PYTHONPATH=str(ROOT))
     assert (done.returncode, done.stdout) == (2, "")
@@ -74,7 +74,7 @@ def test_files_that_the_documentation_names():
 
 
 def test_fractions_have_braces():
-    r"""Docutils reads 12 in \tfrac12 as one number, and takes the next sign for the denominator."""
+    r"""Docutils reads the 12 in \tfrac12 as one number, and the next character as the denominator."""
     for page in (ROOT / "docs").rglob("*.md"):
         assert re.findall(r"frac\d\d", page.read_text(encoding="utf-8")) == [], page
 

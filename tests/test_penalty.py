@@ -1,4 +1,4 @@
-"""Algorithms 3 and 4 and both SNES forms against each other, against Algorithm 1 and against the literal (25), (26)."""
+"""Algorithms 3 and 4 and both SNES forms against each other, Algorithm 1 and the residuals of (25), (26)."""
 
 import itertools
 
@@ -56,7 +56,7 @@ def test_set_algorithms_equal_newton(pairs: list[tuple[str, float]]):
 
 @pytest.mark.parallel([1, 2])
 def test_small_penalty_equals_no_penalty():
-    """At ε = 1e-10 both penalties have the norms and the contact set of Algorithm 1, to 1e-8."""
+    """At ε = 1e-10 both penalties have the norms and the contact set of Algorithm 1, up to 1e-8."""
     for name in (f"example{i}" for i in range(1, 7)):
         exact = solve_case(penalised(name, "alg1", 1.0), COMM)
         for algorithm in ("alg3", "alg4"):
@@ -67,7 +67,7 @@ def test_small_penalty_equals_no_penalty():
 
 @pytest.mark.parallel([1, 2])
 def test_solutions_satisfy_the_literal_forms():
-    """Algorithm 3 solves (25) and Algorithm 4 solves (26) as they stand, with 1/ε."""
+    """Algorithm 3 solves (25) and Algorithm 4 solves (26), with 1/ε."""
     for eps in (1.0, 1e-3):
         for algorithm, problem in (("alg3", mp_eps_1), ("alg4", mp_eps_2)):
             solution = solve_case(penalised("example4", algorithm, eps), COMM)
@@ -82,7 +82,7 @@ def test_solutions_satisfy_the_literal_forms():
 
 @pytest.mark.parallel([1, 2])
 def test_what_the_penalty_leaves():
-    """(MPε-I) keeps σ·n ≥ 0 and violates p ≥ 0 by O(ε); (MPε-II) the other way round. The law itself holds."""
+    """(MPε-I) keeps σ·n ≥ 0 and violates p ≥ 0 by O(ε); (MPε-II) the reverse. Both satisfy their laws."""
     for algorithm, violated, kept in (("alg3", "trace", "flux"), ("alg4", "flux", "trace")):
         large, small = (solve_case(penalised("example4", algorithm, eps), COMM) for eps in (1e-3, 1e-5))
         for solution in (large, small):
@@ -192,7 +192,7 @@ def test_slope_in_eps():
 
 @pytest.mark.parametrize("vary", [Vary.H, Vary.EPS_H, Vary.EPS_H2])
 def test_order_in_h(vary: Vary):
-    """Order 1 at fixed ε = 1e-8 and along ε = h²; along ε = h the error tends to zero with both."""
+    """Order 1 at fixed ε = 1e-8 and for ε = h²; for ε = h the error tends to zero too."""
     rows = convergence_study(penalised("example4", "alg4", 1e-8), vary, range(2, 5), 6)
     slopes = fitted_slopes(rows, vary)
     for name in ("sigma_V", "u_Q", "p_Lambda"):

@@ -1,4 +1,4 @@
-"""Pictures: that they are made and not blank, what they need, and the geometry behind them."""
+"""Pictures: they are made and not blank; what they import; their geometry."""
 
 import re
 import sys
@@ -43,7 +43,7 @@ except SystemExit as end:
 
 
 def scene(name: str, **values: object) -> Scene:
-    """A solved case on one rank, as pictures take it."""
+    """The scene of a solved case on one rank."""
     solution = solve_case(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
     fields, facets, boundary = gather_fields(solution), gather_facets(solution), gather_boundary(solution)
     assert fields is not None
@@ -53,7 +53,7 @@ def scene(name: str, **values: object) -> Scene:
 
 
 def draw(folder: Path, *arguments: str) -> tuple[Path, list[str]]:
-    """Solve with pictures in a process of its own; its results, and what it says of itself."""
+    """Solve with pictures in a new process; return its results and its report about itself."""
     options = ("--plot", "--html", "--quiet", "--output", "drawn")
     done = run(folder, sys.executable, "-c", PROGRAM, "solve", *arguments, *options, ranks=1)
     assert done.returncode == 0, done.stderr
@@ -74,7 +74,7 @@ def assert_drawn(results: Path):
 
 
 def test_plane(tmp_path: Path):
-    """In the plane no VTK; nothing of the process is changed."""
+    """In the plane VTK is not imported; the settings of the process do not change."""
     results, said = draw(tmp_path, "example5", "--h", "1/8")
     assert said == ["0", "False", "True", "True"]
     assert_drawn(results)
@@ -99,7 +99,7 @@ def test_dam_has_its_water():
 
 @pytest.mark.parallel([1])
 def test_field_of_the_plane():
-    """σ_h on a grid is σ_h, u at the vertices is p_h and u_D on the boundary, closed parts go by arc length."""
+    """Values on a grid are σ_h; u at the vertices is p_h and u_D on the boundary; closed parts use the arc length."""
     ring = scene("example6", h=0.25)
     x = y = np.linspace(-1.2, 1.2, 25)
     sigma = on_grid(ring.fields, x, y)
@@ -118,7 +118,7 @@ def test_field_of_the_plane():
 
 
 def _by_x(facets: FacetTable) -> FacetTable:
-    """The facets of Γ_S listed by x, as those of a mesh from a file."""
+    """The facets of Γ_S ordered by x, as for a mesh from a file."""
     order = np.argsort(facets.x[:, 0], kind="stable")
     columns = {key: values[order] for key, values in vars(facets).items()}
     return FacetTable(**columns | {"along": columns["x"][:, 0]})

@@ -26,7 +26,7 @@ ALWAYS = Tuning(direct_up_to=0, predict_from=0)
 
 @pytest.mark.parallel([1, 2])
 def test_prediction_changes_the_number_of_steps_only():
-    """Starting from a coarser mesh's sets ends in the sets and fields of a cold start, in fewer steps."""
+    """A start from the sets of a coarser mesh gives the sets and fields of a cold start, in fewer steps."""
     cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
     for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases]:
         cold = solve_case(case.with_values({"solve.predict": False}), COMM)
@@ -40,7 +40,7 @@ def test_prediction_changes_the_number_of_steps_only():
 @pytest.mark.slow
 @pytest.mark.parallel([1, 2])
 def test_rough_solves_predict_on_any_mesh(folder: Path):
-    """Without a coarser mesh rough solves alone find the sets, all but a few facets, and change no result."""
+    """Without a coarser mesh rough solves alone find the sets, except for a few facets, and the result is the same."""
     cube = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="20*(x - 0.5)", h=0.2)
     cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
     for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
@@ -71,7 +71,7 @@ def test_few_solves_at_any_size():
 
 @pytest.mark.parallel([1, 3])
 def test_patch_is_solved_and_nothing_else_changes():
-    """On the patch of two facets of one rank the equations hold, of what that rank owns; elsewhere x stays."""
+    """On a patch around two facets of one rank the equations of that rank's unknowns hold; elsewhere x stays."""
     case = load_case("example2").with_values({"solve.h": 1 / 16})
     domain = mesh_case(case, COMM)
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
@@ -99,7 +99,7 @@ def test_patch_is_solved_and_nothing_else_changes():
 @pytest.mark.slow
 @pytest.mark.parallel([1, 2])
 def test_watching_a_solve_keeps_nothing_alive():
-    """On several ranks PETSc's queue of what Python lets go loses objects, unless the iterate is let go at once."""
+    """On several ranks PETSc's garbage collection leaks memory, unless each iterate is destroyed at once."""
     case = load_case("transition").with_values({"geometry.mesh": "structured", "solve.h": 2**-7})
     mebibytes = []
     for _ in range(10):

@@ -1,4 +1,4 @@
-"""What 300 seeds of `scripts/random_problems.py` look for, on a few, and what a launch of many runs leaves behind."""
+"""A few seeds of `scripts/random_problems.py`, and objects that a launch of many runs might leave behind."""
 
 import sys
 from pathlib import Path
@@ -28,14 +28,14 @@ def test_random_problem(seed: int):
 
 
 def test_rounding_in_the_facet_system():
-    """κ from 1 to 5e5 on bad cells: the flux of the facet system is not exact enough, that of the saddle point is."""
+    """κ from 1 to 5e5 on bad cells: the flux of the facet system is too inaccurate, that of the saddle point is not."""
     result = examine(65)
     assert result.good, result
     assert "by the saddle point, because the facet system left KKT residuals above 1e-08: stationarity" in result.ending
 
 
 def test_snesvi_leaves_nothing_behind(tmp_path: Path):
-    """On two ranks all vectors are freed, in whatever phase, and with the last of them the communicator of the mesh."""
+    """On two ranks all vectors are freed, in any phase, and with the last one the communicator of the mesh."""
     done = run(tmp_path, sys.executable, "-c", MANY_RUNS, ranks=2)
     assert done.returncode == 0, done.stderr
     rows = [line.split() for line in done.stdout.splitlines() if line.split()[:1] == ["Vector"]]

@@ -1,4 +1,4 @@
-"""The slides' tables and figures from the command line, on coarse meshes."""
+"""The tables and figures of the slides from the command line, on coarse meshes."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 
 def test_reproduce_and_draw_again(tmp_path: Path):
-    """Items that share runs, under mpirun; then the pictures alone, without PDE code."""
+    """Items that share runs, under mpirun; then only the pictures, without PDE code."""
     names = ["table5", "figure1", "figure7", "figure8", "figure9"]
     for some, ranks in ((names[1:2], 1), ([names[0], *names[2:]], 2)):
         done = run(tmp_path, sys.executable, str(SCRIPTS / "reproduce.py"), "--quick", *some, ranks=ranks)

@@ -1,4 +1,4 @@
-"""Data that quadrature may miss: what is not resolved is said, and the bound takes account of it."""
+"""Data that quadrature may miss: unresolved data are reported, and the bound includes them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Results folders: nothing of the user is touched, and whenever a run is killed the old or the new result is there."""
+"""Results folders: files of the user stay, and whenever a run is killed, the old or the new result is there."""
 
 import contextlib
 import json
@@ -38,13 +38,13 @@ def publish(target: Path, files: dict[str, str], *, failed: bool = False, add: b
 
 
 def found(folder: Path) -> dict[str, str]:
-    """All files of a folder, but for the list of the program's."""
+    """All files of a folder, except the program's list."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != exchange.MANIFEST)
     return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
 
 def test_only_what_the_program_wrote_is_replaced(tmp_path: Path):
-    """Of the earlier run and of an earlier failure; a folder that held only theirs goes with them."""
+    """Files of an earlier run and of an earlier failure are replaced, and a folder with only these; others stay."""
     target, failed = tmp_path / "x", tmp_path / "x.failed"
     mine = dict.fromkeys(MINE, "mine")
     publish(target, FIRST)
@@ -75,7 +75,7 @@ def test_a_folder_of_an_earlier_version_has_no_list(tmp_path: Path):
 
 
 def begun(action: Callable[[], None]) -> int:
-    """Begin something in a forked process; its status is 0 if it succeeds."""
+    """Start an action in a forked process; its status is 0 if it succeeds."""
     pid = os.fork()
     if pid == 0:
         try:
@@ -89,7 +89,7 @@ def begun(action: Callable[[], None]) -> int:
 
 
 def killed_at(step: int, action: Callable[[], None]) -> bool:
-    """Whether an action, in a process of its own, is killed before its so many-th change of a file or folder."""
+    """Whether an action, in a new process, is killed before a given change of a file or folder."""
     left = [step]
 
     def hook(event: str, arguments: tuple[object, ...]) -> None:
@@ -111,7 +111,7 @@ def killed_at(step: int, action: Callable[[], None]) -> bool:
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
 @pytest.mark.parametrize(("there", "failed"), [(True, False), (True, True), (False, False)])
 def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bool):
-    """Then the next look finds the old or the new result whole, all files of the user where they were, no litter."""
+    """After a kill the next call finds the old or the new result complete, all files of the user, and nothing else."""
     mine = dict.fromkeys(MINE, "mine") if there else {}
     ends = set()
     for step in range(1000):
@@ -135,7 +135,7 @@ def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bo
 
 
 def test_one_run_at_a_time(tmp_path: Path):
-    """A second run is refused at its start; a lock of a dead one is none, and what that has left goes."""
+    """A second run is refused at its start; after a run has died its lock is free and its files are removed."""
     with ResultsFolder(MPI.COMM_SELF, tmp_path / "x") as first:
         put(first.path, FIRST)
         with pytest.raises(InputError, match="another run is writing into it"):
@@ -156,7 +156,7 @@ def test_many_publishes_at_once_lose_nothing(tmp_path: Path):
 
     def work() -> None:
         for i in range(40):
-            with contextlib.suppress(InputError):  # another is at work
+            with contextlib.suppress(InputError):  # another process repairs it
                 publish(tmp_path / "x", (FIRST, SECOND)[i % 2])
 
     children = [begun(work) for _ in range(4)]

@@ -1,4 +1,4 @@
-"""The rigorous bound: its formulas and enclosures, that it holds for any flux and trace, and what it refuses."""
+"""The rigorous bound: its formulas and enclosures, its truth for any flux and trace, and its refusals."""
 
 import dataclasses
 import json
@@ -51,7 +51,7 @@ def shapes(lam: np.ndarray) -> np.ndarray:
 
 
 def contains(found: Interval, value: np.ndarray) -> None:
-    """Up to the rounding of the value."""
+    """Values agree up to rounding."""
     size = 1e-13 * np.abs(value).max()
     assert (found.lo - size <= value).all()
     assert (value <= found.hi + size).all()
@@ -60,7 +60,7 @@ def contains(found: Interval, value: np.ndarray) -> None:
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_formulas(dim: int):
-    """Of integrals, slopes and RT0 against quadrature; of Bernstein coefficients against values."""
+    """Formulas of integrals, slopes and RT0 against quadrature; Bernstein coefficients against values."""
     rng = np.random.default_rng(1)
     vertices = np.eye(dim + 1, dim) + 0.1 * rng.normal(size=(20, dim + 1, dim))
     cells = simplices.simplices(vertices)
@@ -96,7 +96,7 @@ def test_facet_mean_of_quadratics():
 
 
 def test_elementary_functions():
-    """Floats to both sides of the numbers that Arb finds with 200 bits, nearly as near as can be."""
+    """Floats below and above the numbers that Arb finds with 200 bits, almost as near as possible."""
     rng = np.random.default_rng(3)
     some = np.concatenate([rng.normal(size=200), 10.0 ** rng.uniform(-300, 300, 50), [0.0, 1.0, -1.0, 745.2, -745.2]])
     arb = FromArb()
@@ -122,7 +122,7 @@ def test_elementary_functions():
 
 
 def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Facets of the cells of a structured square, and which are on its boundary."""
+    """Facets of the cells of a structured square, and a mask of those on its boundary."""
     numbers = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     a, b, c, d = (corner.ravel() for corner in (numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]))
     cells = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
@@ -133,7 +133,7 @@ def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_balance_is_exact():
-    """The correction along the tree in rational numbers lies in what is found, and the sums are the loads."""
+    """The correction along the tree in rational numbers is inside the enclosures, and the sums are the loads."""
     facets, outer = grid(4)
     rng = np.random.default_rng(4)
     per_facet = rng.normal(size=facets.max() + 1)
@@ -166,7 +166,7 @@ def test_balance_is_exact():
 
 @pytest.mark.parametrize("dim", [1, 2])
 def test_lifted_quadratics_are_positive(dim: int):
-    """Whatever the Bernstein coefficients and the fixed vertices, which have to be ≥ 0 themselves."""
+    """The lift is sufficient for any Bernstein coefficients and fixed vertices with values ≥ 0."""
     rng = np.random.default_rng(5)
     columns = dim + 1 + len(EDGES[dim])
     spare = rng.normal(size=(300, columns))
@@ -185,7 +185,7 @@ def test_lifted_quadratics_are_positive(dim: int):
 
 
 def discrete_of(solution: Solution) -> tuple[Discrete, Given]:
-    """All that a proof on one process needs."""
+    """The input of a proof on one process."""
     discrete = gathered(solution, certify(solution).v)
     assert discrete is not None
     return discrete, Given.of(solution.data.trees, FromArb())
@@ -204,7 +204,7 @@ def true_error(discrete: Discrete, u: str) -> float:
 
 
 def shaken(discrete: Discrete, size: float, seed: int) -> Discrete:
-    """Other fluxes and another v, the same ones for cells that share a facet, a vertex or an edge."""
+    """Other fluxes and another v, equal for cells that share a facet, a vertex or an edge."""
     rng = np.random.default_rng(seed)
     flux = rng.normal(size=discrete.facets.max() + 1)[discrete.facets] * np.sign(discrete.fluxes)
     at_corners = rng.normal(size=discrete.corners.max() + 1)[discrete.corners]
@@ -219,7 +219,7 @@ def shaken(discrete: Discrete, size: float, seed: int) -> Discrete:
 
 @pytest.mark.parametrize(("name", "h"), [("transition", 1 / 4), ("biactive", 1 / 4)])
 def test_any_flux_and_trace(name: str, h: float):
-    """The bound is above the exact error, for the solution sharply, for whatever else too."""
+    """The bound is above the exact error: sharp for the solution, and true for any other fields."""
     case = load_case(name).with_values({"solve.h": h})
     discrete, given = discrete_of(solve_case(case, MPI.COMM_SELF))
     assert case.exact.u is not None
@@ -268,7 +268,7 @@ def test_near_the_certificate(case):
 
 
 def test_load_between_the_points():
-    """A disc that no quadrature sees: ‖σ‖ is at least (f, φ)/‖∇φ‖ with φ = min(ln R/r, ln R/a)⁺, a and R radii."""
+    """A disc between all quadrature points: ‖σ‖ ≥ (f, φ)/‖∇φ‖ with φ = min(ln R/r, ln R/a)⁺, a and R radii."""
     case = make(5, ["bottom"], problem__f="1e4 if (x - 0.515)^2 + (y - 0.54)^2 < 2.5e-5 else 0")
     solution = solve_case(case, MPI.COMM_SELF)
     proof = proof_of(solution, certify(solution).v)
@@ -291,7 +291,7 @@ def test_load_between_the_points():
     ],
 )
 def test_refusals(values: dict[str, object], reason: str):
-    """One sentence that says where."""
+    """Refused in one sentence with the place."""
     solution = solve_case(make(4, ["bottom"], **values), MPI.COMM_SELF)
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is None
@@ -301,7 +301,7 @@ def test_refusals(values: dict[str, object], reason: str):
 
 
 def test_seam():
-    """u_D < ψ where Γ_D meets Γ_S leaves no function at all."""
+    """If u_D < ψ where Γ_D meets Γ_S, there is no admissible function."""
     solution = solve_case(make(4, ["bottom"], problem__u_D="1", problem__psi="0.5"), MPI.COMM_SELF)
     discrete, given = discrete_of(solution)
     assert math.isfinite(prove(discrete, given).bound)
@@ -333,7 +333,7 @@ def test_ranks_do_not_matter():
 
 
 def test_command_line(tmp_path: Path):
-    """Bounds in the output and the summary; status 1 with results without a proof, 2 where that is known before."""
+    """Bounds in the output and the summary; without a proof status 1 with results, or 2 if that is known before."""
     done = signorini(tmp_path, "solve", "example1", "--h", "1/4", "--rigorous")
     assert done.returncode == 0, done.stderr
     certificate = json.loads((tmp_path / "results/example1/summary.json").read_text())["certificate"]

@@ -1,4 +1,4 @@
-"""Set updates where they could go wrong: cycles, ties, scales, Γ_S of any extent, ranks with nothing to do."""
+"""Set updates in difficult situations: cycles, ties, scales, any size of Γ_S, ranks with nothing to do."""
 
 from collections.abc import Callable
 
@@ -17,6 +17,7 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
@@ -46,7 +47,7 @@ def square(
 ) -> Domain:
     """A structured mesh of (0, scale)² with n facets per side; Γ_S is a part of the boundary of (0, 1)²."""
     assert SHAPES["square"].grid is not None
-    points, cells = SHAPES["square"].grid((1 if diagonal == "crossed" else np.sqrt(2)) / n, diagonal)
+    points, cells = SHAPES["square"].grid((1 if diagonal == "crossed" else np.sqrt(2)) / n, diagonal, Share())
     return own_domain(comm, scale * points, cells, lambda x: part(x / scale))
 
 
@@ -74,7 +75,7 @@ def strip(points: list[tuple[float, float]], dirichlet: tuple[int, int]) -> Doma
 
 @pytest.mark.parallel([1, 2])
 def test_cycles_end_by_single_changes():
-    """Obtuse cells on which all four algorithms cycle with period 3; the fallback ends in the right solution."""
+    """Obtuse cells on which all four algorithms cycle with period 3; the fallback finds the right solution."""
     for points, dirichlet, f, u_D in CYCLING:
         domain = strip(points, dirichlet)
         case = problem(f=f, u_D=str(u_D), eps=1e-10)
@@ -107,7 +108,7 @@ TIES = [(5, "crossed", "50*(x - 1/2)", "sin(3*(x - 1/2))"), (9, "right", "0", "x
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize(("n", "diagonal", "f", "u_D"), TIES)
 def test_rounding_decides_nothing(n: int, diagonal: str, f: str, u_D: str):
-    """By symmetry p = σ·n = 0 on the only facet: each algorithm puts it where its rule puts 0, whoever solves."""
+    """By symmetry p = σ·n = 0 on the only facet: each algorithm decides as its rule does for 0, with any solver."""
     domain = square(COMM, n, diagonal, part=middle_facet(n))
     for algorithm in SET_ALGORITHMS:
         solution = solve_case(problem(f=f, u_D=u_D, algorithm=algorithm), domain=domain)
@@ -117,7 +118,7 @@ def test_rounding_decides_nothing(n: int, diagonal: str, f: str, u_D: str):
 
 
 def test_rounding_would_decide():
-    """Without the tolerance noise decides: somewhere the facet goes to the other side, or back and forth for ever."""
+    """Without the tolerance rounding decides: sometimes the facet gets the other condition, or changes forever."""
 
     def ends(n: int, diagonal: str, f: str, u_D: str, rule: SetRule, tie: float) -> tuple[bool, bool, int]:
         spaces = build_spaces(square(COMM, n, diagonal, part=middle_facet(n)), ["bottom"])
@@ -132,7 +133,7 @@ def test_rounding_would_decide():
 
 @pytest.mark.parallel(2)
 def test_biactive_sets_do_not_depend_on_ranks():
-    """U = σ·n = 0 on half of Γ_S: discretisation errors of all sizes decide there."""
+    """U = σ·n = 0 on half of Γ_S, where discretisation errors of all sizes decide."""
     for algorithm in ("alg1", "alg3"):
         case = load_case("biactive").with_values({"solve.algorithm": algorithm, "solve.h": 1 / 32})
         together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
@@ -164,7 +165,7 @@ def test_units_do_not_matter(algorithm: str, backend: str):
         found = scaled(L, U, K)
         np.testing.assert_array_equal(found.outcome.conditions.kind, expected.outcome.conditions.kind)
         late = len(found.outcome.history) - len(expected.outcome.history)
-        assert abs(late) <= algorithm.startswith("snes")  # which looks at the step in all unknowns together
+        assert abs(late) <= algorithm.startswith("snes")  # which tests the step in all unknowns together
         found.sigma.x.array[:] /= K
         for field in (found.sigma, found.u, found.p):
             field.x.array[:] /= U
@@ -188,7 +189,7 @@ def test_a_constant_does_not_matter(algorithm: str):
 
 
 def test_a_large_constant_hides_nothing():
-    """σ is 1e-9 beside u = 1 and ψ = 0, of which rounding leaves 6 digits: not converged."""
+    """σ is 1e-9 with u = 1 and ψ = 0, so rounding leaves 6 digits of σ: not converged."""
     with pytest.raises(NumericalFailure, match="mass_balance"):
         solve_case(coarse("alg1", f="0", u_D="1 + 1e-9*x"))
     assert solve_case(coarse("alg1", f="0", u_D="1")).converged
@@ -198,13 +199,13 @@ def test_a_large_constant_hides_nothing():
 
 @pytest.mark.parametrize("given", [{}, {"f": "0", "u_D": "x"}, {"f": "0", "q_S": "-1"}])
 def test_a_bound_that_is_far_away_hides_nothing(given: dict[str, str]):
-    """σ is no rounding beside ψ where there are loads, or u_D varies: what rounding leaves of ψ spoils it."""
+    """With loads or a varying u_D a σ far smaller than ψ does not count as rounding: rounding of ψ makes it wrong."""
     with pytest.raises(NumericalFailure, match="stationarity"):
         solve_case(coarse("alg1", psi="-1e20*(1 + x)", **given))
 
 
 def test_jump_of_kappa():
-    """κ jumps by 1e12: u is 1e5 on one side and 1e-7 on the other, where signs matter as much; PIQP cannot see them."""
+    """κ jumps by 1e12: u is 1e5 on one side and 1e-7 on the other; signs matter on both. PIQP cannot resolve them."""
     kappa = "1e-6 if x < 0.5 else 1e6"
     expected = solve_case(coarse("vi", kappa=kappa))
     for algorithm, backend in (("alg1", "mixed"), ("alg2", "hybrid"), ("alg2", "mixed"), ("alg3", "hybrid")):
@@ -225,7 +226,7 @@ EXTENTS = {
 
 
 def assert_as_alone(extent: str, *runs: tuple[str, str, str]) -> None:
-    """For each f, u_D and algorithm all ranks together find what each finds alone."""
+    """For each f, u_D and algorithm all ranks together find the result that each rank finds alone."""
     n, part = EXTENTS[extent]
     domain, alone = (square(comm, n, "right", part=part) for comm in (COMM, MPI.COMM_SELF))
     for f, u_D, algorithm in runs:
@@ -238,7 +239,7 @@ def assert_as_alone(extent: str, *runs: tuple[str, str, str]) -> None:
 
 @pytest.mark.parallel(2)
 def test_extents():
-    """Γ_S of any extent; u_D ≠ 0 without a load, and u_D = 0 where Γ_S meets Γ_D."""
+    """Any size of Γ_S; u_D ≠ 0 without a load, and u_D = 0 where Γ_S meets Γ_D."""
     touching = "(1 - x)*x + y"
     for extent in EXTENTS:
         assert_as_alone(extent, ("0", "1/2 - x", "alg1"), ("-30", touching, "alg4"), ("-30", touching, "snes1"))
@@ -253,7 +254,7 @@ def test_ranks_without_cells():
 
 @pytest.mark.parallel(2)
 def test_nothing_to_solve():
-    """F = 0 and u_D = 0: u = 0, and each algorithm puts the ties where its rule puts 0."""
+    """F = 0 and u_D = 0: u = 0, and each algorithm decides ties as its rule does for 0."""
     domain = square(COMM, 4, "right")
     for algorithm in (*SET_ALGORITHMS, "vi"):
         solution = solve_case(problem(f="0", algorithm=algorithm), domain=domain)

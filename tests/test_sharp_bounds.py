@@ -1,4 +1,4 @@
-"""The bound stays near the error where data are rough, κ jumps or is anisotropic, and contact ends within facets."""
+"""The bound is near the error for rough data, κ that jumps or is anisotropic, and contact that ends within facets."""
 
 import dataclasses
 import math
@@ -47,7 +47,7 @@ def rotated(ratio: float, degrees: float) -> list[list[str]]:
 
 
 def spoilt(solution: Solution) -> Solution:
-    """The same with a flux that misses the balance by a thousandth."""
+    """The solution with a flux whose balance is wrong by a thousandth."""
     sigma = solution.sigma.copy()
     sigma.x.array[:] *= 1 + 1e-3
     iterate = dataclasses.replace(solution.outcome.iterate, sigma=sigma)
@@ -65,13 +65,13 @@ def spoilt(solution: Solution) -> Solution:
     ids=["bound far away", "jumps", "anisotropy", "flux bound"],
 )
 def test_near_the_error(n: int, values: dict[str, object], sharp: float):
-    """Above the distance to a solution on a mesh 4 times as fine, which is a little less than the error."""
+    """The bound is above the distance to a solution on a mesh 4 times as fine, which is slightly below the error."""
     coarse, fine = solve_case(make(n, ["bottom"], **values)), solve_case(make(4 * n, ["bottom"], **values))
     assert energy(coarse, fine) < certify(coarse).sigma_bound < sharp * energy(coarse, fine)
 
 
 def test_without_dirichlet_part():
-    """A flux that misses the balance by more than rounding is mended, also where nothing holds u but contact."""
+    """A flux with more imbalance than rounding is corrected, also if only contact fixes u."""
     solution = solve_case(make(8, EVERYWHERE))
     exact, other = certify(solution), certify(spoilt(solution))
     assert exact.remainder < 1e-9 * exact.bound
@@ -81,12 +81,12 @@ def test_without_dirichlet_part():
 
 
 def test_jumps_on_bad_cells():
-    """κ jumps by 1e6 on sheared cells, and nothing holds u but contact: a good v takes CG hundreds of steps."""
+    """κ jumps by 1e6 on sheared cells, and only contact fixes u: for a good v CG needs hundreds of steps."""
     assert 1 < examine(25, "aligned", COMM).ratio < 5  # was 47
 
 
 def hertz(x, lib, *, radius: float = 0.3):
-    """Potential over a contact disc with u = a² − r²/2 on it, in terms of NumPy or UFL."""
+    """Potential above a contact disc with u = a² − r²/2 on it, in NumPy or UFL."""
     r2, z = (x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2, x[2]
     r = lib.sqrt(r2 + 1e-20)
     far, near = lib.sqrt((radius + r) ** 2 + z**2), lib.sqrt((radius - r) ** 2 + z**2)
@@ -98,7 +98,7 @@ def hertz(x, lib, *, radius: float = 0.3):
 
 
 def test_contact_disc():
-    """In 3D, where contact ends within facets: 1.63 when v was ψ on whole facets."""
+    """In 3D, where contact ends within facets; with v = ψ on whole facets the ratio was 1.63."""
     case = load_case("singular3d").with_values({"geometry.mesh": "structured", "solve.h": 1.001 * math.sqrt(3) / 8})
     domain = mesh_case(case, COMM)
     problem = Problem(
@@ -131,7 +131,7 @@ def test_water_filling():
 
 @pytest.mark.parallel(3)
 def test_ranks_do_not_matter():
-    """Also for facets of other ranks at a vertex of Γ_S, loads on facets, and a solve that mends the balance."""
+    """The same on several ranks: vertices of Γ_S with facets of other ranks, loads on facets, a corrected balance."""
     general = {"problem__psi": "0.2*sin(40*x)*cos(30*y) - 0.1", "problem__u_D": "1", "boundary__neumann": ["top"]}
     general |= {"problem__q_S": "cos(20*x)", "problem__g_N": "sin(20*x)", "problem__kappa": rotated(100, 20)}
     for case in (make(8, ["bottom", "left"], **general), make(8, EVERYWHERE)):

@@ -1,4 +1,4 @@
-"""What a solution can be asked: values at points, fluxes through parts, its trace in UFL, how it shows itself."""
+"""Methods of a solution: values at points, fluxes through parts, its trace in UFL, output in notebooks."""
 
 import doctest
 import gc
@@ -37,7 +37,7 @@ def test_examples():
 
 @pytest.mark.parallel([1, 3])
 def test_values_at_points_of_any_rank():
-    """Each rank asks for points of its own, some outside; all get what the formulae of P0 and RT0 say."""
+    """Each rank asks for its own points, some outside; all get the values by the formulas of P0 and RT0."""
     solution = solved()
     spaces = solution.spaces
     cells = np.arange(len(solution.u.x.array), dtype=np.int32)
@@ -84,7 +84,7 @@ def test_fluxes_balance_the_load():
 
 @pytest.mark.parallel([1, 2])
 def test_trace_in_ones_own_ufl():
-    """A conforming solution with p_h as its Dirichlet data, by Nitsche's method, is near u_h: 4 times finer, twice."""
+    """A conforming solution with p_h as Dirichlet data, by Nitsche's method, is near u_h; two refinements by 4."""
     distances = []
     for n in (8, 32):
         solution = solved(n=n)
@@ -124,7 +124,7 @@ def test_it_shows_and_writes_itself(folder: Path):
         assert figure is None
         assert page is None
     solution.write(folder / "new" / "run", plot=True)
-    solution.write(folder / "new" / "run")  # the pictures go with the result that they are of
+    solution.write(folder / "new" / "run")  # the old pictures are removed with their result
     names = {path.name for path in (folder / "new" / "run").iterdir()}
     assert {"summary.json", "facets.csv", "solution.xdmf"} <= names
     assert "overview.png" not in names
@@ -132,7 +132,7 @@ def test_it_shows_and_writes_itself(folder: Path):
 
 
 def test_a_solve_is_safe_from_the_collector():
-    """Python's collector would free meshes whenever it likes, which may hang MPI."""
+    """Python's collector could free meshes at any time, which may hang MPI."""
     enabled = []
     square = mesh.create_unit_square(COMM, 4, 4)
     domain, boundary = domain_of(square, WALLS), Boundary(["bottom"])

@@ -48,7 +48,7 @@ def errors(solution: Solution) -> dict[str, float]:
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize(("mesh", "backend"), [("unstructured", "mixed"), ("structured", "hybrid")])
 def test_order_on_an_exact_solution(folder: Path, mesh: str, backend: str):
-    """Order 1 and small constants in all norms; u and σ·n grow like s³ from the free boundary, so it is less sharp."""
+    """Order 1 and small constants in all norms; u and σ·n grow like s³ from the free boundary, which is less exact."""
     found = []
     for h in (1 / 8, 1 / 16, 1 / 32):
         case = make_case(folder, mesh=mesh, parts=["bottom"], f=F, h=h)
@@ -63,7 +63,7 @@ def test_order_on_an_exact_solution(folder: Path, mesh: str, backend: str):
 
 
 def test_algorithms_agree():
-    """Algorithms 1 and 2 find the same sets and fields, within a few steps, whatever ρ is."""
+    """Algorithms 1 and 2 find the same sets and fields in a few steps, for any ρ."""
     other_ways = [{"solve_algorithm": "alg2"}, {"solve_algorithm": "alg1", "solve_rho": 1e3}]
     for name in CASES:
         first = solve_case(coarse(name, solve_algorithm="alg1"))

@@ -1,4 +1,4 @@
-"""Studies: their expansion, one table on any number of ranks, nothing lost or repeated by killing."""
+"""Studies: their expansion, the same table on any number of ranks, nothing lost or repeated after a kill."""
 
 import fcntl
 import os
@@ -67,15 +67,15 @@ def test_cases_beside_the_study(tmp_path: Path):
 
 
 def test_keys_at_their_default_do_not_make_another_run(tmp_path: Path):
-    """A later version may have a key more, with which older runs stay valid; given a value, it makes another run."""
+    """If a later version has a new key, older runs stay valid; another value of the key makes another run."""
 
     class LaterCase(Case):
-        physics: str = "heat"
+        gravity: str = "down"
 
     case = load_case("example1")
     later = LaterCase.model_validate(case.model_dump() | {"name": case.name})
     assert make_run(later).name == make_run(case).name
-    assert make_run(later.model_copy(update={"physics": "tresca"})).name != make_run(case).name
+    assert make_run(later.model_copy(update={"gravity": "up"})).name != make_run(case).name
     defaults = {"solve.eps": "1e-8", "solve.predict": True, "problem.psi": "0", "geometry.mesh": "unstructured"}
     assert make_run(case.with_values(defaults)).name == make_run(case).name
     task = Convergence(levels=[2, 3])
@@ -84,7 +84,7 @@ def test_keys_at_their_default_do_not_make_another_run(tmp_path: Path):
 
 
 def test_the_default_h_of_a_geometry_is_not_its_own():
-    """A `.geo` file has sizes of its own unless h is given, whatever the value."""
+    """A `.geo` file uses its own sizes, except if h is given, with any value."""
     own = load_case("dam").with_values({"geometry": {"file": str(data_folder("meshes") / "dam.geo")}})
     assert make_run(own).name != make_run(own.with_values({"solve.h": 2**-5})).name
 
@@ -144,7 +144,7 @@ def test_a_damaged_run_is_told(tmp_path: Path):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a study done on one rank, without mpirun."""
+    """Folder of a study that was run on one rank, without mpirun."""
     folder = tmp_path_factory.mktemp("study")
     write(folder, STUDY)
     done = signorini(folder, "study", "study.toml")
@@ -168,7 +168,7 @@ def test_table(finished: Path):
 
 @pytest.mark.parallel(2)
 def test_nothing_is_written(folder: Path):
-    """By a dry run, or where it cannot be; said once."""
+    """A dry run writes nothing; if the folder cannot be written, this is reported once."""
     if MPI.COMM_WORLD.rank == 0:
         write(folder, STUDY)
     done = signorini(folder, "study", "study.toml", "--dry-run")
@@ -181,13 +181,13 @@ def test_nothing_is_written(folder: Path):
 
 
 def stamps(results: Path) -> dict[str, tuple[int, int]]:
-    """What tells a finished run from a repeated one."""
+    """Data of a finished run that change if it is repeated."""
     files = {path.parent.name: path.stat() for path in results.glob("runs/[!.]*/run.json")}
     return {name: (stat.st_ino, stat.st_mtime_ns) for name, stat in files.items()}
 
 
 def descendants(pid: int) -> list[int]:
-    """A process that we started, and all that it started."""
+    """A process that the test started, and all its descendants."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return [pid, *(process for child in children for process in descendants(int(child)))]
 
@@ -237,7 +237,7 @@ algorithm = ["alg1", "alg2"]
 
 @pytest.mark.parallel(2)
 def test_failed_runs_are_recorded_and_do_not_stop_the_others(folder: Path):
-    """Failures are told in the table and by the exit status, and repeated only when asked for."""
+    """Failures are in the table and in the exit status; they are repeated only on request."""
     if MPI.COMM_WORLD.rank == 0:
         write(folder, FAILING)
     results = folder / "results" / "study-study"
@@ -257,7 +257,7 @@ def test_failed_runs_are_recorded_and_do_not_stop_the_others(folder: Path):
 
 
 def test_data_that_cannot_be_solved_are_a_failed_run(tmp_path: Path):
-    """What shows only when a run begins, such as a load that is not finite, does not stop the others either."""
+    """Errors that are found only when a run begins, such as a load that is not finite, do not stop the other runs."""
     write(tmp_path, 'case = "example1"\n[vary]\nh = ["1/4"]\n"problem.f" = ["sqrt(x - 0.5)", "x - 0.5"]')
     done = signorini(tmp_path, "study", "study.toml")
     assert done.returncode == 1
@@ -268,7 +268,7 @@ def test_data_that_cannot_be_solved_are_a_failed_run(tmp_path: Path):
 
 
 def test_errors_as_runs(tmp_path: Path):
-    """A run may measure errors; the table then has a row per level."""
+    """If a run measures errors, the table has a row per level."""
     write(tmp_path, 'case = "example1"\n[convergence]\nlevels = [2, 3]\nreference = 4')
     done = signorini(tmp_path, "study", "study.toml")
     assert done.returncode == 0, done.stderr
@@ -282,7 +282,7 @@ def test_errors_as_runs(tmp_path: Path):
 
 
 def test_a_full_disk_loses_nothing(tmp_path: Path, finished: Path):
-    """No file may grow beyond some bytes, as on a full disk: said in a sentence, and continued when there is room."""
+    """With a limit on file sizes, like a full disk: one sentence, and the study continues when there is space."""
     write(tmp_path, STUDY)
     script = tmp_path / "limited.py"
     script.write_text(
@@ -326,7 +326,7 @@ def test_one_launch_at_a_time_and_only_in_its_own_folder(tmp_path: Path):
 
 @pytest.mark.parallel(3)
 def test_each_task_once_by_any_grouping(folder: Path):
-    """Tasks are done once each, whatever the groups; a failure in one group ends all, and all ranks know it."""
+    """Each task is done once, for any groups; a failure in one group ends all groups, and all ranks raise it."""
     comm = MPI.COMM_WORLD
     names = [f"task{i}" for i in range(7)]
     for ranks in (1, 2, 5):

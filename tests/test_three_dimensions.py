@@ -25,7 +25,7 @@ def test_backends_agree():
 
 @pytest.mark.parallel([1])
 def test_algorithms_agree():
-    """Those for the multipliers to rounding, SNES and penalties to about ε."""
+    """Methods for the multipliers agree up to rounding, SNES and penalties up to about ε."""
     for name, h in COARSE.items():
         case = load_case(name).with_values({"solve.h": h, "solve.eps": 1e-8})
         domain = mesh_case(case, COMM)

@@ -1,4 +1,4 @@
-"""All parallel tests of a pytest run in one mpirun for each number of ranks: a launch costs as much as a test."""
+"""Runs all parallel tests in one mpirun for each number of ranks, because a launch costs as much as a test."""
 
 import os
 import subprocess
@@ -16,7 +16,7 @@ from signorini_fenicsx.base.parallel import FORWARDING
 PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
 YIELD = {"MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1"}
-"""Makes ranks of MPICH that wait leave the core to others: there may be more ranks than cores."""
+"""Settings with which waiting ranks of MPICH leave the core to others; there may be more ranks than cores."""
 IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 
 
@@ -29,7 +29,7 @@ class Launches:
     """The launches of a run; each starts when the first of its tests is due."""
 
     def __init__(self, items: list[pytest.Item]):
-        """Take note of the chosen tests."""
+        """Register the chosen tests."""
         self._items = items
         self._ended: dict[int, tuple[set[str], str]] = {}
 
@@ -45,7 +45,7 @@ class Launches:
 
 
 def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
-    """Run tests under mpirun; returns those that passed and the last of what was printed."""
+    """Run tests under mpirun; return those that passed and the end of the output."""
     with tempfile.NamedTemporaryFile("r", encoding="utf-8") as file:
         done = subprocess.run(
             ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-q", "-s", *tests],
@@ -60,7 +60,7 @@ def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
 
 
 def tell_parent(report: pytest.TestReport) -> None:
-    """In a launch: a test that fails on one rank ends it, since the others may wait for that rank for ever."""
+    """End a launch when a test fails on one rank, because the other ranks may wait for it forever."""
     if report.failed:
         print(f"\nFAILED on rank {MPI.COMM_WORLD.rank}: {report.nodeid}\n{report.longreprtext}", flush=True)
         time.sleep(FORWARDING)

@@ -1,4 +1,4 @@
-"""One timed run of this program, or of the same discrete problem solved in a more usual way; prints JSON.
+"""One timed run of this program, or of the same discrete problem by another solver; prints JSON.
 
 [mpirun -n N] python fenicsx_worker.py METHOD CASE H MESH
 """
@@ -44,7 +44,7 @@ SETTINGS: dict[str, dict[str, object]] = {
 
 
 class FreshMixed(FacetBackend):
-    """The paper's way: the saddle point is assembled and factored anew in each step."""
+    """The saddle point, assembled and factorised anew in each step, as in the paper."""
 
     name = "mixed"
 

@@ -22,7 +22,7 @@ def positive(value: ngsolve.CoefficientFunction) -> ngsolve.CoefficientFunction:
 
 
 def boundary_of(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boundary facets by their vertices, and which of them lie on Γ_S."""
+    """Boundary facets by their vertices, and a mask of those on Γ_S."""
     corners = range(cells.shape[1])
     facets = np.concatenate([np.delete(cells, corner, axis=1) for corner in corners])
     _, first, count = np.unique(np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True)

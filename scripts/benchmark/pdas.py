@@ -1,4 +1,4 @@
-"""Primal-dual active set for P1 elements, as a user of a general finite element library would write it."""
+"""Primal-dual active set for P1 elements, as users of a general finite element library would write it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The two problems of the benchmark, cases `transition` and `transition3d`, for programs that do not read cases.
+"""The two problems of the benchmark, cases `transition` and `transition3d`, for programs that cannot read cases.
 
 Formulas are written for whatever supports arithmetic: NumPy arrays, NGSolve's coefficient functions.
 """

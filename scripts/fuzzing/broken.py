@@ -1,4 +1,4 @@
-"""What a broken input is, and ways to break bytes and text that all kinds share."""
+"""The type of a broken input, and ways to break bytes and text that all kinds share."""
 
 import random
 import re
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 OUTPUT = "out"
-"""Folder that every command is told to write its results into."""
+"""Folder for the results of every command."""
 
 NUMBERS = (
     *(
@@ -57,13 +57,13 @@ WORDS = (
 
 @dataclass
 class Broken:
-    """One input: what to call the program with, once its files are in the working folder.
+    """One input: the arguments of the program, whose files are in the working folder.
 
     Attributes:
-        words: What follows `signorini`.
-        about: How it was broken, in some words.
-        refused: Whether nothing but exit status 2 is right.
-        earlier: Whether the output folder holds an earlier result and files of the user.
+        words: The arguments after `signorini`.
+        about: How it was broken, in words.
+        refused: Whether only exit status 2 is right.
+        earlier: Whether the output folder has an earlier result and files of the user.
     """
 
     words: list[str]
@@ -74,12 +74,12 @@ class Broken:
 
 @dataclass(frozen=True)
 class Valid:
-    """Valid results that some inputs are made of.
+    """Valid results from which some inputs are made.
 
     Attributes:
         shape: Results folder of a named shape.
         file: Results folder of a mesh file with names for its parts.
-        pencil: A folder for what generators want to make only once.
+        pencil: A folder for files that generators make only once.
     """
 
     shape: Path
@@ -92,7 +92,7 @@ type Damage = Callable[[random.Random, bytes], bytes]
 
 
 def flipped(rng: random.Random, data: bytes) -> bytes:
-    """Some bits of some bytes changed."""
+    """Change some bits of some bytes."""
     found = bytearray(data)
     for _ in range(rng.choice([1, 1, 2, 8, 64])):
         if found:
@@ -101,30 +101,30 @@ def flipped(rng: random.Random, data: bytes) -> bytes:
 
 
 def cut(rng: random.Random, data: bytes) -> bytes:
-    """The end lost."""
+    """Remove the end."""
     return data[: rng.randrange(len(data) + 1)]
 
 
 def dropped(rng: random.Random, data: bytes) -> bytes:
-    """A piece lost."""
+    """Remove a piece."""
     at = rng.randrange(len(data) + 1)
     return data[:at] + data[at + rng.choice([1, 4, 8, 100]) :]
 
 
 def doubled(rng: random.Random, data: bytes) -> bytes:
-    """A piece twice."""
+    """Repeat a piece."""
     at, size = rng.randrange(len(data) + 1), rng.choice([1, 8, 100, 5000])
     return data[: at + size] + data[at : at + size] + data[at + size :]
 
 
 def noisy(rng: random.Random, data: bytes) -> bytes:
-    """Random bytes in between."""
+    """Insert random bytes."""
     at = rng.randrange(len(data) + 1)
     return data[:at] + rng.randbytes(rng.choice([1, 4, 40, 400])) + data[at:]
 
 
 def renumbered(rng: random.Random, data: bytes) -> bytes:
-    """One or two numbers of a text are others."""
+    """Replace one or two numbers of a text."""
     for _ in range(rng.choice([1, 1, 2])):
         found = list(re.finditer(rb"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", data))
         if found:
@@ -133,7 +133,7 @@ def renumbered(rng: random.Random, data: bytes) -> bytes:
 
 
 def reworded(rng: random.Random, data: bytes) -> bytes:
-    """A word of a text is another, or one from elsewhere in it."""
+    """Replace a word of a text by another word, or by one from elsewhere in the text."""
     found = list(re.finditer(rb"[A-Za-z_]+", data))
     if not found:
         return data
@@ -142,7 +142,7 @@ def reworded(rng: random.Random, data: bytes) -> bytes:
 
 
 def mixed(rng: random.Random, data: bytes) -> bytes:
-    """Two lines of a text exchanged, one twice, or one lost."""
+    """Exchange two lines of a text, repeat one, or remove one."""
     lines = data.split(b"\n")
     i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
     match rng.randrange(3):
@@ -164,7 +164,7 @@ TEXT: tuple[Damage, ...] = (renumbered, renumbered, renumbered, reworded, reword
 
 
 def damaged(rng: random.Random, data: bytes, ways: tuple[Damage, ...] = TEXT) -> tuple[bytes, str]:
-    """Bytes broken in one to three ways, and the names of these."""
+    """Break bytes in one to three ways; return them and the names of these ways."""
     chosen = rng.choices(ways, k=rng.choice([1, 1, 2, 3]))
     for way in chosen:
         data = way(rng, data)

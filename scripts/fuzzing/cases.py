@@ -16,7 +16,7 @@ COARSE = {
     **dict.fromkeys(["example1", "example2", "example3", "example4", "example5", "example6"], "1/4"),
     **dict.fromkeys(["cube", "lprism", "ball"], "0.8"),
 }
-"""Cases to begin with, and the h at which they take no time."""
+"""Cases that are broken, and values of h with which they are fast."""
 KEYS = (
     *(
         "geometry.shape",
@@ -103,18 +103,18 @@ def case_file(rng: random.Random, folder: Path, valid: Valid) -> Broken:
     command = _command(rng, tomllib.loads(text), data)
     words = [command, "case.toml", *(["--output", OUTPUT] if command == "solve" else [])]
     if name in ("cube", "lprism", "ball") and command != "info":
-        words += ["--h", COARSE[name]]  # without it a lost line would ask for millions of cells
+        words += ["--h", COARSE[name]]  # without it a lost line could mean millions of cells
     return Broken(words, f"{name} {way}", earlier=command == "solve" and rng.random() < 0.5)
 
 
 def _coarse(name: str) -> str:
-    """Text of a case, as coarse as it may be."""
+    """Text of a case with a coarse h."""
     text = (data_folder("cases") / f"{name}.toml").read_text(encoding="utf-8").replace("../meshes/", "")
     return re.sub(r"(?m)^h = .*$", f'h = "{COARSE.get(name)}"', text)
 
 
 def _command(rng: random.Random, tree: dict, data: bytes) -> str:
-    """What to do with a case; other data than the known ones are hardly ever compiled, which takes seconds."""
+    """The command for a case; cases with new data are rarely solved, because compiling them takes seconds."""
     try:
         found = tomllib.loads(data.decode())
         known = found.get("problem") == tree["problem"] and found.get("exact") == tree.get("exact")
@@ -142,7 +142,7 @@ def _with_values(rng: random.Random, text: str) -> tuple[bytes, str]:
 
 
 def _not_a_case(rng: random.Random, folder: Path) -> Broken:
-    """Something else in the place of the file: all of it is refused."""
+    """Something else instead of the file, which must be refused."""
     path = folder / "case.toml"
     way = rng.choice(["folder", "missing", "loop", "empty", "device", "utf16", "deep", "many", "long name"])
     match way:

@@ -1,4 +1,4 @@
-"""Broken checkpoints: arrays of other widths, types and numbers, a story that does not fit them, strange archives."""
+"""Broken checkpoints: arrays of other widths, types and numbers, texts that do not fit them, strange archives."""
 
 import io
 import json
@@ -35,7 +35,7 @@ JUNK: tuple[Any, ...] = (
 
 
 def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:
-    """A results folder whose checkpoint is broken; it is exported, compared with, or started from."""
+    """A results folder with a broken checkpoint, for export, comparison or as a start."""
     source = rng.choice([valid.shape, valid.shape, valid.file])
     shutil.copytree(source, folder / "res")
     for name in ("square.msh", "mesh.toml"):
@@ -63,7 +63,7 @@ def _load(path: Path) -> Arrays:
 
 
 def _arrays(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
-    """One or two arrays are others; most lengths, types and numbers cannot be right."""
+    """Change one or two arrays; most of the new lengths, types and numbers cannot be right."""
     arrays = _load(path)
     done = []
     for _ in range(rng.choice([1, 1, 1, 2])):
@@ -79,15 +79,15 @@ def _arrays(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
 
 
 def missing(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Not there."""
+    """Remove the array."""
     if key.startswith(("part_", "inside", "facet_part", "facet_x", "facet_along", "facet_measure", "facet_u")):
-        key = "cells"  # the others are not needed by all commands
+        key = "cells"  # not all commands need the others
     arrays.pop(key, None)
     return key
 
 
 def narrow(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """A column less."""
+    """One column less."""
     key = rng.choice(["cells", "sigma", "facet_vertices", "points"])
     if key in arrays and arrays[key].ndim > 1:
         arrays[key] = arrays[key][:, :-1]
@@ -95,7 +95,7 @@ def narrow(rng: random.Random, arrays: Arrays, key: str) -> str:
 
 
 def wide(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """A column more."""
+    """One column more."""
     key = rng.choice(["cells", "sigma", "facet_vertices"])
     if key in arrays and arrays[key].ndim > 1:
         arrays[key] = np.column_stack([arrays[key], arrays[key][:, 0]])
@@ -103,13 +103,13 @@ def wide(rng: random.Random, arrays: Arrays, key: str) -> str:
 
 
 def pickled(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Objects, which NumPy would unpickle if it were allowed to."""
+    """Objects, which NumPy would unpickle if that were allowed."""
     arrays["cells"] = np.array([{"a": 1}, None], dtype=object)
     return "cells"
 
 
 def words(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Text in the place of numbers."""
+    """Text instead of numbers."""
     key = rng.choice(["cells", "points", "u", "sigma"])
     arrays[key] = np.full(np.shape(arrays.get(key)), "é")
     return key
@@ -130,7 +130,7 @@ def long(rng: random.Random, arrays: Arrays, key: str) -> str:
 
 
 def flat(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Of another number of axes."""
+    """Another number of axes."""
     arrays[key] = rng.choice(
         [arrays[key].ravel(), arrays[key].T, arrays[key][None], np.float64(1.0), arrays[key][..., None]]
     )
@@ -138,7 +138,7 @@ def flat(rng: random.Random, arrays: Arrays, key: str) -> str:
 
 
 def other_type(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Of another type."""
+    """Another type."""
     kind = rng.choice(["f4", "f2", "c16", "i1", "u8", "?", ">f8", ">i8", "S3", "M8[s]", "V8"])
     try:
         arrays[key] = arrays[key].astype(kind)
@@ -148,7 +148,7 @@ def other_type(rng: random.Random, arrays: Arrays, key: str) -> str:
 
 
 def other_number(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """With a number that points nowhere, or is none."""
+    """One number that refers to nothing, or is not finite."""
     array = arrays[key].copy()
     if array.size and array.dtype.kind in "fi":
         values = (
@@ -161,7 +161,7 @@ def other_number(rng: random.Random, arrays: Arrays, key: str) -> str:
 
 
 def scaled(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """All numbers others, and still numbers: no solution of the case any more."""
+    """All numbers replaced by other finite numbers, which are no solution of the case."""
     key = rng.choice(["sigma", "u", "facet_p", "facet_flux", "divergence"])
     if key in arrays and arrays[key].dtype.kind == "f":
         arrays[key] = arrays[key] * 5
@@ -182,7 +182,7 @@ ARRAY_WAYS = (
 
 
 def _story(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
-    """What the file says about its solution is changed somewhere, or is no JSON."""
+    """Change the texts about the solution somewhere, or make them invalid JSON."""
     arrays = _load(path)
     text = str(arrays["about"])
     if rng.random() < 0.25:
@@ -232,7 +232,7 @@ def _bytes(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
 
 
 def _archive(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
-    """Archives that no NumPy writes."""
+    """Archives that NumPy never writes."""
     members = {name: zipfile.ZipFile(path).read(name) for name in zipfile.ZipFile(path).namelist()}
     way = rng.choice(
         [
@@ -288,7 +288,7 @@ def _written(members: dict[str, bytes], twice: bool) -> bytes:
 
 
 def _patched(data: bytes, way: str) -> bytes:
-    """With flags, method, or check sum of the first member changed, there and in the archive's directory."""
+    """Change flags, method or check sum of the first member, there and in the archive's directory."""
     if way == "twice":
         return data
     offset, value = {"encrypted": (6, 1), "unknown compression": (8, 77), "wrong sum": (14, 123)}[way]
@@ -305,7 +305,7 @@ def _write(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_STOR
 
 
 def _bomb(folder: Path) -> Path:
-    """An archive of 2 MB that holds an array of 2 GB, made only once: its blocks are the same bytes."""
+    """An archive of 2 MB with an array of 2 GB, whose blocks are equal; it is made only once."""
     path = folder / "bomb.npz"
     if not path.exists():
         megabyte, count = bytes(2**20), 2048

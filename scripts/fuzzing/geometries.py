@@ -72,7 +72,7 @@ HOSTILE = (
     'General.DefaultFileName = "hacked"; General.TmpFileName = "hacked"; General.ErrorFileName = "hacked";',
     'General.RecentFile0 = "hacked"; General.SessionFileName = "hacked"; General.SaveSession = 1;',
 )  # fmt: skip
-"""What runs programs, uses other files, or ends the program: refused."""
+"""Text that runs programs, uses other files, or ends the program: it must be refused."""
 ODD = (
     "// \\\n" + CALL,
     "// \r" + CALL,
@@ -106,7 +106,7 @@ ODD = (
     "Periodic Curve {1} = {3}; Transfinite Curve {1} = 1e9;",
     "Extrude {0, 0, 1} { Surface{1}; Layers{500}; }",
 )  # fmt: skip
-"""What no geometry needs; where it is harmless, or no command at all, it need not be refused."""
+"""Text that no geometry needs. It need not be refused if it is harmless or no command."""
 TOKENS = (
     *"(){}[]=;,:?+-*/%^<>!&|~#.'\"", "==", "!=", "<=", "&&", "||", "+=", "++", "...", "Point", "Line", "Curve", "Loop",
     *("Surface", "Volume", "Physical", "Plane", "Circle", "Spline", "Extrude", "Rotate", "Translate", "Delete", "For"),
@@ -125,14 +125,14 @@ f = "10*(x - 0.4)"
 
 
 def geometry(rng: random.Random, folder: Path, valid: Valid) -> Broken:
-    """A geometry with a hostile line, tokens thrown in, or damage."""
+    """A geometry with a hostile line, extra tokens, or damage."""
     dam = (data_folder("meshes") / "dam.geo").read_text(encoding="utf-8")
     text, part = rng.choice(
         [(SQUARE, "bottom"), (SQUARE, "bottom"), (LOOPED, "bottom"), (SOLID, "bottom"), (dam, "face")]
     )
     way = rng.choice([_hostile, _hostile, _odd, _tokens, _damaged])
     data, about = way(rng, text)
-    data = data.replace(b"hacked", str(folder / "hacked").encode())  # Gmsh has a working folder of its own
+    data = data.replace(b"hacked", str(folder / "hacked").encode())  # Gmsh has its own working folder
     (folder / "mesh.geo").write_bytes(data)
     (folder / "other.geo").write_text(CALL, encoding="utf-8")
     (folder / "mesh.geo.opt").write_text(CALL, encoding="utf-8")
@@ -151,7 +151,7 @@ def _hostile(rng: random.Random, text: str) -> tuple[bytes, str]:
 
 
 def _odd(rng: random.Random, text: str) -> tuple[bytes, str]:
-    """Likewise, a piece that may be harmless."""
+    """A piece that may be harmless, in the same places."""
     return _with_piece(rng, text, rng.choice(ODD))
 
 
@@ -165,7 +165,7 @@ def _with_piece(rng: random.Random, text: str, piece: str) -> tuple[bytes, str]:
 
 
 def _tokens(rng: random.Random, text: str) -> tuple[bytes, str]:
-    """Words of the language where they do not belong."""
+    """Words of the language in wrong places."""
     parts = re.split(r"(?<=[ ;{},=])", text)
     for _ in range(rng.choice([1, 1, 2, 5])):
         parts.insert(rng.randrange(len(parts) + 1), " ".join(rng.choices(TOKENS, k=rng.choice([1, 2, 6]))))

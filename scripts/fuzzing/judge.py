@@ -1,4 +1,4 @@
-"""What came out of a run: how it ended, what it said, and which files it left, changed or lost."""
+"""Judges a run: how it ended, what it printed, and which files it left, changed or lost."""
 
 import hashlib
 import json
@@ -17,14 +17,14 @@ CRASHES = re.compile(
     r"Segmentation|Fatal Python error|Exception ignored|Abort\(|HDF5-DIAG|core dumped|UCX  ERROR"
 )
 PLAIN = ("uzawa", "psor", "primal-pdas", "primal-penalty", "slimane")
-"""Methods that pass residuals of their own, not those of (9)."""
+"""Methods that are judged by their own residuals, not by those of (9)."""
 TOLERANCE = 1e-6
 MEMORY = 1.5e9
-"""Bytes that no input here needs."""
+"""Bytes of memory; no input here needs more."""
 BAD = ("traceback", "signal", "status", "hang", "memory", "orphan", "wordy", "outside", "lost", "accepted", "untrue")
-"""Bad outcomes: a traceback or a library's last words; a signal; another exit status than 0, 1, 2; out of time; too
-much memory; processes left; not one sentence; files where none belong; files of the user or earlier results lost or
-changed; broken input that was not refused; status 0 without a solution."""
+"""Bad outcomes: a traceback or the abort of a library; a signal; an exit status other than 0, 1, 2; out of time; too
+much memory; processes that survive; not one sentence; files in wrong places; files of the user or earlier results lost
+or changed; broken input that was not refused; status 0 without a solution."""
 
 type Files = dict[str, str]
 
@@ -34,11 +34,11 @@ class Ending:
     """How a process ended.
 
     Attributes:
-        status: Of `os.wait4`.
+        status: Status of `os.wait4`.
         said: Its standard error.
-        late: Whether its time was over.
-        orphans: Whether processes of its own outlived it.
-        memory: Bytes that it had at most.
+        late: Whether it ran out of time.
+        orphans: Whether processes that it started survived it.
+        memory: Peak memory in bytes.
     """
 
     status: int
@@ -50,7 +50,7 @@ class Ending:
 
 @dataclass
 class Verdict:
-    """The ending in a word, what was bad, and the details of that."""
+    """The ending in one word, the bad outcomes, and their details."""
 
     ending: str
     bad: set[str] = field(default_factory=set)
@@ -58,7 +58,7 @@ class Verdict:
 
 
 def snapshot(root: Path) -> Files:
-    """All files, folders and links below a folder, each with a digest of what it holds."""
+    """All files, folders and links below a folder, each with a digest of its contents."""
     found: Files = {}
     for place, folders, files in os.walk(root):
         for name in [*folders, *files]:
@@ -77,11 +77,11 @@ def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Pa
     """The verdict on one run.
 
     Args:
-        broken: What was run.
-        ending: How it ended.
-        before: The files below root before.
-        after: And afterwards.
-        root: The folder with the working folder `work` and all others that the process was to use.
+        broken: The input.
+        ending: How its run ended.
+        before: The files below `root` before the run.
+        after: The files below `root` after the run.
+        root: The folder with the working folder `work` and all other folders of the process.
     """
     verdict = _of_process(ending)
 
@@ -111,7 +111,7 @@ def _of_process(ending: Ending) -> Verdict:
     code = os.waitstatus_to_exitcode(ending.status)
     if ending.late or code in (-signal.SIGXCPU, -signal.SIGKILL):
         verdict = Verdict("hang", {"hang"}, ["took too long"])
-    elif code < 0 or "Caught signal number" in ending.said:  # PETSc catches them and ends with a status of its own
+    elif code < 0 or "Caught signal number" in ending.said:  # PETSc catches them and ends with its own status
         name = signal.Signals(-code).name if code < 0 else "caught by PETSc"
         verdict = Verdict("signal", {"signal"}, [f"signal {name}"])
     elif code not in ENDINGS:
@@ -131,7 +131,7 @@ def _of_process(ending: Ending) -> Verdict:
 
 
 def _is_a_sentence(said: str, code: int) -> bool:
-    """One line; or typer's words about a wrong usage, as everybody is used to."""
+    """Whether the output is one line, or typer's usual text about wrong usage."""
     said = said.strip()
     if code == 2 and said.startswith(("Usage: signorini", "╭─ Error ─")):
         return True
@@ -139,12 +139,12 @@ def _is_a_sentence(said: str, code: int) -> bool:
 
 
 def _files(broken: Broken, code: int, before: Files, after: Files) -> tuple[list[str], list[str]]:
-    """Files that appeared where none belong, and files that are gone or others."""
+    """New files in wrong places, and files that are gone or changed."""
     out = f"work/{OUTPUT}"
     own = set() if code == 2 else {out, f"{out}.failed"}
     new = [name for name in after if name not in before and not name.startswith(GUI)]
     outside = [name for name in new if not any(name == place or name.startswith(place + "/") for place in own)]
-    if code not in ENDINGS:  # what it was writing when it died is named after its place
+    if code not in ENDINGS:  # after a crash there may be a file that it was writing
         outside = [name for name in outside if not name.startswith(f"work/.{OUTPUT}.")]
     changed = [name for name, digest in before.items() if after.get(name) != digest]
     replaced = code == 0 or broken.words[0] == "study"
@@ -153,14 +153,14 @@ def _files(broken: Broken, code: int, before: Files, after: Files) -> tuple[list
 
 
 def _is_result(name: str, out: str) -> bool:
-    """Whether the program has made this file in the output folder; all others there are the user's."""
+    """Whether the program has made this file in the output folder; all other files there belong to the user."""
     return not name.removeprefix(out + "/").startswith(USERS)
 
 
 GUI = "home/.fltk"
-"""The preferences of Gmsh's windows, which its library writes when it is loaded."""
+"""Gmsh's window preferences, which its library writes when it is loaded."""
 USERS = ("photo.png", "raw.bp", "measured.bp", "run.json", "mine")
-"""What the user keeps in the output folder."""
+"""Files of the user in the output folder."""
 
 
 def put_files_of_the_user(out: Path) -> None:
@@ -172,7 +172,7 @@ def put_files_of_the_user(out: Path) -> None:
 
 
 def _has_solved(out: Path) -> bool:
-    """Whether a results folder holds a solution whose residuals are small, or says that it holds none."""
+    """Whether a results folder has a solution with small residuals, or states that it has none."""
 
     def refuse(text: str) -> float:
         raise ValueError(text)

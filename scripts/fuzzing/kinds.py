@@ -1,4 +1,4 @@
-"""The kinds of inputs by name, and the valid results that some of them begin with."""
+"""The kinds of inputs by name, and valid results from which some of them are made."""
 
 from pathlib import Path
 
@@ -27,10 +27,10 @@ GENERATORS: dict[str, Generator] = {
 
 
 def make_valid(pencil: Path, runner: Runner) -> Valid:
-    """Let the program itself make two results.
+    """Make two results with the program itself.
 
     Raises:
-        RuntimeError: If it does not.
+        RuntimeError: If it fails.
     """
     root = pencil / "valid"
     for folder in ("work", "home", "tmp", "said"):

@@ -1,4 +1,4 @@
-"""Broken mesh files of many formats, as text, as bytes, and as meshes that are none."""
+"""Broken mesh files of many formats: broken text, broken bytes, and well-formed files with invalid meshes."""
 
 import contextlib
 import io
@@ -35,7 +35,7 @@ FORMATS = {
     "nastran": (".bdf", "nastran", {}),
     "dolfin": (".xml", "dolfin-xml", {}),
 }
-"""How meshio writes them: the ending, its name of the format, its options."""
+"""Formats that meshio writes: the ending, meshio's name of the format, its options."""
 SUFFIXES = (
     ".msh",
     ".vtu",
@@ -83,7 +83,7 @@ DOLFINX = """<Xdmf Version="3.0"><Domain><Grid Name="mesh" GridType="Uniform">
 
 
 def mesh_file(rng: random.Random, folder: Path, valid: Valid) -> Broken:
-    """A mesh that is broken in one of the known ways, in its bytes, or as a mesh; or something hostile."""
+    """A mesh that is broken in a known way, in its bytes or as a mesh; or a hostile file."""
     way = rng.choice([_known, _bytes, _bytes, _bytes, _structure, _structure, _dolfinx, _hostile])
     file, about, refused = way(rng, folder)
     if not (folder / "case.toml").exists():
@@ -97,14 +97,14 @@ type Made = tuple[str, str, bool]
 
 
 def _known(rng: random.Random, folder: Path) -> Made:
-    """The ways of `tests/broken_input.py`, all of which are refused."""
+    """The ways of `tests/broken_input.py`; all these files must be refused."""
     index = rng.randrange(len(MESH_MUTATIONS))
     write_broken_mesh(folder, rng, index).rename(folder / "case.toml")
     return f"mesh{index}.msh", MESH_MUTATIONS[index].__name__.strip("_"), True
 
 
 def square(rng: random.Random) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points, cells, sides and the numbers of these, of a small square."""
+    """Points, cells, sides and the numbers of the parts of a small square."""
     n = rng.choice([1, 2, 3, 4])
     nodes, elements = square_msh(n)
     points = np.array([[float(x) for x in line.split()[1:]] for line in nodes])
@@ -116,7 +116,7 @@ def square(rng: random.Random) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Without meshio's advice, which it prints."""
+    """Suppress the hints that meshio prints."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         yield
 
@@ -130,7 +130,7 @@ def _written(folder: Path, name: str, mesh: meshio.Mesh) -> Path:
 
 
 def _mesh(rng: random.Random, name: str) -> meshio.Mesh:
-    """A sound mesh, with numbers where its format keeps them."""
+    """A valid mesh, with part numbers in the form of its format."""
     points, cells, sides, numbers = square(rng)
     flat = points[:, :2] if name in ("xdmf", "medit", "dolfin") else points
     tags = [np.full(len(cells), 3), numbers]
@@ -144,7 +144,7 @@ def _mesh(rng: random.Random, name: str) -> meshio.Mesh:
 
 
 def _bytes(rng: random.Random, folder: Path) -> Made:
-    """A sound file damaged; XDMF in its text or in its arrays."""
+    """A valid file with damage; for XDMF in its text or in its arrays."""
     name = rng.choice(sorted(FORMATS))
     path = _written(folder, name, _mesh(rng, name))
     if name == "xdmf" and rng.random() < 0.5:
@@ -162,14 +162,14 @@ def _bytes(rng: random.Random, folder: Path) -> Made:
 
 
 def _structure(rng: random.Random, folder: Path) -> Made:
-    """A well-formed file whose mesh is none."""
+    """A well-formed file with an invalid mesh."""
     name = rng.choice([name for name in FORMATS if name not in ("med", "dolfin")])
     mesh = _mesh(rng, name)
     way = rng.choice(STRUCTURES)
     way(rng, mesh)
     try:
         path = _written(folder, name, mesh)
-    except (Exception, SystemExit):  # meshio cannot write it: then in the format that takes all
+    except (Exception, SystemExit):  # meshio cannot write it: use the format that accepts all
         name, path = "vtu ascii", folder / "mesh.vtu"
         with contextlib.suppress(Exception, SystemExit):
             _written(folder, name, mesh)
@@ -177,7 +177,7 @@ def _structure(rng: random.Random, folder: Path) -> Made:
 
 
 def bad_points(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """Points that are no numbers, far away, all the same, or of another dimension."""
+    """Points that are not finite, far away, all equal, or of another dimension."""
     points = mesh.points.astype(float).copy()
     match rng.randrange(7):
         case 0:
@@ -198,7 +198,7 @@ def bad_points(rng: random.Random, mesh: meshio.Mesh) -> None:
 
 
 def bad_cells(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """Cells with vertices that are not there, twice, or of another number or type."""
+    """Cells with missing or repeated vertices, or with vertices of another number or type."""
     block = rng.choice(mesh.cells)
     data = block.data.copy()
     match rng.randrange(6):
@@ -218,7 +218,7 @@ def bad_cells(rng: random.Random, mesh: meshio.Mesh) -> None:
 
 
 def bad_kinds(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """Cells of other kinds than their vertices say."""
+    """Cells with a kind that does not fit their vertices."""
     kinds = [
         "triangle",
         "quad",
@@ -235,7 +235,7 @@ def bad_kinds(rng: random.Random, mesh: meshio.Mesh) -> None:
 
 
 def bad_numbers(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """Numbers of parts that are none, missing, or of another length."""
+    """Part numbers that are invalid, missing, or of another length."""
     for key, arrays in mesh.cell_data.items():
         index = rng.randrange(len(arrays))
         values = arrays[index]
@@ -256,7 +256,7 @@ def bad_numbers(rng: random.Random, mesh: meshio.Mesh) -> None:
 
 
 def sheets(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """All cells twice, at the same place."""
+    """All cells twice, in the same place."""
     points, cells = mesh.points, mesh.cells[0].data
     mesh.points = np.concatenate([points, points])
     mesh.cells[0].data = np.concatenate([cells, cells + len(points)])
@@ -264,7 +264,7 @@ def sheets(rng: random.Random, mesh: meshio.Mesh) -> None:
 
 
 def hanging(rng: random.Random, mesh: meshio.Mesh) -> None:
-    """A cell cut in two at an edge that its neighbour has whole; the first cells are [a, b, c] and [a, c, d]."""
+    """A cell cut in two at an edge that its neighbour does not cut; the first cells are [a, b, c] and [a, c, d]."""
     cells = mesh.cells[0].data
     (a, b, c), middle = cells[0], len(mesh.points)
     mesh.points = np.concatenate([mesh.points, (mesh.points[[a]] + mesh.points[[c]]) / 2])
@@ -273,7 +273,7 @@ def hanging(rng: random.Random, mesh: meshio.Mesh) -> None:
 
 
 def _add_numbers(mesh: meshio.Mesh, count: int) -> None:
-    """Numbers, and Gmsh's entities, for cells and points that are new."""
+    """Part numbers, and Gmsh's entities, for new cells and points."""
     for arrays in mesh.cell_data.values():
         arrays[0] = np.concatenate([arrays[0], arrays[0][:count]])
     for key, values in mesh.point_data.items():
@@ -316,7 +316,7 @@ def _dolfinx(rng: random.Random, folder: Path) -> Made:
 
 
 def _hostile(rng: random.Random, folder: Path) -> Made:
-    """Entities, links to other files, polyhedra, devices, and files that are none."""
+    """XML entities, links to other files, polyhedra, devices, and things that are not files."""
     way = rng.choice(["entities", "link", "polyhedron", "place", "place", "geo in msh"])
     if way == "entities":
         path = _written(folder, rng.choice(["vtu ascii", "xdmf xml"]), _mesh(rng, "xdmf xml"))

@@ -58,7 +58,7 @@ PETSC = (
     ),
     *("-pc_type lu -pc_factor_zeropivot 1e300", "-sub_pc_type nonsense", "-options_left", "-ksp_monitor", "-ksp_view"),
 )
-"""Those that ask PETSc for other files, a debugger or an abort are left out: PETSc does as it is told."""
+"""Those that ask PETSc for other files, a debugger or an abort are left out, because PETSc would obey."""
 OPTIONS = {
     **dict.fromkeys(["--h", "--rho", "--eps", "--theta", "--target"], SIZES),
     **dict.fromkeys(["--backend", "--algorithm", "--start-from"], WORDS),
@@ -83,13 +83,13 @@ SMALL = {
     "adapt": {"--max-cells": "60"},
     "convergence": {"--levels": "1:2", "--reference": "3"},
 }
-"""What keeps a command short that would be valid."""
+"""Options that keep a valid command fast."""
 WRITING = ("solve", "adapt", "convergence", "compare", "export")
 HOSTILE_OUTPUTS = (
     *("", ".", "..", "/", "notes.txt", "notes.txt/out", "photos", "../home", "/dev/null", "/proc/self/out", "x" * 300),
     *("y/" * 3000 + "z", "loop", "loop/out", "readonly/out", "/dev/full/x"),
 )
-"""Folders that belong to the user, cannot be made, or are none."""
+"""Folders that belong to the user, cannot be made, or are not folders."""
 
 
 def option(rng: random.Random, folder: Path, valid: Valid) -> Broken:
@@ -99,7 +99,7 @@ def option(rng: random.Random, folder: Path, valid: Valid) -> Broken:
 
 
 def _values(rng: random.Random, folder: Path) -> Broken:
-    """Values of the options that want a number or a name."""
+    """Values of the options that need a number or a name."""
     words = list(rng.choice(COMMANDS))
     usual = {
         "solve": ["--h", "--rho", "--eps", "--backend", "--algorithm", "--start-from"],
@@ -124,11 +124,11 @@ def _settings(rng: random.Random, folder: Path) -> Broken:
 
 
 def _outputs(rng: random.Random, folder: Path) -> Broken:
-    """Folders for the results that are none, or somebody else's: all of them are refused."""
+    """Output folders that are not folders or belong to others; all of them must be refused."""
     (folder / "photos").mkdir()
     shutil.copyfile(folder / "notes.txt", folder / "photos" / "photo.png")
     (folder / "loop").symlink_to("loop")
-    (folder / "readonly").touch()  # root may write into any folder, but nobody into a file
+    (folder / "readonly").touch()  # a file instead of a folder stops even root
     place = rng.choice(HOSTILE_OUTPUTS)
     command = rng.choice([["solve", "example1", "--h", "1/4"], ["adapt", "example1", "--max-cells", "30"]])
     return Broken([*command, "--output", place], f"output {place[:40]!r}", refused=True)
@@ -145,7 +145,7 @@ def _petsc(rng: random.Random, folder: Path) -> Broken:
 
 
 def _methods(rng: random.Random, folder: Path) -> Broken:
-    """Any algorithm with parameters at and beyond the ends of their ranges."""
+    """A random algorithm with parameters at and beyond the ends of their ranges."""
     words = ["solve", "example1", "--h", "1/3", "--algorithm", rng.choice(list(METHODS)), "--set"]
     words += [f"solve.max_iterations={rng.choice(['1', '2', '200', '0', '1.5', '-1', 'true'])}"]
     for name in rng.sample(["--rho", "--eps"], rng.choice([0, 1, 2])):
@@ -166,7 +166,7 @@ def _words(rng: random.Random, folder: Path) -> Broken:
 
 
 def _finished(rng: random.Random, words: list[str], shown: list[str]) -> Broken:
-    """With a place for the results, and nothing that no command line can hold."""
+    """Add an output folder, and remove characters that a command line cannot contain."""
     writes = words[0] in WRITING
     words = [word.replace("\0", "").encode(errors="ignore").decode()[:100_000] for word in words]
     words = [word for word in words if word not in ("--", "--help")] + (["--output", OUTPUT] if writes else [])

@@ -1,7 +1,7 @@
-"""Runs the program in processes of its own: forked from one that has imported everything and initialised nothing.
+"""Runs the program in processes that are forked from a parent that has imported everything and initialised nothing.
 
-A fresh Python needs seconds to import DOLFINx. So the parent imports all of it, but lets neither MPI nor PETSc begin,
-and has no second thread; each input gets a fork of it, in which they do. Heap corruption there ends the fork alone.
+A fresh Python needs seconds to import DOLFINx. So the parent imports it, but does not initialise MPI or PETSc and has
+no second thread. For each input it is forked, and the fork initialises them. Heap corruption ends only the fork.
 """
 
 import os
@@ -23,7 +23,7 @@ ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "NO_COLOR": "1",
     "TERM": "dumb",
-    "MALLOC_PERTURB_": "165",  # what is freed or not yet written is no zero
+    "MALLOC_PERTURB_": "165",  # freed and uninitialised memory is not zero
 }
 HEAP_CHECK = {"MALLOC_CHECK_": "3", "LD_PRELOAD": "libc_malloc_debug.so.0"}
 """glibc's own check of the heap, where it is installed."""
@@ -31,7 +31,7 @@ LIBRARIES = (f"/lib/{platform.machine()}-linux-gnu", "/lib64", "/usr/lib")
 
 
 def begin_again() -> None:
-    """Replace this process by one with the environment for fuzzing; returns where that has happened already."""
+    """Replace this process by one with the environment for fuzzing; in that process return at once."""
     wanted = ENVIRONMENT | {"XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))}
     if any(Path(folder, HEAP_CHECK["LD_PRELOAD"]).exists() for folder in LIBRARIES):
         wanted |= HEAP_CHECK
@@ -40,13 +40,13 @@ def begin_again() -> None:
 
 
 def import_everything(pencil: Path) -> None:
-    """Import the program without letting MPI or PETSc begin.
+    """Import the program without initialising MPI or PETSc.
 
     Args:
-        pencil: Where Matplotlib may keep what it keeps in a home.
+        pencil: Folder for the files that Matplotlib keeps in the home folder.
 
     Raises:
-        SystemExit: If one of them has begun, or there are threads, which a fork would lose.
+        SystemExit: If one of them is initialised, or there are threads, which a fork would lose.
     """
     os.environ["MPLCONFIGDIR"] = str(pencil)
     import mpi4py
@@ -55,7 +55,7 @@ def import_everything(pencil: Path) -> None:
     import signorini_fenicsx  # isort: skip
     import petsc4py.lib
 
-    petsc4py.lib.ImportPETSc()  # `from petsc4py import PETSc` would begin it
+    petsc4py.lib.ImportPETSc()  # `from petsc4py import PETSc` would initialise it
     from mpi4py import MPI
 
     import signorini_fenicsx.cases.inspection
@@ -74,7 +74,7 @@ def import_everything(pencil: Path) -> None:
 
 @dataclass
 class Process:
-    """A running input: its process, what to do when it has ended, and until when it may run."""
+    """A running input: its process, the function to call when it has ended, and its time limit."""
 
     root: Path
     done: Callable[[Ending], None]
@@ -83,7 +83,7 @@ class Process:
 
 
 class Runner:
-    """Runs up to some processes at a time."""
+    """Runs up to a given number of processes at a time."""
 
     def __init__(self, jobs: int, ranks: int):
         self._jobs = jobs
@@ -91,12 +91,12 @@ class Runner:
         self._running: dict[int, Process] = {}
 
     def start(self, words: list[str], root: Path, done: Callable[[Ending], None]) -> None:
-        """Start the program, as soon as one may, in `root/work`.
+        """Start the program in `root/work`, as soon as the number of processes allows it.
 
         Args:
             words: Its arguments.
-            root: Holds the folders `work`, `home` and `tmp`, and `said`, for what it says.
-            done: Is told how it ended.
+            root: Folder with the folders `work`, `home` and `tmp`, and the file `said` for the output.
+            done: Called with its ending.
         """
         while len(self._running) >= self._jobs:
             self._wait()
@@ -127,7 +127,7 @@ class Runner:
 
 
 def _end_all(group: int) -> bool:
-    """End all processes of a group that are left; whether there were any."""
+    """End all remaining processes of a group; return whether there were any."""
     try:
         os.killpg(group, signal.SIGKILL)
     except ProcessLookupError:
@@ -136,7 +136,7 @@ def _end_all(group: int) -> bool:
 
 
 def _become(words: list[str], root: Path, ranks: int) -> None:
-    """Become the program in a new process; ends it as a program ends, so that what happens at its end is seen too."""
+    """Become the program in a new process, and end like a program, so that errors at the end are seen too."""
     os.setsid()
     os.chdir(root / "work")
     os.environ |= {"HOME": str(root / "home"), "TMPDIR": str(root / "tmp")}
@@ -163,6 +163,6 @@ def _become(words: list[str], root: Path, ranks: int) -> None:
 
 
 def numbered(count: int, kinds: list[str]) -> Iterator[tuple[str, int]]:
-    """Kinds in turn, the inputs of each numbered from 0."""
+    """The kinds in turn, with the inputs of each kind numbered from 0."""
     for number in range(count):
         yield kinds[number % len(kinds)], number // len(kinds)

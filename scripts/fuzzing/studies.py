@@ -105,7 +105,7 @@ def study(rng: random.Random, folder: Path, valid: Valid) -> Broken:
 
 
 def _is_tame(data: bytes) -> bool:
-    """Whether a study asks for no more than the tiny runs that it began with, if it is one at all."""
+    """Whether a study asks only for runs as tiny as the original ones, or is not a study."""
     sizes = b'h = ["1/2", 0.75]' in data or b"levels = [1, 2]\nreference = 3" in data
     return sizes and not any(word in data for word in (b"problem", b"shape", b"boundary", b"plot"))
 
@@ -126,7 +126,7 @@ def _with_values(rng: random.Random, text: str) -> tuple[bytes, str]:
 
 
 def _broken_folder(rng: random.Random, place: Path) -> str:
-    """A folder in the place of the study's own, in which something is not what it should be."""
+    """A folder instead of the study's own folder, with something wrong in it."""
     way = rng.choice(FOLDERS)
     run = place / "runs" / "example1-alg1-0123456789ab"
     place.mkdir()

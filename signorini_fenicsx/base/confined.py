@@ -100,7 +100,7 @@ def _name(number: int) -> str:
 
 
 def _memory() -> int:
-    """Half of the bytes of memory that are free, or LEAST_MEMORY: others need some as well."""
+    """Half of the free memory in bytes, because other processes need some too; at least LEAST_MEMORY."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):

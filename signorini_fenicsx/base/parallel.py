@@ -47,12 +47,6 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
     return None if parts is None else np.concatenate(parts)
 
 
-def scatter_rows(comm: MPI.Comm, wanted: npt.NDArray[np.int64], rows: npt.NDArray | None) -> npt.NDArray:
-    """Send to each rank the rows that it wants of an array of rank 0 (collective)."""
-    lists = comm.gather(wanted)
-    return comm.scatter(None if rows is None or lists is None else [rows[each] for each in lists])
-
-
 LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables in which launchers give the number of ranks; the first one that is set is the innermost launcher's."""
 
@@ -152,7 +146,7 @@ def collect_garbage(comm: MPI.Comm) -> None:
 
 @contextlib.contextmanager
 def collector_off() -> Iterator[None]:
-    """Without Python's automatic collector, which may strike while MPI is called, see `collect_garbage`."""
+    """Switch Python's automatic collector off inside this context, see `collect_garbage`."""
     was_on = gc.isenabled()
     gc.disable()
     try:

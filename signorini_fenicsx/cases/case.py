@@ -36,7 +36,7 @@ class Geometry(_Section):
 
     shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
-    mesh: Annotated[str, choice("mesh", ("unstructured", "structured"))] = "unstructured"
+    mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
     diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
 
     @model_validator(mode="after")

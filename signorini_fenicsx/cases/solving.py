@@ -44,19 +44,19 @@ def solve_case(
     """
     watch = Stopwatch()
 
-    def coarser(factor: float) -> Domain:
-        return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
-
-    remesh = coarser if domain is None else None
     with watch.phase("mesh"):
-        domain = domain or mesh_case(case, comm)
+        fine = domain or mesh_case(case, comm)
+
+    def coarser(factor: float) -> Domain:
+        return fine.ancestor(factor) or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
+
     return solve(
-        domain,
+        fine,
         boundary_of(case),
-        case.data(domain.mesh.geometry.dim),
+        case.data(fine.mesh.geometry.dim),
         options_of(case, tuning),
         start=start,
-        remesh=remesh,
+        remesh=coarser if domain is None else None,
         name=case.name,
         title=case.title,
         source=case,

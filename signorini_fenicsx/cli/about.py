@@ -1,4 +1,4 @@
-"""Commands that tell without solving: cases, info, check, methods, version."""
+"""Commands that give information without solving: cases, info, check, methods, version."""
 
 from mpi4py import MPI
 
@@ -27,7 +27,7 @@ def info(
     settings: Settings = None,
     as_json: Json = False,
 ) -> None:
-    """Show the sizes and boundary parts of a case, and about how much memory and time a run takes; solve nothing.
+    """Show sizes and boundary parts of a case, and estimate memory and time of a run; solve nothing.
 
     Examples:
       signorini info dam
@@ -54,7 +54,7 @@ def check(
     settings: Settings = None,
     quiet: Quiet = False,
 ) -> None:
-    """Do all that a run does before it solves: read the case, make or read its mesh, find its parts, take its data.
+    """Check a case without solving it: read it, make or read its mesh, find its parts, evaluate its data.
 
     Examples:
       signorini check my-case.toml
@@ -81,7 +81,7 @@ def cases() -> None:
 
 
 def methods() -> None:
-    """List all algorithms: name, what it solves, where it comes from."""
+    """List all algorithms: name, problem that it solves, source."""
     from signorini_fenicsx.methods.registry import METHODS
 
     report = Report()
@@ -91,7 +91,7 @@ def methods() -> None:
 
 
 def version(as_json: Json = False) -> None:
-    """Show the versions of this program and of all that can change a result."""
+    """Show the versions of this program and of all software that can change a result."""
     from signorini_fenicsx.base.versions import versions
 
     report, found = Report(as_json=as_json), versions()

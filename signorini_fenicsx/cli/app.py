@@ -1,4 +1,4 @@
-"""The commands of `signorini`, in the order in which its help lists them."""
+"""The commands of `signorini`, in the order of its help."""
 
 import typer
 

@@ -1,4 +1,4 @@
-"""What is said of a case: what it is, what it will take, whether it can be solved."""
+"""The report of a case: its contents, its expected cost, whether it can be solved."""
 
 from collections.abc import Mapping
 
@@ -11,16 +11,16 @@ from signorini_fenicsx.solving.solution import Solution
 
 
 class CaseReport(Report):
-    """What commands print of a case, before or instead of solving it."""
+    """What commands print about a case, before or instead of solving it."""
 
     def heading(self, about: Case | Solution, comm: MPI.Comm) -> None:
-        """Say what is about to be solved or was, and how."""
+        """Print which problem is or was solved, and how."""
         self.title(about.title or about.name)
         ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
         self.line(f"{about.method.title}, {ranks}")
 
     def expected(self, case: Case, estimate: Expected) -> None:
-        """Show the sizes of a case and what a run should take."""
+        """Print the sizes of a case and the expected cost of a run."""
         about = "" if estimate.exact else "≈ "
         mesh = case.fineness.removeprefix("mesh ")
         self.entry("mesh", f"{mesh}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns")
@@ -29,9 +29,7 @@ class CaseReport(Report):
             self.entry("part", f"{name}: {part['condition']}{size}")
         for name, cells in estimate.regions.items():
             self.entry("region", f"{name}: {cells} cells")
-        usual = (
-            "" if is_typical(case) else "; these are rates of alg1 to alg4 with the hybrid backend, others take more"
-        )
+        usual = "" if is_typical(case) else "; from rates of alg1 to alg4 with the hybrid backend, others take more"
         self.entry("memory", f"≈ {estimate.memory / 2**20:.0f} MiB (an estimate{usual})")
         self.entry(
             "seconds",
@@ -40,7 +38,7 @@ class CaseReport(Report):
         )
 
     def checked(self, counts: Mapping[str, int]) -> None:
-        """Say that a case can be solved, and how large it is."""
+        """Print that a case can be solved, and its sizes."""
         kinds = ("signorini", "neumann", "dirichlet")
         facets = ", ".join(f"{counts[f'{kind}_facets']} on Γ_{kind[0].upper()}" for kind in kinds)
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")

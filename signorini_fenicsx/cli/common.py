@@ -1,4 +1,4 @@
-"""What commands have in common: the case with its new values, the place of results, the state of a failed run."""
+"""Functions shared by commands: the case with its new values, the place of results, the state of a failed run."""
 
 import contextlib
 from collections.abc import Iterator
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case":
-    """The case that a command is about (collective).
+    """The case of a command, with its new values (collective).
 
     Args:
         comm: Communicator; rank 0 reads the case.
-        name: Its name or path.
-        settings: New values, see `overrides`.
-        options: Likewise.
+        name: Name or path of the case.
+        settings: New values by `--set`, see `overrides`.
+        options: New values by other options, see `overrides`.
 
     Raises:
         InputError: If there is no such case, or it is not valid with these values.
@@ -35,16 +35,16 @@ def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options
 
 
 def results_place(output: Path | None, name: str) -> Path:
-    """Where results go: into the wanted folder, or below results/."""
+    """The folder for results: `output`, or by default one below results/."""
     return output or Path("results", name)
 
 
 @contextlib.contextmanager
 def failure_kept(folder: ResultsFolder, *, plot: bool, html: bool) -> Iterator[None]:
-    """Write the state of a run that fails, and say where it is (collective).
+    """If the run in this context fails, write its last state and add its place to the message (collective).
 
     Raises:
-        NumericalFailure: The one that the run has ended with.
+        NumericalFailure: The failure of the run.
     """
     from signorini_fenicsx.output.writing import write_solution
 

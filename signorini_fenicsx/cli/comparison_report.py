@@ -1,4 +1,4 @@
-"""What is said of errors and differences of solutions."""
+"""The reports of errors and differences of solutions."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ class ComparisonReport(Report):
     """What `signorini compare` prints."""
 
     def comparison(self, result: Comparison, first: Path, second: Path) -> None:
-        """Show how far two runs are apart."""
+        """Print the differences of two runs."""
         one, other = result.contact
         norms = "  ".join(f"{ERRORS.get(name, '‖δσ·n‖_Λ')} {value:.4e}" for name, value in vars(result.norms).items())
         lines = {
@@ -32,17 +32,17 @@ class ConvergenceReport(CaseReport):
     """What `signorini convergence` prints."""
 
     def about_to_solve(self, case: Case) -> None:
-        """Say which problem is being solved, until its row replaces the line."""
+        """Print which problem is being solved; its row later replaces this line."""
         if self.console.is_terminal:
             self.console.print(f"solving {case.fineness}, {case.solve.algorithm} …", end="\r", markup=False)
 
     def columns(self) -> None:
-        """Name the columns of a convergence study."""
+        """Print the names of the columns of a convergence study."""
         errors = "".join(f" {name:>11} {'order':>5}" for name in ERRORS.values())
         self.line(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{errors} {'slides σ':>9} {'slides u':>9}")
 
     def row(self, row: ErrorRow) -> None:
-        """Show the errors of one run."""
+        """Print the errors of one run."""
         errors = "".join(
             f" {_cell(getattr(row, name), 11, '.3g')} {_cell(getattr(row, name + '_order'), 5, '.2f')}"
             for name in ERRORS
@@ -51,7 +51,7 @@ class ConvergenceReport(CaseReport):
         self.line(f"{row.h:8.5f} {_cell(row.eps, 8, '.1e')} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
 
     def slopes(self, slopes: dict[str, float], vary: Vary, method: Method) -> None:
-        """Show fitted slopes beside those of the theory."""
+        """Print the fitted slopes next to those of the theory."""
         theory = {
             Vary.H: "h (8)" if method.penalty is None else "h (30), (32)",
             Vary.EPS: "ε" if method.stabilised else "√ε in general, ε for a regular flux (21)-(24)",

@@ -34,7 +34,7 @@ def compare(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Compare two runs on one domain, whatever their meshes: contact sets, and norms of the differences.
+    """Compare two runs on one domain, on any meshes: contact sets, and norms of the differences.
 
     Example:
       signorini compare results/example5 results/example5-adapt --output results/difference
@@ -46,8 +46,8 @@ def compare(
 
     comm, report = MPI.COMM_WORLD, ComparisonReport(quiet=quiet, as_json=as_json)
     if output is not None and os.path.realpath(output) in map(os.path.realpath, (first, second)):
-        raise InputError(f"--output {output}: is one of the runs, which the comparison would replace; take another")
-    one = load_solution(first, comm)  # named, so that an exception keeps it: MPI deadlocks on freeing it meanwhile
+        raise InputError(f"--output {output}: is one of the runs, which the comparison would replace; choose another")
+    one = load_solution(first, comm)  # a name keeps it alive in an exception; freeing it then would deadlock MPI
     other = load_solution(second, comm)
     comparison = compare_solutions(one, other)
     report.comparison(comparison, first, second)
@@ -62,7 +62,7 @@ def compare(
 
 def convergence(
     case: CaseName,
-    vary: Annotated[str, typer.Option("--vary", help="h, eps (same mesh), or with ε tied to h: eps=h, eps=h^2.")] = "h",
+    vary: Annotated[str, typer.Option("--vary", help="h; eps (same mesh); eps=h or eps=h^2 (both vary).")] = "h",
     levels: Annotated[str, typer.Option("--levels", help="FIRST:LAST of h = 2^-level, or of eps = 10^-level.")] = "2:6",
     reference: Annotated[int, typer.Option("--reference", help="Level of the reference; unused by --vary eps.")] = 8,
     algorithm: AlgorithmName = None,
@@ -75,7 +75,7 @@ def convergence(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Measure errors against a fine solution, or those of the penalty; into results/<case>-convergence/.
+    """Measure errors against a fine solution, or errors of the penalty; write results/<case>-convergence/.
 
     Examples:
       signorini convergence example1 --levels 2:6 --reference 8 --algorithm alg2

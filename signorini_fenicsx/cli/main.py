@@ -24,11 +24,11 @@ from signorini_fenicsx.cli.app import app
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 MAX_WORDS = 800, 200
-"""Characters of a message that are shown, at its begin and at its end."""
+"""Most characters of a message that are shown, from its beginning and from its end."""
 
 
 def _run(command: Callable[[], object]) -> int:
-    """Run the command on all ranks and turn the failures that can be expected into exit statuses."""
+    """Run the command on all ranks and turn expected failures into exit statuses."""
     try:
         command()
     except InputError as error:
@@ -37,7 +37,7 @@ def _run(command: Callable[[], object]) -> int:
     except NumericalFailure as failure:
         _complain("failed", str(failure))
         return EXIT_FAILED
-    except OSError as error:  # a full disk, a folder that vanished; a path that no system takes
+    except OSError as error:  # a full disk, a folder that is gone; an impossible path
         is_input = error.errno == errno.ENAMETOOLONG
         _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
         return EXIT_BAD_INPUT if is_input else EXIT_FAILED
@@ -60,7 +60,7 @@ def _run(command: Callable[[], object]) -> int:
 
 
 def _end_others(comm: MPI.Comm, interruption: Interruption) -> None:
-    """End the ranks that no signal has reached, maybe; if it has reached rank 0, that has said so."""
+    """End all ranks, because the signal may not have reached the others; rank 0 prints the message if it got it."""
     if comm.size > 1 and comm.rank > 0:
         time.sleep(2 * FORWARDING)
         end_all(comm, f"failed: rank {comm.rank} was {interruption}\n")
@@ -76,7 +76,7 @@ def _complain(kind: str, message: str) -> None:
 
 
 def main() -> None:
-    """Entry point: PETSc gets what follows `--`, the command what precedes it; only rank 0 speaks."""
+    """Entry point: PETSc gets the options after `--`, the command those before it; only rank 0 prints."""
     arguments, petsc_options = sys.argv[1:], []
     if "--" in arguments:
         split = arguments.index("--")
@@ -88,7 +88,7 @@ def main() -> None:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without Unicode is no reason to fail
+            stream.reconfigure(errors="replace")  # do not fail on a terminal without Unicode
     command = typer.main.get_command(app)  # calling app itself would replace sys.excepthook
 
     def run() -> None:
@@ -98,18 +98,18 @@ def main() -> None:
         outlive_readers()
         command(args=arguments, prog_name="signorini")
 
-    with listening(), np.errstate(all="ignore"):  # what is not finite is told in a sentence
+    with listening(), np.errstate(all="ignore"):  # values that are not finite are reported in a sentence
         status = _run(run)
     sys.exit(status)
 
 
 def _start_petsc(options: list[str], comm: MPI.Comm) -> None:
-    """Give PETSc the options; what it prints of an error is kept for the sentence.
+    """Start PETSc with its options; what it prints about an error goes into the error message.
 
-    Some errors are met by rank 0 alone, which then ends all.
+    Some errors occur on rank 0 only, which then ends all ranks.
 
     Raises:
-        InputError: If it cannot start with them.
+        InputError: If PETSc cannot start with these options.
     """
     failure: InputError | None = None
     with tempfile.TemporaryFile("w+", errors="replace") as words:

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have, and what their texts mean."""
+"""Arguments and options of several commands, and the reading of their texts."""
 
 import math
 import tomllib
@@ -26,20 +26,20 @@ CaseName = Annotated[
 AlgorithmName = Annotated[
     str | None,
     typer.Option(
-        "--algorithm", help="One of those that `signorini methods` lists.", autocompletion=_names_of_algorithms
+        "--algorithm", help="An algorithm of the list of `signorini methods`.", autocompletion=_names_of_algorithms
     ),
 ]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
 Rho = Annotated[str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
 Epsilon = Annotated[str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.")]
-BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; of alg1 to alg4 only.")]
+BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; only for alg1 to alg4.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the summary, and nothing else.")]
-Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse turns.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print only one JSON object, the summary.")]
+Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse can turn.")]
 OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
 
 
@@ -47,8 +47,8 @@ def overrides(settings: list[str] | None, **options: object) -> dict[str, object
     """New values of keys of a case.
 
     Args:
-        settings: Those of `--set`, as KEY=VALUE.
-        options: Those of [solve] that have options of their own; None where it is not given.
+        settings: Values of `--set`, as KEY=VALUE.
+        options: Values of keys of [solve] that have their own options; None if not given.
 
     Raises:
         InputError: If a setting is not KEY=VALUE.
@@ -63,7 +63,7 @@ def overrides(settings: list[str] | None, **options: object) -> dict[str, object
 
 
 def _toml_value(text: str) -> object:
-    """A value as TOML writes it, such as ["top", "left"], or else the text itself."""
+    """A value in TOML's notation, such as ["top", "left"]; any other text stays text."""
     try:
         tree = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -72,10 +72,10 @@ def _toml_value(text: str) -> object:
 
 
 def positive(option: str, text: str) -> float:
-    """The number that an option gives.
+    """The positive number that an option gives.
 
     Raises:
-        InputError: If it is not a positive one.
+        InputError: If it is not a positive number.
     """
     from signorini_fenicsx.expressions import parse_number
 

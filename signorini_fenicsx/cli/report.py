@@ -1,4 +1,4 @@
-"""What commands print: words for people or one JSON object for programs; only rank 0's are seen."""
+"""Output of commands: text for people or one JSON object for programs; only rank 0 prints."""
 
 import sys
 from collections.abc import Mapping
@@ -12,20 +12,20 @@ from signorini_fenicsx.base.text import json_text
 
 
 class Report:
-    """What one command prints; those of the commands add the words."""
+    """The output of one command; subclasses add the texts of the commands."""
 
     def __init__(self, *, quiet: bool = False, as_json: bool = False):
         """Decide what is printed.
 
         Args:
-            quiet: No words.
-            as_json: The JSON object, and no words either.
+            quiet: Print no text.
+            as_json: Print the JSON object and no text.
         """
         self.console = Console(highlight=False, soft_wrap=True, emoji=False, quiet=quiet or as_json)
         self._as_json = as_json
 
     def title(self, text: str) -> None:
-        """Print what the output is about."""
+        """Print a title."""
         self.console.print(text, style="bold", markup=False)
 
     def line(self, text: str) -> None:
@@ -33,24 +33,24 @@ class Report:
         self.console.print(text, markup=False)
 
     def entry(self, name: str, text: str, *, width: int = 10) -> None:
-        """Print a text behind its name, for which there is a column of this width."""
+        """Print a name, in a column of this width, and a text."""
         self.line(f"{name:<{width}} {text}")
 
     def entries(self, texts: Mapping[str, str], *, width: int = 10) -> None:
-        """Print texts behind their names."""
+        """Print names and their texts."""
         for name, text in texts.items():
             self.entry(name, text, width=width)
 
     def results(self, folder: Path) -> None:
-        """Say where the results are."""
+        """Print where the results are."""
         self.entry("results", str(folder))
 
     def json(self, values: Mapping[str, Any]) -> None:
-        """Print the JSON object, where it is asked for."""
+        """Print the JSON object if `as_json` is set."""
         if self._as_json:
             sys.stdout.write(json_text(values) + "\n")
 
     def summary(self, folder: Path) -> None:
-        """Print the `summary.json` of a results folder as the JSON object, where it is asked for (rank 0)."""
+        """Print the `summary.json` of a results folder as the JSON object if `as_json` is set (rank 0)."""
         if self._as_json and MPI.COMM_WORLD.rank == 0:
             sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))

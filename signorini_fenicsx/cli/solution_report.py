@@ -1,4 +1,4 @@
-"""What is said of a run: its iterations, its solution, the bound of its error."""
+"""The report of a run: its iterations, its solution, the bound of its error."""
 
 import math
 from decimal import ROUND_CEILING, Context, Decimal
@@ -19,14 +19,14 @@ class SolutionReport(CaseReport):
     """What `signorini solve` prints."""
 
     def columns(self, case: Case) -> None:
-        """Say what the run is about and name the columns of the iterations."""
+        """Print the problem of the run, and the names of the columns of the iterations."""
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
         counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
         self.line(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
     def step(self, row: Step) -> None:
-        """Show an iteration as soon as it is done; of more than 20 only those with a number such as 30 or 400."""
+        """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
         if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
         counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
@@ -34,7 +34,7 @@ class SolutionReport(CaseReport):
         self.line(f"{row.iteration:4d}{counts} {changes}")
 
     def solution(self, result: Solution, certificate: Certificate, proof: Proof | None = None) -> None:
-        """Show the summary of a finished run (collective)."""
+        """Print the summary of a finished run (collective)."""
         summary = result.summary()
         rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
         lines = {
@@ -64,7 +64,7 @@ class SolutionReport(CaseReport):
 
 
 def bound(certificate: Certificate) -> str:
-    """The error bound in words, and why it is not guaranteed if it is not."""
+    """The error bound in words; if it is not guaranteed, the reason."""
     if not math.isfinite(certificate.bound):
         reasons = "u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
         return f"no error bound: {reasons}{_reservation(certificate)}"
@@ -86,7 +86,7 @@ def _reservation(certificate: Certificate) -> str:
 
 
 def proved(bounds: Proven, seconds: float) -> str:
-    """The proven error bound in words, all numbers rounded up."""
+    """The proven error bound in words; all numbers are rounded up."""
     parts = ", ".join(f"{name} {above(getattr(bounds, name), 2)}" for name in ("gap", "oscillation", "remainder"))
     return (
         f"energy error ≤ {above(bounds.bound, 5)}; ‖σ − σ_h‖ ≤ {above(bounds.sigma_bound, 5)} "
@@ -95,6 +95,6 @@ def proved(bounds: Proven, seconds: float) -> str:
 
 
 def above(value: float, digits: int) -> str:
-    """A number of so many digits that is not less than the float."""
+    """A number with this many digits that is not less than the float."""
     rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal(Decimal(value))
     return f"{float(rounded):.{digits - 1}e}"

@@ -1,4 +1,4 @@
-"""Commands that make solutions or write them again: solve, adapt, export."""
+"""Commands that compute solutions or write them again: solve, adapt, export."""
 
 import os
 from functools import partial
@@ -43,7 +43,7 @@ def solve(
     rho: Rho = None,
     eps: Epsilon = None,
     backend: BackendName = None,
-    predict: Annotated[bool, typer.Option(help="Start large problems from a coarser mesh's sets.")] = True,
+    predict: Annotated[bool, typer.Option(help="Start large problems from the sets of a coarser mesh.")] = True,
     settings: Settings = None,
     start_from: Annotated[
         Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
@@ -106,11 +106,11 @@ def adapt(
     target: Annotated[
         str | None, typer.Option("--target", help="Relative certified error to reach, such as 1e-2.")
     ] = None,
-    max_cells: Annotated[int | None, typer.Option("--max-cells", help="Largest mesh, 10^6 cells by default.")] = None,
-    theta: Annotated[str, typer.Option("--theta", help="Part of the squared error to refine; 1 is uniform.")] = "0.5",
+    max_cells: Annotated[int | None, typer.Option("--max-cells", help="Most cells of a mesh; default 10^6.")] = None,
+    theta: Annotated[str, typer.Option("--theta", help="Share of the squared error to refine; 1 is uniform.")] = "0.5",
     uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
     algorithm: AlgorithmName = None,
-    h: Annotated[str | None, typer.Option("--h", help="h of the first mesh; an eighth of a shape's diameter.")] = None,
+    h: Annotated[str | None, typer.Option("--h", help="h of the first mesh; default 1/8 of the diameter.")] = None,
     rho: Rho = None,
     eps: Epsilon = None,
     backend: BackendName = None,
@@ -121,7 +121,7 @@ def adapt(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Refine where the certified error is large until it is small; into results/<case>-adapt/.
+    """Refine where the certified error is large until it is small; write results/<case>-adapt/.
 
     Examples:
       signorini adapt example5 --target 1e-2
@@ -169,10 +169,10 @@ def adapt(
 
 
 def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[float | None, float]:
-    """The relative error to reach and the part of the error to refine.
+    """The relative error to reach and the share of the error to refine.
 
     Raises:
-        InputError: If one of the options of `adapt` is not valid, or nothing says where it ends.
+        InputError: If one of the options of `adapt` is not valid, or none of them defines the end.
     """
     if target is None and max_cells is None:
         raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
@@ -186,7 +186,7 @@ def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[flo
 
 
 def _on_first_mesh(name: str, values: dict[str, object]) -> "Case":
-    """A case with these values, on a named shape with h of the first mesh unless that is one of them (rank 0)."""
+    """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
     from signorini_fenicsx.cases.case import load_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
     from signorini_fenicsx.meshes.shapes import SHAPES
@@ -205,7 +205,7 @@ def export(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Write fields, tables and pictures of an earlier solution again, without solving, by default in place.
+    """Write fields, tables and pictures of an earlier solution again without solving, by default into its folder.
 
     Example:
       mpirun -n 2 signorini export results/example2 --plot

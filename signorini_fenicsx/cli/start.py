@@ -1,4 +1,4 @@
-"""Where `signorini` begins: with a sentence instead of a traceback if there is no DOLFINx to import."""
+"""The start of `signorini`: if DOLFINx is not installed, it prints a sentence instead of a traceback."""
 
 import importlib.util
 import sys

@@ -21,7 +21,7 @@ def study(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Do the runs of a study that have not been done, into results/<study>-study/; start again after any interruption.
+    """Do all unfinished runs of a study; write results/<study>-study/. After an interruption start it again.
 
     Examples:
       signorini study my-study.toml --dry-run

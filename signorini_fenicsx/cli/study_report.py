@@ -1,4 +1,4 @@
-"""What `signorini study` shows: the plan, a live view while it runs, and how it ended. Only rank 0 writes."""
+"""The report of `signorini study`: the plan, a live view, and the end. Only rank 0 prints."""
 
 import time
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ class StudyReport(Report):
     """What `signorini study` prints."""
 
     def heading(self, study: Study, runs: Sequence[Run], comm: MPI.Comm) -> None:
-        """Say what is about to be done, and with what."""
+        """Print the number of runs and the groups of ranks."""
         size = min(study.ranks_per_run, comm.size)
         groups, idle = divmod(comm.size, size)
         self.title(study.title or study.name)
@@ -28,7 +28,7 @@ class StudyReport(Report):
         self.line(f"{len(runs)} runs, {shape}{remark}")
 
     def plan(self, runs: Sequence[Run], folder: StudyFolder) -> None:
-        """List the runs with the values in which they differ, their estimated sizes and where they stand."""
+        """List the runs with the values in which they differ, their estimated sizes and their status."""
         parameters = [run.parameters for run in runs]
         varied = [key for key in parameters[0] if len({str(values[key]) for values in parameters}) > 1]
         for run, values in zip(runs, parameters, strict=True):
@@ -39,10 +39,10 @@ class StudyReport(Report):
 
 
 def listing(study: Study, runs: Sequence[Run], folder: StudyFolder) -> dict[str, Any]:
-    """The runs of a study as the JSON object holds them: where they stand, their parameters, how they ended (rank 0).
+    """The runs of a study for the JSON object: status, parameters, and how they ended (rank 0).
 
     Raises:
-        InputError: If what a finished run has left is damaged.
+        InputError: If the record of a finished run is damaged.
     """
     rows = []
     for run in runs:
@@ -58,12 +58,12 @@ def listing(study: Study, runs: Sequence[Run], folder: StudyFolder) -> dict[str,
 class Progress:
     """A live view of a study, read from its folder; a context manager.
 
-    On a terminal it is kept up to date from a thread, since the rank that shows it computes as well. Elsewhere a line
-    is printed for each finished run, as soon as this rank comes to know of it.
+    On a terminal a thread keeps it up to date, because the rank that shows it computes as well. Otherwise a line is
+    printed for each finished run, as soon as this rank knows of it.
     """
 
     def __init__(self, runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm, report: Report):
-        """Look where the runs stand (rank 0)."""
+        """Look up the status of the runs (rank 0)."""
         self._report = report
         self._runs, self._folder, self._speaks = runs, folder, comm.rank == 0
         self._began = time.perf_counter()

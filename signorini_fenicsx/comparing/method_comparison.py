@@ -1,4 +1,4 @@
-"""All algorithms on one mesh, side by side: work, accuracy, mass balance and contact set."""
+"""Comparison of all algorithms on one mesh: work, accuracy, mass balance and contact set."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

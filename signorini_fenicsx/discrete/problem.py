@@ -17,7 +17,7 @@ class Problem:
         f: Load.
         kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
         u_D: Trace on Γ_D, continuous.
-        g_N: Flux κ∇u·n on Γ_N. Negative values flow out of Ω, as for every flux here.
+        g_N: Flux κ∇u·n on Γ_N, with the outer normal n.
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
         exact: The exact u, where it is known.

@@ -1,6 +1,6 @@
-"""From what a mesh file holds to a mesh that can be computed on: what is wrong with it is said in one sentence.
+"""From the contents of a mesh file to a mesh for computations; each error is one sentence.
 
-Checks compare lengths with lengths only, so they do not depend on the unit of length. All of this runs on rank 0.
+Checks compare lengths only with lengths, so they do not depend on the unit of length. All functions run on rank 0.
 """
 
 import itertools
@@ -13,26 +13,28 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 
 FLAT = 1e-14
-"""A cell whose volume is less than this part of diameter^dim is degenerate."""
+"""A cell whose volume is below this share of diameter^dim is degenerate."""
 PLANAR = 1e-10
-"""A planar mesh may leave its plane by this part of its size."""
+"""Largest distance of a planar mesh from its plane, relative to its size."""
 SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
-"""Elements that are understood and their dimensions."""
+"""Accepted kinds of elements and their dimensions."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds.
+    """The contents of a file.
 
     Attributes:
         points: Shape (points, 2 or 3).
-        blocks: Kind of element, as meshio names it, and for each element its points.
-        groups: Name, dimension, and the elements by block and row.
+        blocks: Kind of the elements, with meshio's name, and the points of each element.
+        groups: Name, dimension, and elements by block and row.
+        straight: Whether the elements are those of a geometry that is known to have straight edges and plane faces.
     """
 
     points: Array
     blocks: list[tuple[str, Indices]]
     groups: list[tuple[str, int, list[tuple[int, Indices]]]]
+    straight: bool = False
 
 
 @dataclass(frozen=True)
@@ -40,16 +42,18 @@ class FileMesh:
     """A mesh of triangles or tetrahedra that has passed `checked`.
 
     Attributes:
-        points: Shape (points, dim), all used.
+        points: Shape (points, dim); every point is used.
         cells: Shape (cells, dim + 1).
-        parts: For each group of facets their vertices, ascending, shape (facets, dim).
-        regions: For each group of cells their numbers.
+        parts: For each group of facets its facets as ascending vertices, shape (facets, dim).
+        regions: For each group of cells the numbers of its cells.
+        straight: Whether uniform refinement of the mesh keeps the geometry.
     """
 
     points: Array
     cells: Indices
     parts: Mapping[str, Indices]
     regions: Mapping[str, Indices]
+    straight: bool = False
 
     @property
     def dim(self) -> int:
@@ -58,10 +62,10 @@ class FileMesh:
 
 
 def checked(contents: Contents) -> FileMesh:
-    """Take the mesh out of what a file holds.
+    """Make the mesh from the contents of a file.
 
     Raises:
-        InputError: If it is not a conforming mesh of straight triangles or tetrahedra in its plane or space.
+        InputError: If it is not a conforming mesh of straight triangles in a plane or straight tetrahedra.
     """
     for kind, elements in contents.blocks:
         if kind not in SIMPLICES and len(elements) > 0:
@@ -76,7 +80,7 @@ def checked(contents: Contents) -> FileMesh:
     cells = np.concatenate([contents.blocks[i][1] for i in cell_blocks])
     everything = [elements for kind, elements in contents.blocks if SIMPLICES.get(kind) in (dim - 1, dim)]
     if any(np.any((elements < 0) | (elements >= len(contents.points))) for elements in everything):
-        raise InputError("an element has a point that the file does not hold")
+        raise InputError("an element has a point that is not in the file")
     used, numbered = np.unique(cells, return_inverse=True)
     points = _in_its_space(contents.points[used], dim)
     new_number = np.full(len(contents.points), -1)
@@ -97,13 +101,14 @@ def checked(contents: Contents) -> FileMesh:
         numbered.reshape(-1, dim + 1),
         {name: np.unique(np.sort(_joined(rows, dim), axis=1), axis=0) for name, rows in parts.items()},
         {name: np.unique(_joined(rows)) for name, rows in regions.items()},
+        contents.straight,
     )
     _check_cells(mesh)
     return mesh
 
 
 def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:
-    """Refuse points without two or three coordinates, and simplices with another number of points than they have.
+    """Refuse points without two or three coordinates, and simplices with a wrong number of points.
 
     Raises:
         InputError: If there are any.
@@ -128,7 +133,7 @@ def _refusal(kind: str, count: int) -> str:
         elements = _count(count, "curved element")
         return f"holds {elements} ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
     elements = _count(count, "element")
-    return f"holds {elements} of kind '{kind}'; only triangles and tetrahedra will do (in Gmsh, without Recombine)"
+    return f"holds {elements} of kind '{kind}'; only triangles and tetrahedra are allowed (in Gmsh, without Recombine)"
 
 
 def _in_its_space(points: Array, dim: int) -> Array:
@@ -143,7 +148,7 @@ def _in_its_space(points: Array, dim: int) -> Array:
 
 
 def rows_of(wanted: Indices, known: Indices) -> Indices:
-    """Where each row of one array is in another, −1 if it is not."""
+    """The number of each wanted row in another array, −1 if it is not there."""
     _, number = np.unique(np.concatenate([known, wanted]), axis=0, return_inverse=True)
     row = np.full(int(number.max(initial=-1)) + 1, -1)
     row[number[: len(known)]] = np.arange(len(known))
@@ -151,13 +156,13 @@ def rows_of(wanted: Indices, known: Indices) -> Indices:
 
 
 def faces(cells: Indices) -> Indices:
-    """Facets of all cells by their ascending vertices: those opposite to the first vertex, to the second and so on."""
+    """Facets of all cells as ascending vertices: first those opposite to the first vertices, then to the second etc."""
     width = cells.shape[1]
     return np.sort(np.concatenate([np.delete(cells, opposite, axis=1) for opposite in range(width)]), axis=1)
 
 
 def neighbours(everything: Indices) -> tuple[Indices, Indices]:
-    """Pairs of equal rows of an array of facets; of three equal ones two pairs, with one in common."""
+    """Pairs of equal rows of an array of facets; three equal rows give two pairs, with one row in common."""
     order = np.lexsort(everything.T)
     same = np.all(everything[order[1:]] == everything[order[:-1]], axis=1)
     return order[:-1][same], order[1:][same]
@@ -171,7 +176,7 @@ def diameters(points: Array, cells: Indices) -> Array:
 
 
 def _check_cells(mesh: FileMesh) -> None:
-    """Refuse cells that are flat, double, folded, or more than two at a facet."""
+    """Refuse cells that are flat, listed twice or folded, and more than two cells at a facet."""
     points, cells = mesh.points, mesh.cells
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
     longest = diameters(points, cells)
@@ -201,7 +206,7 @@ def _check_cells(mesh: FileMesh) -> None:
 
 
 def _side(points: Array, cells: Indices, everything: Indices, chosen: Indices) -> Array:
-    """On which side of a facet its cell is, as a sign; the order of the facet's vertices fixes the sides."""
+    """The side of a facet on which its cell is, as a sign; the order of the facet's vertices defines the sides."""
     opposite, cell = np.divmod(chosen, len(cells))
     corners = points[everything[chosen]]
     apex = points[cells[cell, opposite]]
@@ -218,17 +223,17 @@ def _count(number: int, what: str) -> str:
 
 
 def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> None:
-    """Refuse boundary parts that do not make a problem.
+    """Refuse boundary parts that do not define a problem.
 
     Args:
         mesh: The mesh.
-        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet" or "law.0.parts"; without
-            "dirichlet", all facets that are left are Γ_D.
+        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet" or "law.0.parts". Without
+            "dirichlet", all other facets are Γ_D.
 
     Raises:
-        InputError: If a part is unknown, empty or not on the boundary, two overlap, facets are left, facets that are in
-            no part lie on one another, cells overlap there, or one of several components of the domain has no facet of
-            Γ_D. A crack both sides of which are in parts is one.
+        InputError: If a part is unknown, empty or not on the boundary; if two parts overlap or a facet is in no part
+            although Γ_D is listed; if facets in no part lie on one another, or cells overlap at the boundary; if one of
+            several components of the domain has no facet of Γ_D. A crack is accepted if both its sides are in parts.
     """
     known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
@@ -245,7 +250,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             if len(found) == 0:
                 raise InputError(f"{place} is empty")
             if np.any(found < 0):
-                raise InputError(f"{place} has {_count(int(np.sum(found < 0)), 'facet')} that no cell has")
+                raise InputError(f"{place} has {_count(int(np.sum(found < 0)), 'facet')} without a cell")
             if np.any(times[found] > 1):
                 raise InputError(f"{place} has {_count(int(np.sum(times[found] > 1)), 'facet')} inside the domain")
             taken = owner[found]
@@ -271,7 +276,7 @@ def key_of(section: str) -> str:
 
 
 def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) -> None:
-    """Refuse facets of the boundary that are inside the domain: only a crack with both sides in parts is meant."""
+    """Refuse facets of the boundary that lie inside the domain, except those of a crack with both sides in parts."""
     from signorini_fenicsx.meshes.seams import seams
 
     opposite, cell = np.divmod(first, len(mesh.cells))
@@ -280,7 +285,7 @@ def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) ->
         where = _places(mesh.points[facets[overlap][:1]].mean(axis=1))
         raise InputError(
             f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells "
-            f"on the same side, the first around {where}; each place has to be in one cell"
+            f"on the same side, the first around {where}; each point must be in one cell only"
         )
     if np.any(crack & left):
         where = _places(mesh.points[facets[crack & left][:1]].mean(axis=1))
@@ -292,7 +297,7 @@ def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) ->
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:
-    """Refuse one of several components without a facet of Γ_D; these are given by rows of the facets of all cells."""
+    """Refuse a component of several without a facet of Γ_D; `fixed` are the rows of Γ_D in the facets of all cells."""
     from scipy.sparse import coo_array  # slow to import, and needed for meshes from files only
     from scipy.sparse.csgraph import connected_components
 

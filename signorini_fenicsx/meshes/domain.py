@@ -1,9 +1,10 @@
-"""Distributed meshes with named boundary parts and regions, which refinement and files hand on by their vertices."""
+"""Distributed meshes with named boundary parts and regions; these are passed on as vertices by files and refinement."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import basix.ufl
+import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import scatter_rows
+from signorini_fenicsx.base.rows import fetch_rows, marked_rows
 
 AXES = "xyz"
 
@@ -22,9 +23,9 @@ class Part:
     """A named part of the boundary.
 
     Attributes:
-        along: Coordinate along the part for points of shape (3, n): its facets are listed and drawn in this order.
-        label: Name of that coordinate.
-        nearest: Nearest points of a curved part to points of shape (3, n) near it; None for a plane or an unknown one.
+        along: Maps points of shape (3, n) to the coordinate along the part; facets are listed and drawn in this order.
+        label: Name of this coordinate.
+        nearest: Maps points of shape (3, n) near a curved part to its nearest points; None for plane or unknown parts.
     """
 
     along: Callable[[Array], Array]
@@ -37,14 +38,18 @@ class Domain:
     """A distributed mesh with named boundary parts and regions.
 
     Attributes:
-        mesh: The mesh; without ghost cells, so a boundary facet lives on one rank only, with its cell.
+        mesh: The mesh. It has no ghost cells, so a boundary facet is on one rank only, together with its cell.
         h: Largest cell diameter over all ranks.
         parts: Boundary parts, in the order of the shape or file.
-        facets: For each part its facets of this rank, ascending. Parts from a file may overlap or leave facets.
-        regions: For each region of a file its cells of this rank, ascending; none for named shapes.
-        curvature: Two meshes of the domain with edges ≤ h are nowhere further apart than curvature·h².
-        name: Of the shape or the file.
+        facets: For each part its facets on this rank, ascending. Parts from a file may overlap, or not cover all
+            facets.
+        regions: For each region of a file its cells on this rank, ascending; none for named shapes.
+        curvature: The distance between two meshes of the domain with edges ≤ h is at most curvature·h².
+        name: Name of the shape or the file.
         is_shape: Whether it is one of the named shapes.
+        made: How the mesh was made, in words.
+        coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
+            there is one.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -55,6 +60,22 @@ class Domain:
     curvature: float
     name: str = "mesh"
     is_shape: bool = False
+    made: str = "given"
+    coarser: "Domain | None" = None
+
+    def origin(self) -> str:
+        """How the mesh was made, in words, with its uniform refinements."""
+        levels, first = 0, self
+        while first.coarser is not None:
+            levels, first = levels + 1, first.coarser
+        return first.made + (f", refined uniformly {levels} time{'s' * (levels > 1)}" if levels else "")
+
+    def ancestor(self, factor: float) -> "Domain | None":
+        """The mesh coarser by about this factor of which this one is a uniform refinement, if there is one."""
+        found = self.coarser
+        while found is not None and found.h < 0.75 * factor * self.h:
+            found = found.coarser
+        return found
 
     def box(self) -> Array:
         """Smallest and largest coordinates, shape (2, 3) (collective)."""
@@ -63,7 +84,7 @@ class Domain:
 
 @dataclass(frozen=True)
 class Boundary:
-    """Which parts of the boundary are Γ_S and Γ_N; the rest is Γ_D.
+    """The parts of the boundary that are Γ_S and Γ_N; the rest is Γ_D.
 
     Attributes:
         signorini: Names of the parts of Γ_S, at least one.
@@ -74,7 +95,7 @@ class Boundary:
     neumann: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a string in the place of a list."""
+        """Refuse a string instead of a list."""
         for key in ("signorini", "neumann"):
             if isinstance(getattr(self, key), str):
                 raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
@@ -82,12 +103,12 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Marks:
-    """Parts and regions of a mesh, as far as this rank has them.
+    """Parts and regions of a mesh that this rank knows.
 
     Attributes:
-        facets: For each part the vertices of its facets, ascending and numbered as the mesh was made, shape (n, dim).
-        cells: Which cells are in which region, shape (cells, regions); rank 0 has all, in the order in which the mesh
-            was made, the others None.
+        facets: For each part its facets as ascending vertices in the original numbering of the mesh, shape (n, dim).
+        cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank gave when the
+            mesh was made; None if it gave none.
         regions: Names of the regions.
     """
 
@@ -104,7 +125,7 @@ def bounding_box(points: Array, comm: MPI.Comm) -> Array:
 
 
 def axis_part(label: str) -> Part:
-    """A part listed by one of the coordinates x, y, z."""
+    """A part whose facets are ordered by one of the coordinates x, y, z."""
     axis = AXES.index(label)
     return Part(lambda x: x[axis], label)
 
@@ -114,19 +135,21 @@ def coordinate_element(dim: int) -> AbstractFiniteElement:
     return basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
 
 
-def distribute(
-    comm: MPI.Comm, points: Array, cells: Indices, dim: int, partitioner: Callable | None = None
-) -> dolfinx.mesh.Mesh:
+def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int, *, stay: bool = False) -> dolfinx.mesh.Mesh:
     """Make a distributed mesh without ghost cells (collective).
 
     Args:
         comm: Communicator of the mesh.
-        points: Some points on each rank, numbered from rank to rank.
-        cells: Some cells on each rank, of those numbers.
+        points: Some points on each rank; their numbers continue from rank to rank.
+        cells: Some cells on each rank, by the numbers of their points.
         dim: Dimension.
-        partitioner: Says which rank gets a cell, as DOLFINx wants it; DOLFINx's own if there is none.
+        stay: Leave each cell on the rank that gives it; otherwise DOLFINx chooses a partition with few neighbours.
     """
-    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, partitioner)
+
+    def same_rank(*_: object) -> object:
+        return dolfinx.graph.adjacencylist(np.full((len(cells), 1), comm.rank, dtype=np.int32))._cpp_object
+
+    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, same_rank if stay else None)
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
@@ -144,19 +167,19 @@ def marked_domain(
     curvature: float,
     name: str,
     is_shape: bool = False,
+    made: str = "given",
+    coarser: Domain | None = None,
 ) -> Domain:
     """Find the marked facets and cells on a mesh (collective)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
     size = mesh.topology.index_map(dim).size_local
-    inside = scatter_rows(mesh.comm, mesh.topology.original_cell_index[:size], marks.cells) if marks.regions else None
-    regions = {
-        name: np.flatnonzero(inside[:, column]).astype(np.int32)
-        for column, name in enumerate(marks.regions)
-        if inside is not None
-    }
+    regions = {}
+    if marks.regions:
+        inside = fetch_rows(mesh.comm, mesh.topology.original_cell_index[:size], marks.cells)
+        regions = {name: np.flatnonzero(inside[:, k]).astype(np.int32) for k, name in enumerate(marks.regions)}
     facets = found(mesh, marks.facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape)
+    return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape, made, coarser)
 
 
 def found(
@@ -166,31 +189,24 @@ def found(
 
     Args:
         mesh: The mesh.
-        marked: By name the vertices of facets as `facet_vertices` gives them, of the same names on all ranks.
-        among: Facets of this rank that may be.
+        marked: For each name the facets as vertices, see `facet_vertices`; the same names on all ranks.
+        among: Facets of this rank that are searched, ascending.
 
     Returns:
-        By name these facets, ascending.
+        For each name the facets of this rank, ascending.
     """
-    mine = facet_vertices(mesh, among)
-    gathered = mesh.comm.allgather(marked)
-    wanted = [np.concatenate([one[name] for one in gathered]) for name in marked]
-    _, number = np.unique(np.concatenate([mine, *wanted]), axis=0, return_inverse=True)
-    facet = np.full(int(number.max(initial=-1)) + 1, -1, dtype=np.int32)
-    facet[number[: len(mine)]] = among
-    ends = len(mine) + np.cumsum([0, *map(len, wanted)])
-    rows = {name: facet[number[a:b]] for name, a, b in zip(marked, ends, ends[1:], strict=False)}
-    return {name: np.unique(facets[facets >= 0]) for name, facets in rows.items()}
+    inside = marked_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values()))
+    return {name: among[inside[:, column]] for column, name in enumerate(marked)}
 
 
 def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Indices:
-    """Vertices of facets of this rank, numbered as the mesh was made, ascending: shape (facets, dim)."""
+    """Vertices of facets of this rank, ascending, in the original numbering of the mesh, shape (facets, dim)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
     return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
 
 
 def membership(domain: Domain) -> Mask:
-    """Which owned cells are in which region, shape (cells, regions)."""
+    """Mask of the owned cells in each region, shape (cells, regions)."""
     size = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
     table = np.zeros((size, len(domain.regions)), dtype=bool)
     for column, cells in enumerate(domain.regions.values()):

@@ -1,6 +1,6 @@
-"""One file by someone unknown, read in a confined process (`confined`).
+"""Reads one untrusted file in a confined process (`confined`).
 
-Gmsh, meshio, XML and HDF5 meet the file here and only here. What they find goes back as arrays.
+Only here Gmsh, meshio, XML and HDF5 read the file. Its contents go back as arrays.
 """
 
 import json
@@ -18,11 +18,11 @@ from signorini_fenicsx.meshes.checks import Contents
 
 
 def main(arguments: list[str], result: BinaryIO) -> None:
-    """Read a file and write what it holds; the current folder is empty.
+    """Read a file and write its contents as arrays; the current folder is empty.
 
     Args:
-        arguments: The file, h of a mesh that is made or 0 for the file's own sizes, and the most cells of it.
-        result: For `unpack`.
+        arguments: The file; h of the mesh that Gmsh makes, or 0 for the file's own sizes; the largest number of cells.
+        result: The file for `unpack`.
     """
     source, h, max_cells = Path(arguments[0]), float(arguments[1]) or None, float(arguments[2])
     if source.suffix in (".geo", ".msh"):
@@ -36,7 +36,7 @@ def main(arguments: list[str], result: BinaryIO) -> None:
 
 
 def _by_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
-    """Let Gmsh read a copy: beside the file itself, it would read its `.opt` file too."""
+    """Let Gmsh read a copy; beside the original it would also read an `.opt` file."""
     from signorini_fenicsx.meshes.geo_text import allowed_tokens, text_for_gmsh, with_lines_of
     from signorini_fenicsx.meshes.gmsh_worker import read_with_gmsh
 
@@ -48,8 +48,8 @@ def _by_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
         words = partial(with_lines_of, tokens)
         return read_with_gmsh(copy, h, max_cells, lambda message: words(message).replace(copy.name, source.name))
     with source.open("rb") as file:
-        if not file.read(64).startswith(b"$MeshFormat"):  # Gmsh would take it for a .geo file
-            raise InputError("is not a mesh of Gmsh, which would begin with $MeshFormat")
+        if not file.read(64).startswith(b"$MeshFormat"):  # Gmsh would read it as a .geo file
+            raise InputError("is not a mesh of Gmsh, because it does not begin with $MeshFormat")
     shutil.copyfile(source, copy)
     confined.seal()
     return read_with_gmsh(copy, None, max_cells)
@@ -64,7 +64,9 @@ def pack(contents: Contents, result: BinaryIO) -> None:
         groups.append([name, dim, [block for block, _ in members], len(arrays)])
         arrays[f"rows_{len(arrays)}"] = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in members)])
         arrays[f"sizes_{groups[-1][3]}"] = np.array([len(rows) for _, rows in members], dtype=np.int64)
-    about = json.dumps({"kinds": [kind for kind, _ in contents.blocks], "groups": groups})
+    about = json.dumps(
+        {"kinds": [kind for kind, _ in contents.blocks], "groups": groups, "straight": contents.straight}
+    )
     np.savez(result, allow_pickle=False, about=np.array(about), **arrays)
 
 
@@ -72,7 +74,7 @@ def unpack(result: BinaryIO) -> Contents:
     """Read what `pack` wrote.
 
     Raises:
-        InputError: If it is something else, from a process that went wrong.
+        InputError: If the process has written something else.
     """
     try:
         with np.load(result, allow_pickle=False) as arrays:
@@ -82,6 +84,6 @@ def unpack(result: BinaryIO) -> Contents:
             for name, dim, members, key in about["groups"]:
                 parts = np.split(arrays[f"rows_{key}"], np.cumsum(arrays[f"sizes_{key}"])[:-1])
                 groups.append((str(name), int(dim), list(zip(members, parts, strict=False))))
-            return Contents(arrays["points"], blocks, groups)
+            return Contents(arrays["points"], blocks, groups, bool(about["straight"]))
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError("makes its reader go wrong") from error
+        raise InputError("makes its reader fail") from error

@@ -1,8 +1,8 @@
-"""Meshes from files: Gmsh's `.msh` and `.geo` (`gmsh_worker`), and what meshio reads (`meshio_files`).
+"""Meshes from files: Gmsh's `.msh` and `.geo` (`gmsh_worker`), and formats that meshio reads (`meshio_files`).
 
-All of this runs on rank 0. A file is read in another process (`file_worker`), into blocks of elements and named groups
-of them (`Contents`); the cells of its highest dimension become the mesh, groups of cells its regions, and groups of
-facets its boundary parts. Groups without a name go by their number.
+All functions run on rank 0. A file is read in another process (`file_worker`), into blocks of elements and named groups
+of them (`Contents`). The cells of the highest dimension become the mesh, groups of cells become its regions, and groups
+of facets its boundary parts. The name of a group without a name is its number.
 """
 
 import tempfile
@@ -14,11 +14,11 @@ from signorini_fenicsx.meshes.checks import FileMesh, checked
 from signorini_fenicsx.meshes.file_worker import unpack
 
 MAX_CELLS = 10**8
-"""More cells than this are taken for a mistake in h."""
+"""Largest number of cells; more are regarded as a mistake in h."""
 
 
 def is_geometry(path: str) -> bool:
-    """Whether a file describes a geometry, which Gmsh meshes as finely as one likes, and not a mesh."""
+    """Whether a file describes a geometry, which Gmsh meshes with any h, and not a mesh."""
     return Path(path).suffix == ".geo"
 
 
@@ -26,11 +26,11 @@ def read_mesh_file(path: str, h: float | None = None) -> FileMesh:
     """Read a mesh, or let Gmsh make one (rank 0).
 
     Args:
-        path: Of the file.
-        h: Largest cell diameter of a mesh that Gmsh makes; the sizes of the `.geo` file without one.
+        path: Path of the file.
+        h: Largest cell diameter of a mesh that Gmsh makes; None for the sizes in the `.geo` file.
 
     Raises:
-        InputError: If the file cannot be read, or its mesh cannot be computed on.
+        InputError: If the file cannot be read, or its mesh cannot be used.
     """
     place = Path(path)
     if not place.is_file():

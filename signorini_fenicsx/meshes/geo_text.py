@@ -1,10 +1,10 @@
-"""What a `.geo` file may say: it is taken apart here, and Gmsh gets a text made anew from the parts that are allowed.
+"""Checks `.geo` files: a file is split into tokens, and Gmsh gets a new text made of the allowed tokens only.
 
-A `.geo` file is a program that Gmsh would let read and write files and start others. So nothing of the file itself
-reaches Gmsh: only tokens that are on a list (`geo_words`), one on each line, without comments. Strings stand only where
-they are names of physical groups or of parameters, formulas of size fields, or the name of the kernel; all that Gmsh
-does with files or programs needs a string somewhere else. Where this lexer and Gmsh's read a file differently, Gmsh
-therefore still gets what was checked. (Gmsh's own skips text by other rules than it parses by, for one.)
+A `.geo` file is a program, and Gmsh would let it read and write files and start other programs. So Gmsh never gets the
+file itself. It gets only tokens that are on a list (`geo_words`), one on each line, without comments. Strings are
+allowed only as names of physical groups or parameters, as formulas of size fields, and as the name of the kernel;
+everything that Gmsh does with files or programs needs a string in another place. Even where this lexer and Gmsh's read
+the file differently, Gmsh gets only what was checked. (For example, Gmsh skips text by other rules than it parses.)
 """
 
 import re
@@ -27,13 +27,13 @@ from signorini_fenicsx.meshes.geo_words import (
 
 LARGEST_FILE = 2**24
 LARGEST = 1e30
-"""Number; 1e22 is how Gmsh's files say "any", and for a point's number of 1e308 Gmsh asks for all of the memory."""
+"""Largest number. Gmsh's files use 1e22 for "any"; with 1e308 as the number of a point Gmsh would take all memory."""
 LARGEST_IN_RANGE = 1e7
-"""Number beside the colon of a list such as 1:9, which Gmsh holds whole."""
+"""Largest number beside the colon of a list such as 1:9; Gmsh stores the whole list."""
 LONGEST = {"word": 100, "number": 100, "string": 1000, "operator": 3}
-"""Characters of a token; Gmsh's buffer holds 1023 of a string."""
+"""Most characters of a token; Gmsh's buffer for a string holds 1023."""
 LONGEST_NAME = 200
-"""Bytes of the name of a group, and of what Sprintf makes it from; Gmsh's buffer for that holds 255."""
+"""Most bytes of the name of a group, and of a format of Sprintf that makes one; Gmsh's buffer for it holds 255."""
 INSTEAD = (
     "a .geo file may describe a geometry, its mesh sizes and its physical groups, and not run programs, use other "
     "files or end the program; mesh it with Gmsh and give the .msh file"
@@ -53,7 +53,7 @@ AFTER_VARIABLE = frozenset(("In", "Using", "Plane"))
 """Words that may follow a variable; any other word, number or string there would make the variable a command."""
 NAME = re.compile(r'[^"\\`%$\ufffd]*')
 FORMAT = re.compile(r'(?:[^"\\`%$\ufffd]|%(?:\.[0-9])?g|%\.0f)*')
-"""Of Sprintf; Gmsh hands it to C's sprintf with a short buffer, for which a number with %f can be too long."""
+"""Formats of Sprintf. Gmsh passes them to C's sprintf with a short buffer, for which %f can be too long."""
 FORMULA = re.compile(r"(?:[A-Za-z_0-9 ,.()+*/^<>=!&|-]|%(?:\.[0-9])?g)*")
 
 
@@ -63,8 +63,8 @@ class Token:
 
     Attributes:
         kind: "number", "word", "string" or "operator".
-        text: As it stands, a string with its quotes.
-        line: Where, from 1.
+        text: Its text; a string has its quotes.
+        line: Number of its line, from 1.
     """
 
     kind: str
@@ -90,20 +90,20 @@ class _Statements:
 
 
 def allowed_tokens(content: bytes) -> list[Token]:
-    """Take a `.geo` file apart.
+    """Split a `.geo` file into tokens and check them.
 
     Args:
-        content: Of the file.
+        content: Contents of the file.
 
     Returns:
-        What Gmsh may be given, without what is only printed, and without `Mesh 2;`, which is done anyway.
+        The tokens for Gmsh, without commands that only print, and without `Mesh 2;`, because the mesh is made anyway.
 
     Raises:
-        InputError: If the file says anything that is not allowed.
+        InputError: If the file contains anything that is not allowed.
     """
     if len(content) > LARGEST_FILE:
         raise InputError(f"has more than {LARGEST_FILE >> 20} MB; mesh it with Gmsh and give the .msh file")
-    text = content.decode("utf-8-sig", errors="replace")  # not more than comments in an old encoding may be wrong
+    text = content.decode("utf-8-sig", errors="replace")  # other encodings occur in comments only
     if "\0" in text:
         raise InputError("is not a text file")
     statements = _Statements(list(_tokens(text)))
@@ -112,12 +112,12 @@ def allowed_tokens(content: bytes) -> list[Token]:
 
 
 def text_for_gmsh(tokens: list[Token]) -> str:
-    """One token on each line, so that its number is the place of a token in the list."""
+    """The text for Gmsh: one token on each line, so that the number of a line is that of a token."""
     return "".join(token.text.replace("%.0f", "%.15g") + "\n" for token in tokens)
 
 
 def with_lines_of(tokens: list[Token], message: str) -> str:
-    """Replace the numbers of lines in a message of Gmsh by those of the user's file."""
+    """Replace line numbers in a message of Gmsh by those of the user's file."""
 
     def line(found: re.Match[str]) -> str:
         return f"line {tokens[max(min(int(found[1]), len(tokens)), 1) - 1].line}" if tokens else "line 1"
@@ -149,7 +149,7 @@ def _tokens(text: str) -> Iterator[Token]:
 
 
 def _shown(text: str) -> str:
-    """A piece of the file for a message on a terminal."""
+    """A piece of the file, safe to print on a terminal."""
     return ascii(text[:40])[1:-1] + "…" * (len(text) > 40)
 
 
@@ -157,29 +157,29 @@ def _stray(character: str) -> str:
     if character == '"':
         return "the string that begins here does not close on its line"
     if character == "'":
-        return "names stand in double quotes, not in single ones"
-    return f"the character {character!a} has no place outside comments and names"
+        return "names need double quotes, not single ones"
+    return f"the character {character!a} is not allowed outside comments and names"
 
 
 def _match_brackets(statements: _Statements) -> None:
-    """Find where brackets close; the words that Gmsh skips to stand outside of all of them."""
+    """Find where brackets close; the words to which Gmsh skips must be outside all brackets."""
     opened: list[int] = []
     for index, token in enumerate(statements.tokens):
         if token.kind == "operator" and token.text in CLOSING:
             opened.append(index)
         elif token.kind == "operator" and token.text in CLOSING.values():
             if not opened or CLOSING[statements.text(opened[-1])] != token.text:
-                raise InputError(f"line {token.line}: '{token.text}' closes nothing")
+                raise InputError(f"line {token.line}: '{token.text}' has no opening bracket")
             statements.closing[opened.pop()] = index
         elif token.kind == "word" and token.text in FLOW and opened:
-            raise InputError(f"line {token.line}: '{token.text}' stands inside of brackets; it begins a statement")
+            raise InputError(f"line {token.line}: '{token.text}' is inside brackets, but it begins a statement")
     if opened:
         token = statements.tokens[opened[-1]]
         raise InputError(f"line {token.line}: '{token.text}' is never closed")
 
 
 def _checked(statements: _Statements) -> list[Token]:
-    """Check token by token; a handler takes what begins with its word and says where that ends."""
+    """Check token by token; a handler checks what begins with its word and returns where that ends."""
     special = {"Printf": _printf, "SetFactory": _factory, "Physical": _physical, "Field": _field}
     special |= {"DefineConstant": _parameters} | dict.fromkeys(OPTIONS, _option)
     result: list[Token] = []
@@ -195,7 +195,7 @@ def _checked(statements: _Statements) -> list[Token]:
 
 
 def _is_meshing(statements: _Statements, index: int) -> bool:
-    """Whether this is `Mesh 2;`, which is done anyway."""
+    """Whether this is `Mesh 2;`, which is not needed, because the mesh is made anyway."""
     return [statements.text(index), statements.text(index + 2)] == ["Mesh", ";"] and statements.kind(
         index + 1
     ) == "number"
@@ -206,7 +206,7 @@ def _refuse(token: Token, why: str = INSTEAD) -> InputError:
 
 
 def _plain(statements: _Statements, index: int) -> int:
-    """A token that begins nothing special: no string, no member of anything, and no command."""
+    """A token that begins nothing special: not a string, not a member such as a.b, not a command."""
     token = statements.tokens[index]
     if token.kind == "string":
         raise InputError(
@@ -215,10 +215,10 @@ def _plain(statements: _Statements, index: int) -> int:
         )
     if token.text == ".":
         raise InputError(
-            f"line {token.line}: '{statements.text(index - 1)}.{statements.text(index + 1)}' is not allowed: of "
-            "options, those of Mesh and Geometry that are numbers will do"
+            f"line {token.line}: '{statements.text(index - 1)}.{statements.text(index + 1)}' is not allowed: the only "
+            "options are those of Mesh and Geometry that are numbers"
         )
-    chosen = "?" in map(statements.text, range(index - 9, index))  # a colon that belongs to it
+    chosen = "?" in map(statements.text, range(index - 9, index))  # then the colon belongs to a ? b : c
     if token.text == ":" and not chosen and max(map(statements.number, (index - 1, index + 1))) > LARGEST_IN_RANGE:
         raise InputError(f"line {token.line}: numbers beside ':' are at most {LARGEST_IN_RANGE:g}")
     if token.kind == "word":
@@ -240,7 +240,7 @@ def _check_word(statements: _Statements, index: int) -> None:
 
 
 def _printf(statements: _Statements, index: int) -> int:
-    """What is printed on the terminal is left out, and nothing is printed into files."""
+    """Leave out what is printed on the terminal, and refuse to print into files."""
     if statements.text(index + 1) != "(":
         raise _refuse(statements.tokens[index])
     end = statements.closing[index + 1] + 1
@@ -257,7 +257,7 @@ def _factory(statements: _Statements, index: int) -> int:
 
 
 def _physical(statements: _Statements, index: int) -> int:
-    """`Physical Curve("name") = …`, or a group in a list, where no name is needed."""
+    """`Physical Curve("name") = …`, or a group in a list, where it has no name."""
     opening = index + 2
     if statements.text(opening) != "(":
         return index + 1
@@ -268,7 +268,7 @@ def _physical(statements: _Statements, index: int) -> int:
 
 
 def _check_text(statements: _Statements, index: int, pattern: re.Pattern[str], what: str) -> None:
-    """A token where a string may stand."""
+    """Check a token in a place where a string is allowed."""
     token = statements.tokens[index]
     if token.kind == "string":
         formatted = statements.text(index - 2) == "Sprintf"
@@ -277,8 +277,8 @@ def _check_text(statements: _Statements, index: int, pattern: re.Pattern[str], w
         pattern = FORMAT if formatted and pattern is NAME else pattern
         if not pattern.fullmatch(token.text[1:-1]) or not token.text.isprintable():
             raise InputError(
-                f"line {token.line}: {_shown(token.text)} will not do as {what}: it has a character that "
-                "means something else"
+                f"line {token.line}: {_shown(token.text)} is not allowed as {what}: it has a character with a special "
+                "meaning"
             )
     elif token.text not in TEXT:
         _plain(statements, index)
@@ -309,7 +309,7 @@ def _field(statements: _Statements, index: int) -> int:
 
 
 def _option(statements: _Statements, index: int) -> int:
-    """`Mesh.Algorithm`, to be set or read."""
+    """`Mesh.Algorithm`, which may be set or read."""
     token, name = statements.tokens[index], statements.text(index + 2)
     if _is_meshing(statements, index):
         return index + 3
@@ -317,7 +317,7 @@ def _option(statements: _Statements, index: int) -> int:
         raise _refuse(token)
     if name not in OPTIONS[token.text]:
         raise InputError(
-            f"line {token.line}: '{token.text}.{name}' is not allowed: it is not an option that decides about the mesh"
+            f"line {token.line}: '{token.text}.{name}' is not allowed: it is not an option that changes the mesh"
         )
     return index + 3
 

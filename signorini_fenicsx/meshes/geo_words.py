@@ -1,6 +1,6 @@
-"""The words of Gmsh's language that a `.geo` file may use, and those that no variable may be called.
+"""The words of Gmsh's language that a `.geo` file may use, and those that are not allowed as names of variables.
 
-Every other word is a variable. The lists of Gmsh's words are from its manual and its parser, version 4.15.
+Every other word is a variable. The lists are from Gmsh's manual and its parser, version 4.15.
 """
 
 
@@ -9,7 +9,7 @@ def _words(*lines: str) -> frozenset[str]:
 
 
 FLOW = _words("For EndFor If ElseIf Else EndIf Macro Function Return Call")
-"""What decides which lines come next; Gmsh looks for the closing word of what it skips without parsing."""
+"""Words that control which lines are executed. Gmsh skips to the closing word without parsing."""
 
 ALLOWED = FLOW | _words(
     # numbers
@@ -35,10 +35,10 @@ ALLOWED = FLOW | _words(
 )
 
 TEXT = _words("Str StrCat Sprintf")
-"""Functions that make the name of a physical group, or the formula of a field."""
+"""Functions that make the name of a physical group or the formula of a field."""
 
 PARAMETER = _words("Name Label Help Units Min Max Step Choices Visible ReadOnly AutoCheck Highlight Closed")
-"""What DefineConstant may say about a parameter."""
+"""Attributes of a parameter in DefineConstant."""
 
 FIELDS = _words(
     "AttractorAnisoCurve Attractor AutomaticMeshSizeField Ball BoundaryLayer Box Constant Curvature Cylinder Distance",
@@ -93,7 +93,7 @@ OPTIONS = {
         "VolumeEdges VolumeFaces VolumeNumbers",
     ),
 }
-"""Options, all of them numbers, that decide about meshes or about pictures; none names a file or a program."""
+"""Options for meshes and pictures. All of them are numbers; none is a file or a program."""
 
 FACTORIES = ("OpenCASCADE", "Built-in", "Gmsh")
 
@@ -120,4 +120,4 @@ REFUSED = _words(
     "SplitCurrentWindowHorizontal SplitCurrentWindowVertical View Views PostView ExternalProcess CommandLine Mesh",
     "General Geometry Solver PostProcessing OnelabParameters",
 )
-"""Words that mean something else than a variable to Gmsh and are not needed here."""
+"""Words with a special meaning for Gmsh that are not needed here."""

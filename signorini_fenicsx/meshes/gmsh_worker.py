@@ -1,4 +1,4 @@
-"""Gmsh on one file. A malformed one can crash Gmsh; so this runs in a process of its own (`file_worker`)."""
+"""Reads one file with Gmsh. A malformed file can crash Gmsh, so this runs in a separate process (`file_worker`)."""
 
 import itertools
 import re
@@ -13,16 +13,18 @@ from signorini_fenicsx.meshes.checks import Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
 """Gmsh's numbers of first-order simplices, and meshio's names."""
+STRAIGHT = ("Point", "Line", "Plane", "Volume")
+"""Types of entities without curvature."""
 
 
 def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: Callable[[str], str] = str) -> Contents:
-    """Read a mesh, or make one from a `.geo` file that is known to be harmless.
+    """Read a mesh, or make one from a `.geo` file that has been checked.
 
     Args:
-        source: The file; beside it, there must be none that Gmsh would read too.
-        h: Largest cell diameter of a mesh that is made, None for the file's own sizes.
-        max_cells: Of a mesh that is made.
-        translate: From Gmsh's messages to those that the user should read.
+        source: The file, in a folder without other files that Gmsh would read too.
+        h: Largest cell diameter of a mesh that is made; None for the file's own sizes.
+        max_cells: Largest number of cells of a mesh that is made.
+        translate: Maps Gmsh's messages to messages for the user.
 
     Raises:
         InputError: If Gmsh cannot do it.
@@ -43,7 +45,7 @@ def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: C
 
 
 def generate(h: float | None, max_cells: float) -> None:
-    """Mesh the model with its own sizes, then with them scaled until the largest cell diameter is at most h."""
+    """Mesh the model with its own sizes; for an h, scale the sizes until the largest cell diameter is at most h."""
     dim = gmsh.model.getDimension()
     if dim < 2:
         raise ValueError("the geometry has no surface and no volume")
@@ -73,12 +75,12 @@ def generate(h: float | None, max_cells: float) -> None:
 
 
 def node_rows(nodes: np.ndarray) -> np.ndarray:
-    """Rows in the array of all nodes."""
+    """Rows of these nodes in the array of all nodes."""
     tags = gmsh.model.mesh.getNodes()[0]
     order = np.argsort(tags)
     place = np.minimum(np.searchsorted(tags, nodes, sorter=order), len(tags) - 1)
     if len(tags) == 0 or np.any(tags[order[place]] != nodes):
-        raise ValueError("an element has a node that the file does not hold")
+        raise ValueError("an element has a node that is not in the file")
     return order[place]
 
 
@@ -101,4 +103,5 @@ def model_contents() -> Contents:
         entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
         members = [block for entity in entities for block in blocks_of.get((dim, int(entity)), [])]
         groups.append((name, dim, [(block, np.arange(len(blocks[block][1]))) for block in members]))
-    return Contents(points.reshape(-1, 3), blocks, groups)
+    straight = all(gmsh.model.getType(*entity) in STRAIGHT for entity in gmsh.model.getEntities())
+    return Contents(points.reshape(-1, 3), blocks, groups, straight)

@@ -1,79 +1,106 @@
-"""Structured meshes of the named shapes that have them."""
+"""Structured meshes of the named shapes that have them; each rank makes some rows of squares or cubes."""
 
 import itertools
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices
 
 type Simplices = tuple[Array, Indices]
 """Points of shape (points, dim) and cells of shape (cells, dim + 1)."""
 
 
-def square_grid(h: float, diagonal: str) -> Simplices:
+@dataclass(frozen=True)
+class Share:
+    """Which share of a grid a rank makes. Together the ranks number the points in the order of the ranks."""
+
+    rank: int = 0
+    ranks: int = 1
+
+
+def square_grid(h: float, diagonal: str, share: Share) -> Simplices:
     """The unit square: triangles of diameter at most h."""
-    return _triangle_grid(h, diagonal, side=1, keep=_everywhere)
+    return _triangle_grid(h, diagonal, share, side=1)
 
 
-def lshape_grid(h: float, diagonal: str) -> Simplices:
+def lshape_grid(h: float, diagonal: str, share: Share) -> Simplices:
     """The L-shape (0, 2)² without the notch [1, 2)²: triangles of diameter at most h."""
-    return _triangle_grid(h, diagonal, side=2, keep=_outside_notch)
+    return _triangle_grid(h, diagonal, share, side=2)
 
 
-def cube_grid(h: float, _diagonal: str) -> Simplices:
+def cube_grid(h: float, _diagonal: str, share: Share) -> Simplices:
     """The unit cube: tetrahedra of diameter at most h."""
-    return _tetrahedron_grid(h, side=1, keep=_everywhere)
+    return _tetrahedron_grid(h, share, side=1)
 
 
-def lprism_grid(h: float, _diagonal: str) -> Simplices:
+def lprism_grid(h: float, _diagonal: str, share: Share) -> Simplices:
     """The L-shape of height 1: tetrahedra of diameter at most h."""
-    return _tetrahedron_grid(h, side=2, keep=_outside_notch)
+    return _tetrahedron_grid(h, share, side=2)
 
 
-def _triangle_grid(h: float, diagonal: str, *, side: int, keep: Callable[[Array], Mask]) -> Simplices:
-    """Squares of a grid on (0, side)², each cut into two triangles (left, right) or four (crossed)."""
-    per_unit = math.ceil((1.0 if diagonal == "crossed" else math.sqrt(2)) / h * (1 - 1e-12))
-    n = side * per_unit
-    j, i = (index.ravel() for index in np.indices((n, n)))
-    inside = keep((np.stack([i, j]) + 0.5) / per_unit)
-    i, j = i[inside], j[inside]
-    y, x = (index.ravel() / per_unit for index in np.indices((n + 1, n + 1)))
-    points = np.stack([x, y], axis=1)
-    a = i + (n + 1) * j
-    b, c, d = a + 1, a + n + 2, a + n + 1  # a b c d run around the square
-    if diagonal == "crossed":
-        m = len(points) + np.arange(len(a))
-        points = np.concatenate([points, (np.stack([i, j], axis=1) + 0.5) / per_unit])
+class _Rows:
+    """Rows of squares: one unit square (side 1), or an L of three (side 2).
+
+    Attributes:
+        squares: Number of squares in each row.
+        points: Number of points in each row of points, one row more.
+        own: Rows of squares of this rank.
+        own_points: Rows of points of this rank.
+    """
+
+    def __init__(self, side: int, per_unit: int, share: Share):
+        self.squares = np.repeat(per_unit * np.arange(side, 0, -1), per_unit)
+        self.points = np.maximum(np.append(self.squares, 0), np.insert(self.squares, 0, 0)) + 1
+        self.own = np.array_split(np.arange(len(self.squares)), share.ranks)[share.rank]
+        last = share.rank == share.ranks - 1
+        self.own_points = np.append(self.own, len(self.squares)) if last else self.own
+
+
+def _places(rows: Indices, lengths: Indices) -> tuple[Indices, Indices]:
+    """For each entry of some rows of these lengths its row and its place in it."""
+    ends = np.cumsum(lengths)
+    return np.repeat(rows, lengths), np.arange(lengths.sum()) - np.repeat(ends - lengths, lengths)
+
+
+def _triangle_grid(h: float, diagonal: str, share: Share, *, side: int) -> Simplices:
+    """Squares of a grid, each cut into two triangles (left, right) or four (crossed)."""
+    crossed = diagonal == "crossed"
+    per_unit = math.ceil((1.0 if crossed else math.sqrt(2)) / h * (1 - 1e-12))
+    rows = _Rows(side, per_unit, share)
+    lengths = rows.points + crossed * np.append(rows.squares, 0)  # the centres of a row follow its points
+    first = np.cumsum(lengths) - lengths
+    j, i = _places(rows.own_points, lengths[rows.own_points])
+    centre = i >= rows.points[j]
+    x, y = np.where(centre, i - rows.points[j] + 0.5, i), j + 0.5 * centre
+
+    j, i = _places(rows.own, rows.squares[rows.own])
+    a, d, m = first[j] + i, first[j + 1] + i, first[j] + rows.points[j] + i
+    b, c = a + 1, d + 1  # a b c d run around the square, m is its centre
+    if crossed:
         triangles = [(a, b, m), (b, c, m), (c, d, m), (d, a, m)]
     elif diagonal == "right":
         triangles = [(a, b, c), (a, c, d)]
     else:
         triangles = [(a, b, d), (b, c, d)]
-    used, cells = np.unique(np.concatenate([np.stack(t, axis=1) for t in triangles]), return_inverse=True)
-    return points[used], cells
+    return np.stack([x, y], axis=1) / per_unit, np.concatenate([np.stack(t, axis=1) for t in triangles])
 
 
-def _tetrahedron_grid(h: float, *, side: int, keep: Callable[[Array], Mask]) -> Simplices:
-    """Cubes of a grid on (0, side)² × (0, 1), each cut into six tetrahedra along the same space diagonal (Kuhn)."""
+def _tetrahedron_grid(h: float, share: Share, *, side: int) -> Simplices:
+    """Cubes of a grid of height 1, each cut into six tetrahedra along the same space diagonal (Kuhn)."""
     per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
-    n = side * per_unit
-    points = np.stack([index.ravel() / per_unit for index in np.indices((n + 1, n + 1, per_unit + 1))], axis=1)
-    cubes = np.indices((n, n, per_unit)).reshape(3, -1)
-    strides = ((n + 1) * (per_unit + 1), per_unit + 1, 1)
-    corner = cubes[:, keep((cubes + 0.5) / per_unit)].T @ strides
+    rows, column = _Rows(side, per_unit, share), per_unit + 1  # a row is a layer here, and has columns of points
+    lengths = rows.points * column
+    first = np.cumsum(lengths) - lengths
+    i, place = _places(rows.own_points, lengths[rows.own_points])
+    points = np.stack([i, place // column, place % column], axis=1) / per_unit
+
+    i, place = _places(rows.own, rows.squares[rows.own] * per_unit)
+    corner = first[i] + place // per_unit * column + place % per_unit
+    steps = (first[i + 1] - first[i], column, 1)
     paths = [
-        np.stack([corner + offset for offset in itertools.accumulate((0, *steps))], axis=1)
-        for steps in itertools.permutations(strides)
+        np.stack(list(itertools.accumulate((corner, *(steps[axis] for axis in order)))), axis=1)
+        for order in itertools.permutations(range(3))
     ]
-    used, cells = np.unique(np.concatenate(paths), return_inverse=True)
-    return points[used], cells
-
-
-def _everywhere(x: Array) -> Mask:
-    return np.full(x.shape[1], True)
-
-
-def _outside_notch(x: Array) -> Mask:
-    return (x[0] < 1) | (x[1] < 1)
+    return points, np.concatenate(paths)

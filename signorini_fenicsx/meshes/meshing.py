@@ -1,8 +1,10 @@
-"""Domains made: meshes of named shapes of a given fineness, and meshes of one's own from files."""
+"""Makes domains: meshes of named shapes with a given h, and meshes from files."""
 
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import dolfinx.mesh
@@ -24,14 +26,20 @@ from signorini_fenicsx.meshes.domain import (
     largest_diameter,
     marked_domain,
 )
-from signorini_fenicsx.meshes.files import MAX_CELLS, read_mesh_file
-from signorini_fenicsx.meshes.grids import Simplices
-from signorini_fenicsx.meshes.shapes import SHAPES, Shape
+from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
+from signorini_fenicsx.meshes.grids import Share, Simplices
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.uniform import refined_uniformly
 
 CURVATURE = 1.0
-"""No named shape has a radius of curvature below 1/8, and a chord of length h leaves its circle by h²/(8R)."""
+"""`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
+from its circle."""
+REFINED_FROM = 60_000
+"""From this number of facets on, meshes are refined uniformly, in parallel; Gmsh makes smaller ones in seconds."""
+COARSEST = 5_000
+"""Least number of cells of a mesh that is refined uniformly; it shows the shape well, and Gmsh makes it at once."""
 OWN_CURVATURE = 8.0
-"""The same for a domain from a file of size 1, taken to have no radius below 1/64."""
+"""`Domain.curvature` of a domain of size 1 from a file, on the assumption that radii are at least 1/64."""
 
 
 def estimated_cells(shape_name: str, h: float) -> float:
@@ -49,59 +57,72 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
     """Mesh a named shape so that its largest cell diameter is at most h and more than h/2 (collective).
 
     Args:
-        comm: Communicator of the mesh; rank 0 generates it.
+        comm: Communicator of the mesh.
         shape_name: Key of SHAPES.
         h: Wanted largest cell diameter.
-        mesh: "unstructured" (Gmsh) or "structured".
+        mesh: "unstructured" (a large mesh is a uniform refinement of a mesh of Gmsh), "gmsh" or "structured".
         diagonal: How structured squares are cut: left, right (the default) or crossed.
 
     Raises:
         InputError: If h asks for more than MAX_CELLS cells or no mesh with this h exists.
     """
-    shape = SHAPES[shape_name]
-    estimated_cells(shape_name, h)  # refuses too many
+    shape, expected = SHAPES[shape_name], estimated_cells(shape_name, h)  # refuses too many
+    levels = refinements(expected, shape.dim) if mesh == "unstructured" else 0
+    if mesh == "structured" and shape.grid is not None:
+        points, cells = shape.grid(h, diagonal or "right", Share(comm.rank, comm.size))
+        domain = label_parts(distribute(comm, points, cells, shape.dim), shape_name, made="structured")
+    else:
+        domain = _from_gmsh(comm, shape_name, h, levels)
+    if not h / 2 < domain.h <= h * (1 + 1e-12):
+        raise InputError(
+            f"h = {h:g}: {mesh} meshes of {shape_name} near this size have largest diameter {domain.h:.4g}, "
+            "not in (h/2, h]; choose a smaller h"
+        )
+    return domain
 
-    def generate() -> Simplices:
-        if mesh == "structured" and shape.grid is not None:
-            points, cells = shape.grid(h, diagonal or "right")
-        else:
-            points, cells = _gmsh_mesh(shape, h)
-        achieved = float(diameters(points, cells).max())
-        if not h / 2 < achieved <= h * (1 + 1e-12):
-            raise InputError(
-                f"h = {h:g}: {mesh} meshes of {shape_name} near this size have largest diameter {achieved:.4g}, "
-                "not in (h/2, h]; choose a smaller h"
-            )
-        return points, cells
 
-    simplices = on_root_only(comm, generate, shape.dim)
-    return label_parts(distribute(comm, *simplices, shape.dim), shape_name)
+def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
+    """Mesh with Gmsh on rank 0 so coarsely that some uniform refinements give cells of diameter at most h."""
+    dim, asked = SHAPES[shape_name].dim, h * 2**levels
+    simplices = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
+    domain = label_parts(distribute(comm, *simplices, dim), shape_name, made="Gmsh")
+    for _ in range(levels):
+        domain = refined_uniformly(domain)
+    if levels > 0 and domain.h > h:  # vertices that moved to a curved boundary have made edges longer than expected
+        return _from_gmsh(comm, shape_name, h * h / domain.h, levels)
+    return domain
+
+
+def refinements(cells: float, dim: int) -> int:
+    """How often the mesh of Gmsh is refined uniformly for a mesh of about so many cells."""
+    facets = (dim + 1) / 2 * cells
+    return 0 if facets < REFINED_FROM else max(1, math.floor(math.log2(cells / COARSEST) / dim))
 
 
 def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
-    """Generate a mesh on rank 0; the others get empty arrays, as `create_mesh` wants them (collective)."""
+    """Generate a mesh on rank 0; other ranks get empty arrays, which `create_mesh` needs (collective)."""
     made: list[Simplices] = []
     on_root(comm, lambda: made.append(generate()))
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
-def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str) -> Domain:
+def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -> Domain:
     """Find the facets of each boundary part of a named shape (collective)."""
     dim, shape = mesh.topology.dim, SHAPES[shape_name]
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
     }
-    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, CURVATURE, shape_name, is_shape=True)
+    return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, CURVATURE, shape_name, True, made)
 
 
 def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
-    """Read a mesh, or make that of a `.geo` file, and check it (collective).
+    """Read a mesh, or make the mesh of a `.geo` file, and check it (collective).
 
     Args:
         comm: Communicator of the mesh; rank 0 reads it.
-        path: Of the file.
-        h: Wanted largest cell diameter of the mesh of a `.geo` file, which has sizes of its own.
+        path: Path of the file.
+        h: Wanted largest cell diameter for the mesh of a `.geo` file; None for the sizes in the file.
         conditions: The parts with each kind of condition, see `check_boundary`.
 
     Raises:
@@ -109,17 +130,19 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
     """
     read: list[FileMesh] = []
 
-    def about() -> tuple[int, dict[str, str], tuple[str, ...], float]:
-        mesh = read_mesh_file(path, h)
+    def about() -> tuple[int, int, dict[str, str], tuple[str, ...], float]:
+        levels = _file_refinements(path, h)
+        mesh = _coarse_enough(path, h, levels)
         try:
             check_boundary(mesh, conditions)
         except InputError as error:
             raise InputError(f"mesh {path}: {error}") from None
         read.append(mesh)
         labels = {name: AXES[_longest_axis(mesh.points[facets])] for name, facets in mesh.parts.items()}
-        return mesh.dim, labels, tuple(mesh.regions), OWN_CURVATURE / float(np.ptp(mesh.points, axis=0).max())
+        size = float(np.ptp(mesh.points, axis=0).max())
+        return mesh.dim, levels, labels, tuple(mesh.regions), OWN_CURVATURE / size
 
-    dim, labels, regions, curvature = on_root(comm, about)
+    dim, levels, labels, regions, curvature = on_root(comm, about)
     points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
     facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
     inside = None
@@ -130,23 +153,59 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
             inside[chosen, column] = True
     parts = {name: axis_part(label) for name, label in labels.items()}
     mesh, marks = distribute(comm, points, cells, dim), Marks(facets, inside, regions)
-    return marked_domain(mesh, parts, marks, curvature=curvature, name=Path(path).name)
+    made = "Gmsh" if is_geometry(path) else "file"
+    domain = marked_domain(mesh, parts, marks, curvature=curvature, name=Path(path).name, made=made)
+    for _ in range(levels):
+        domain = refined_uniformly(domain)
+    return domain
+
+
+def _file_refinements(path: str, h: float | None) -> int:
+    """How often the mesh of a `.geo` file is refined uniformly; never where it is curved (rank 0)."""
+    if h is None or not is_geometry(path):
+        return 0
+    own = _own_size(path)
+    return refinements(expected_cells(path, h), own.dim) if own.straight else 0
+
+
+def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
+    """The mesh whose uniform refinements have cells of diameter at most h (rank 0)."""
+    asked = None if h is None else h * 2**levels
+    mesh = read_mesh_file(path, asked)
+    while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
+        coarse = distribute(MPI.COMM_SELF, mesh.points, mesh.cells, mesh.dim)
+        achieved = 2 * refined_uniformly(Domain(coarse, math.inf, {}, {}, {}, OWN_CURVATURE)).h
+        if achieved <= h * 2**levels:
+            break
+        asked *= 0.98 * h * 2**levels / achieved
+        mesh = read_mesh_file(path, asked)
+    return mesh
+
+
+@dataclass(frozen=True)
+class _Own:
+    """What the mesh of a file is like, as the file has it."""
+
+    dim: int
+    cells: int
+    h: float
+    straight: bool
 
 
 @functools.cache
-def _own_size(path: str) -> tuple[int, int, float]:
+def _own_size(path: str) -> _Own:
     mesh = read_mesh_file(path)
-    return mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max())
+    return _Own(mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max()), mesh.straight)
 
 
 def expected_cells(path: str, h: float | None) -> float:
-    """Cells of the mesh of a file; for an h asked of a `.geo` file, extrapolated from its own sizes (rank 0).
+    """Number of cells of the mesh of a file; for a `.geo` file with h an estimate from its own sizes (rank 0).
 
     Raises:
         InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
     """
-    dim, cells, own_h = _own_size(path)
-    return cells if h is None else _allowed(cells * (own_h / h) ** dim, h, path)
+    own = _own_size(path)
+    return own.cells if h is None else _allowed(own.cells * (own.h / h) ** own.dim, h, path)
 
 
 def _allowed(cells: float, h: float, name: str) -> float:
@@ -159,8 +218,13 @@ def _longest_axis(points: Array) -> int:
     return int(np.argmax(np.ptp(points.reshape(-1, points.shape[-1]), axis=0))) if points.size else 0
 
 
-def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
-    """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only)."""
+def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
+    """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only).
+
+    Before a uniform refinement, "no cell" means those of the next mesh, times 2: a tetrahedron has children that are
+    longer than half of it, but these have none.
+    """
+    shape = SHAPES[shape_name]
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     listen_again()
     try:
@@ -177,7 +241,11 @@ def _gmsh_mesh(shape: Shape, h: float) -> Simplices:
             gmsh.model.mesh.clear()
             gmsh.model.mesh.generate(shape.dim)
             points, cells = _gmsh_simplices(shape.dim)
-            achieved = float(diameters(points, cells).max())
+            if levels == 0:
+                achieved = float(diameters(points, cells).max())
+            else:
+                coarse = label_parts(distribute(MPI.COMM_SELF, points, cells, shape.dim), shape_name)
+                achieved = 2 * refined_uniformly(coarse).h
             size *= 0.94 * h / achieved
         return points, cells
     finally:
@@ -189,5 +257,5 @@ def _gmsh_simplices(dim: int) -> Simplices:
     _, nodes = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])  # Gmsh's numbers of triangle and tetrahedron
     row = np.empty(int(tags.max()) + 1, dtype=np.int64)
     row[tags.astype(np.int64)] = np.arange(len(tags))
-    used, cells = np.unique(row[nodes.astype(np.int64)], return_inverse=True)  # drops centres of circles
+    used, cells = np.unique(row[nodes.astype(np.int64)], return_inverse=True)  # removes centres of circles
     return coordinates.reshape(-1, 3)[used, :dim], cells.reshape(-1, dim + 1).astype(np.int64)

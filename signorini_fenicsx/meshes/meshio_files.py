@@ -1,4 +1,4 @@
-"""Mesh files that meshio reads, and XDMF as DOLFINx writes it, as blocks of elements and named groups of them."""
+"""Reads mesh files with meshio, and XDMF of DOLFINx, into blocks of elements and named groups of them."""
 
 import contextlib
 import io
@@ -19,7 +19,7 @@ from signorini_fenicsx.meshes.references import check_references
 
 
 def read_with_meshio(path: Path) -> Contents:
-    """Read a file (rank 0); meshio complains in many ways about one that is broken.
+    """Read a file (rank 0); meshio raises many kinds of errors for broken files.
 
     Raises:
         InputError: If it cannot be read.
@@ -45,14 +45,14 @@ def read_with_meshio(path: Path) -> Contents:
 
 
 def _elements(block: meshio.CellBlock) -> Indices:
-    """Points of each element; of kinds that are not understood only how many there are."""
+    """Points of each element; for kinds that are not accepted only the number of elements counts."""
     if block.type in SIMPLICES:
         return np.asarray(block.data, dtype=np.int64)
     return np.empty((len(block.data), 0), dtype=np.int64)
 
 
 def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tuple[str, int, list]]:
-    """Groups by the integers that a file gives its elements, under the names that it has for them."""
+    """Groups of elements by the integers that a file gives them, with the file's names for these integers."""
     arrays = {
         key: values
         for key, values in mesh.cell_data.items()
@@ -64,7 +64,7 @@ def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[
     if len(arrays) > 1 and "gmsh:physical" not in arrays:
         raise InputError(f"several arrays could number its parts: {', '.join(arrays)}; keep one of them")
     numbers = arrays.get("gmsh:physical", next(iter(arrays.values())))
-    families = getattr(mesh, "cell_tags", {})  # MED: a number may stand for several names
+    families = getattr(mesh, "cell_tags", {})  # MED: a number may have several names
     for dim in (1, 2, 3):
         members: dict[str, list[tuple[int, Indices]]] = {}
         names = {int(tag): [name] for name, (tag, at) in mesh.field_data.items() if at == dim}
@@ -77,7 +77,7 @@ def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[
 
 
 def _named(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tuple[str, int, list]]:
-    """Groups that a file has as sets of elements."""
+    """Groups that a file gives as sets of elements."""
     for name, members in mesh.cell_sets.items():
         if name.startswith("gmsh:"):
             continue
@@ -136,7 +136,7 @@ def _array(path: Path, owner: ElementTree.Element | None) -> npt.NDArray:
 def _as_cells_of_the_first(
     blocks: list[tuple[str, Indices]], groups: list[tuple[str, int, list[tuple[int, Indices]]]], repeated: list[int]
 ) -> tuple[list[tuple[str, Indices]], list[tuple[str, int, list[tuple[int, Indices]]]]]:
-    """Turn the elements of some blocks, which repeat cells of the first, into rows of that."""
+    """Replace elements of some blocks, which repeat cells of the first block, by their rows in the first block."""
     first = np.sort(blocks[0][1], axis=1)
     rows = {index: rows_of(np.sort(blocks[index][1], axis=1), first) for index in repeated}
     if any(np.any(found < 0) for found in rows.values()):

@@ -1,8 +1,7 @@
-"""Domains from meshes of one's own."""
+"""Domains from DOLFINx meshes of the user."""
 
 from collections.abc import Callable, Mapping
 
-import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +23,8 @@ from signorini_fenicsx.meshes.meshing import OWN_CURVATURE
 
 type Entities = npt.NDArray[np.int32]
 type Chosen = npt.ArrayLike | Callable[[Array], Mask]
-"""Numbers of entities of this rank; or a function of points of shape (3, n) that says which are in, as DOLFINx's locate
-functions take it: an entity is chosen if all its vertices are."""
+"""Numbers of entities of this rank; or a function from points of shape (3, n) to a mask, as for DOLFINx's locate
+functions: an entity is chosen if all its vertices are."""
 
 
 def domain_of(
@@ -34,18 +33,18 @@ def domain_of(
     regions: Mapping[str, Chosen] | None = None,
     name: str = "mesh",
 ) -> Domain:
-    """A mesh with its parts as the solver wants them (collective).
+    """A mesh with its parts, in the form that the solver needs (collective).
 
     Args:
-        mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, the domain has a mesh of its own with
-            the same cells on the same ranks and none of the ghosts: data in UFL are written on `domain.mesh` then, and
-            its cell c is the cell `original_cell_index[c]` of the mesh that was given, numbered over all ranks.
-        parts: Boundary facets by the name of their part, ghosts among them or not; the same names on all ranks.
-        regions: Cells likewise by the name of their region, for κ by region.
-        name: What the domain is called.
+        mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, the domain gets a new mesh: the same
+            cells on the same ranks without the ghosts. Then UFL data must be written on `domain.mesh`, whose cell c is
+            cell `original_cell_index[c]` of the given mesh, numbered over all ranks.
+        parts: Boundary facets for each name of a part, with or without ghosts; the same names on all ranks.
+        regions: Cells for each name of a region, for κ by region.
+        name: Name of the domain.
 
     Raises:
-        InputError: If the mesh cannot be used, or something is neither numbers nor a function.
+        InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function.
     """
     topology = mesh.topology
     dim = topology.dim
@@ -59,7 +58,7 @@ def domain_of(
     if mesh.comm.allreduce(topology.index_map(dim).num_ghosts > 0, MPI.LOR):
         mesh, facets, cells = _without_ghosts(mesh, facets, cells)
     else:
-        owned = topology.index_map(dim - 1).size_local  # the others are inside the domain, and another rank has them
+        owned = topology.index_map(dim - 1).size_local  # ghost facets are owned by another rank
         facets = {part: numbers[numbers < owned] for part, numbers in facets.items()}
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
@@ -71,7 +70,7 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
     """Chosen entities of this rank, ascending (collective).
 
     Raises:
-        InputError: On all ranks, if on one of them they are neither numbers of such entities nor a function.
+        InputError: On all ranks, if one of them gets neither numbers of such entities nor a function.
     """
     if callable(chosen):
         locate = dolfinx.mesh.locate_entities if dim == mesh.topology.dim else dolfinx.mesh.locate_entities_boundary
@@ -87,7 +86,7 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
     kind = "facet" if dim < mesh.topology.dim else "cell"
     wrong = ""
     if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
-        wrong = f"{key}: must be an array of {kind} numbers, integers, or a function of points that says which are in"
+        wrong = f"{key}: must be an array of {kind} numbers, integers, or a function of points that returns a mask"
     elif np.any((numbers < 0) | (numbers >= size)):
         wrong = f"{key}: there is no {kind} {numbers[(numbers < 0) | (numbers >= size)][0]}; a rank has {size}, from 0"
     wrong = max(mesh.comm.allgather(wrong))
@@ -99,7 +98,7 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
 def _without_ghosts(
     mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
 ) -> tuple[dolfinx.mesh.Mesh, dict[str, Entities], dict[str, Entities]]:
-    """The same cells on the same ranks without the ghosts, and their parts and regions (collective)."""
+    """The mesh with the same cells on the same ranks but without ghosts, its parts and regions (collective)."""
     dim, comm = mesh.topology.dim, mesh.comm
     nodes, cell_map = mesh.geometry.index_map(), mesh.topology.index_map(dim)
     size = cell_map.size_local
@@ -107,11 +106,8 @@ def _without_ghosts(
     def global_nodes(local: Entities) -> Indices:
         return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
 
-    def stay(*_: object) -> object:
-        return dolfinx.graph.adjacencylist(np.full((size, 1), comm.rank, dtype=np.int32))._cpp_object
-
     cells, points = global_nodes(mesh.geometry.dofmap[:size]), mesh.geometry.x[: nodes.size_local, :dim]
-    own = distribute(comm, points, cells, dim, stay)
+    own = distribute(comm, points, cells, dim, stay=True)
     own.topology.create_connectivity(dim - 1, dim)
     marked = {
         name: np.sort(global_nodes(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets)), axis=1).reshape(-1, dim)
@@ -125,17 +121,17 @@ def _without_ghosts(
 
 
 def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:
-    """The coordinate along which a part extends most (collective)."""
+    """The coordinate in which a part is longest (collective)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
     low, high = bounding_box(mesh.geometry.x[nodes].reshape(-1, 3), mesh.comm)
     return AXES[int(np.argmax(high - low))]
 
 
 def check_parts(domain: Domain, boundary: Boundary) -> None:
-    """Refuse parts that are not there, are empty, overlap or lie inside the domain (collective).
+    """Refuse parts that do not exist, are empty, overlap or lie inside the domain (collective).
 
     Raises:
-        InputError: If there is one.
+        InputError: If there is such a part.
     """
     for key, names in vars(boundary).items():
         unknown = [part for part in names if part not in domain.parts]

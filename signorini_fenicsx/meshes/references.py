@@ -1,4 +1,4 @@
-"""What a mesh file in XML or HDF5 may refer to: HDF5 files beside it, and nothing that grows when it is read."""
+"""Checks the references in mesh files: XML may refer to HDF5 files in its folder, and nothing may grow when read."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,12 +13,12 @@ HDF5 = (".h5m", ".hmf", ".med", ".cgns")
 
 
 def check_references(path: Path) -> None:
-    """Look at a file before a library reads it.
+    """Check a file before a library reads it.
 
     Raises:
-        InputError: If it refers to what it may not, or declares XML entities.
+        InputError: If it has a reference that is not allowed, or declares XML entities.
     """
-    suffix = path.suffix.lower()  # as meshio takes it
+    suffix = path.suffix.lower()  # like meshio
     if suffix in XML:
         _check_head(path)
     if suffix in HDF5:
@@ -29,11 +29,11 @@ def check_references(path: Path) -> None:
 
 
 class _Root(Exception):
-    """The first element has begun, and nothing can be declared after it."""
+    """Ends the parser at the first element, after which nothing can be declared."""
 
 
 def _check_head(path: Path) -> None:
-    """Refuse declarations: entities can be other files, or grow beyond all memory. DOLFINx writes an empty DOCTYPE."""
+    """Refuse declarations: entities can be other files or fill the memory. The empty DOCTYPE of DOLFINx is allowed."""
 
     def refuse(*_: object) -> None:
         raise InputError(
@@ -57,12 +57,12 @@ def _check_head(path: Path) -> None:
 
 
 def _beside(path: Path, item: ElementTree.Element) -> Path | None:
-    """The HDF5 file of an array in XDMF, None if there is none; meshio takes arrays from elements of any name."""
+    """The HDF5 file of an array in XDMF, or None; meshio reads arrays from elements with any name."""
     kind, text = item.get("Format", "XML"), (item.text or "").strip()
     if kind == "XML":
         return None
     if kind != "HDF":
-        raise InputError(f"has an array in the format '{kind}'; XML and HDF will do")
+        raise InputError(f"has an array in the format '{kind}'; use XML or HDF")
     name = text.partition(":")[0]
     folder = path.resolve().parent
     if not name or Path(name).is_absolute() or not (folder / name).resolve().is_relative_to(folder):
@@ -84,7 +84,7 @@ def _check_hdf5(path: Path) -> None:
                     link = group.get(name, getlink=True)
                 except TypeError:
                     link = None
-                if isinstance(link, h5py.SoftLink):  # what it leads to is met where it is
+                if isinstance(link, h5py.SoftLink):  # its target is checked in its own place
                     continue
                 if not isinstance(link, h5py.HardLink):
                     raise InputError(

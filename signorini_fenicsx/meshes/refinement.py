@@ -1,4 +1,6 @@
-"""Local refinement: which cells, and the refined mesh. Neither depends on the number of ranks."""
+"""Local refinement: marking of cells, and the refined mesh. Neither depends on the number of ranks."""
+
+from dataclasses import replace
 
 import dolfinx.mesh
 import numpy as np
@@ -6,24 +8,24 @@ import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, marked_domain, membership
+from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, largest_diameter, marked_domain, membership
 
 SAME = 1e-6
-"""Indicators that differ by less than this, relatively, are refined together: rounding must not choose among them."""
+"""Cells whose indicators differ relatively by less than this are refined together, so that rounding does not choose."""
 NEGLIGIBLE = 1e-20
 FLAT = 0.1
-"""A cell that keeps less than this part of its volume when vertices move to a curved boundary is spoilt."""
+"""A cell must keep at least this share of its volume when vertices move to a curved boundary."""
 SKEW = np.eye(3) + 1e-6 * np.array(
     [[0, 0, 0], [1 / np.sqrt(2), 1 / np.sqrt(3), 0], [1 / np.pi, 1 / np.e, 1 / np.sqrt(7)]]
 )
-"""Breaks ties between edges of equal length by their direction, not by their number, which depends on the ranks."""
+"""A small change of lengths, so that of two equally long edges the direction decides, not the numbers, which depend on
+the ranks."""
 
 
 def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.int32]:
-    """Few cells that carry the part θ of Σ η_T² (collective).
+    """A small set of cells with the share θ of Σ η_T² (collective).
 
     Args:
         indicator: η_T of the owned cells.
@@ -49,13 +51,13 @@ def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.in
 
 
 def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
-    """Halve all edges of some cells, and those of others that this asks for, by longest-edge bisection (collective).
+    """Halve all edges of some cells, and other edges as needed for conformity, by longest-edge bisection (collective).
 
-    New vertices on curved parts of the boundary move there; a mesh from a file keeps its polygon or polyhedron. Parts
-    and regions are inherited. The refined mesh is distributed anew.
+    New vertices on curved boundary parts of named shapes move to the curve; a mesh from a file keeps its polygon or
+    polyhedron. Parts and regions are inherited. The refined mesh is distributed anew.
 
     Args:
-        domain: What to refine.
+        domain: The domain to refine.
         cells: Owned cells to refine.
 
     Raises:
@@ -64,40 +66,65 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
     mesh = domain.mesh
     dim = mesh.topology.dim
     fine, parent_cell, parent_facet = _bisected(mesh, cells)
-    before = _volumes(fine)
     boundary, children = _boundary_facets(mesh, fine, parent_cell, parent_facet)
-    descendants = {name: children[np.isin(boundary, facets)] for name, facets in domain.facets.items()}
-    for name, part in domain.parts.items():
-        if part.nearest is not None:
-            nodes = _on_all_ranks(fine, descendants[name].ravel())
-            fine.geometry.x[nodes] = part.nearest(fine.geometry.x[nodes].T).T
-    if not mesh.comm.allreduce(bool(np.all(_volumes(fine) / before > FLAT)), MPI.LAND):
-        raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
-
     nodes = fine.geometry.index_map()
-    cell_nodes = nodes.local_to_global(fine.geometry.dofmaps[0].ravel()).reshape(-1, dim + 1)
+
+    def vertices(local: npt.NDArray[np.int32], columns: int) -> Indices:
+        return nodes.local_to_global(local.ravel()).reshape(-1, columns)
+
     marks = Marks(
-        {
-            name: np.sort(nodes.local_to_global(rows.ravel()).reshape(-1, dim), axis=1)
-            for name, rows in descendants.items()
-        },
-        gather_rows(mesh.comm, membership(domain)[parent_cell]) if domain.regions else None,
+        {name: np.sort(vertices(children[np.isin(boundary, f)], dim), axis=1) for name, f in domain.facets.items()},
+        membership(domain)[parent_cell],
         tuple(domain.regions),
     )
-    distributed = distribute(mesh.comm, fine.geometry.x[: nodes.size_local, :dim], cell_nodes, dim)
-    return marked_domain(
-        distributed, domain.parts, marks, curvature=domain.curvature, name=domain.name, is_shape=domain.is_shape
+    points, cell_nodes = fine.geometry.x[: nodes.size_local, :dim], vertices(fine.geometry.dofmaps[0], dim + 1)
+    return descendant(domain, distribute(mesh.comm, points, cell_nodes, dim), marks, "refined where the error is")
+
+
+def descendant(
+    domain: Domain, mesh: dolfinx.mesh.Mesh, marks: Marks, made: str, coarser: Domain | None = None
+) -> Domain:
+    """A domain on a refined mesh; the vertices of curved boundary parts move there (collective).
+
+    Args:
+        domain: What was refined.
+        mesh: The refined mesh.
+        marks: Its parts and regions.
+        made: How it was made, in words.
+        coarser: The domain again if it was refined uniformly.
+
+    Raises:
+        NumericalFailure: If moving the vertices would flatten or invert a cell.
+    """
+    result = marked_domain(
+        mesh,
+        domain.parts,
+        marks,
+        curvature=domain.curvature,
+        name=domain.name,
+        is_shape=domain.is_shape,
+        made=made,
+        coarser=coarser,
     )
+    before, dim = _volumes(mesh), mesh.topology.dim
+    for name, part in domain.parts.items():
+        if part.nearest is not None:
+            nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, result.facets[name])
+            nodes = _on_all_ranks(mesh, nodes.ravel())
+            mesh.geometry.x[nodes] = part.nearest(mesh.geometry.x[nodes].T).T
+    if not mesh.comm.allreduce(bool(np.all(_volumes(mesh) / before > FLAT)), MPI.LAND):
+        raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
+    return replace(result, h=largest_diameter(mesh))
 
 
 def _bisected(
     mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32]
 ) -> tuple[dolfinx.mesh.Mesh, npt.NDArray[np.int32], npt.NDArray[np.int8]]:
-    """Refine without moving anything (collective).
+    """Refine without moving vertices (collective).
 
     Returns:
-        The refined mesh, on the ranks of its parents, for each cell its parent, and for each facet of each cell which
-        facet of the parent holds it, or −1; facet i is opposite to vertex i.
+        The refined mesh, with cells on the ranks of their parents; the parent of each cell; and for each facet of each
+        cell the facet of the parent that contains it, or −1. Facet i is opposite to vertex i.
     """
     dim = mesh.topology.dim
     mesh.topology.create_entities(1)
@@ -109,7 +136,7 @@ def _bisected(
     fine, parent_cell, parent_facet = dolfinx.mesh.refine(
         mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
     )
-    topology = fine.topology  # its cells have been reordered, those of parent_cell not
+    topology = fine.topology  # its cells have been reordered, parent_cell has not
     order = topology.original_cell_index - topology.index_map(dim).local_range[0]
     parent_cell, parent_facet = parent_cell[order], parent_facet.reshape(-1, dim + 1)[order]
     parents, children = _corners(mesh)[parent_cell], _corners(fine)
@@ -140,7 +167,7 @@ def _boundary_facets(
     parent_cell: npt.NDArray[np.int32],
     parent_facet: npt.NDArray[np.int8],
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Facets of the mesh's boundary and the refined ones in them: each one's parent and nodes, shape (facets, dim)."""
+    """Refined facets on the boundary: the parent facet of each, and its nodes, shape (facets, dim)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim, dim - 1)
     facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
@@ -153,7 +180,7 @@ def _boundary_facets(
 
 
 def _on_all_ranks(mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Nodes of this rank that are among those of any rank (collective)."""
+    """Nodes of this rank that any rank lists (collective)."""
     marked = la.vector(mesh.geometry.index_map())
     marked.array[nodes] = 1.0
     marked.scatter_reverse(la.InsertMode.add)

@@ -1,4 +1,4 @@
-"""Functions of one mesh at the points of another that need not be nested in it."""
+"""Evaluates functions of one mesh at points of another mesh; the meshes need not be nested."""
 
 import contextlib
 import math
@@ -20,20 +20,20 @@ from signorini_fenicsx.meshes.domain import Domain
 QUADRATURE_DEGREE = 2
 """Exact for squares of RT0 differences on fine cells that one coarse cell covers."""
 AT_BOUNDARY = 1e-10
-"""A point that is this far outside a mesh, relative to its size, is on the boundary up to rounding."""
+"""A point outside a mesh counts as on its boundary up to this distance, relative to the size of the mesh."""
 
 
 def curve_gap(domain: Domain) -> float:
-    """A length above the gap between this mesh and a finer one of the same domain with a curved boundary."""
+    """Upper bound of the distance between this mesh and a finer mesh of the same domain with a curved boundary."""
     return domain.curvature * domain.h**2
 
 
 @contextlib.contextmanager
 def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[float]:
-    """Magnify meshes of a domain to a size around 1, while DOLFINx searches with tolerances that are plain lengths.
+    """Scale meshes of a domain to a size around 1 inside this context, because DOLFINx searches with fixed tolerances.
 
     Yields:
-        The factor, a power of 2, so that nothing is rounded; 1 for named shapes.
+        The factor, a power of 2, so that scaling is exact; 1 for named shapes.
     """
     factor = 2.0 ** round(math.log2(domain.curvature))
     for mesh in meshes:
@@ -48,17 +48,17 @@ def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[float]:
 def sampled(
     functions: Sequence[fem.Function], mesh: dolfinx.mesh.Mesh, source: Domain, *, degree: int = QUADRATURE_DEGREE
 ) -> list[fem.Function]:
-    """Functions of one other mesh at the quadrature points of this one; those of this mesh as they are (collective).
+    """Functions of one other mesh at the quadrature points of this mesh (collective).
 
     Args:
-        functions: On one mesh, or on this one.
-        mesh: Where they are wanted.
-        source: The domain that the other mesh covers, or whose boundary it is.
-        degree: Of the quadrature.
+        functions: Functions on one other mesh, or on this mesh; the latter are returned unchanged.
+        mesh: This mesh.
+        source: The domain of the other mesh, or whose boundary the other mesh covers.
+        degree: Degree of the quadrature.
     """
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     samples = []
-    search = None  # finding the points is the expensive part, and the same for all functions
+    search = None  # the search of points is expensive, and the same for all functions
     for function in functions:
         space = function.function_space
         if space.mesh is mesh:
@@ -80,13 +80,13 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
     """Functions on the mesh of a domain at any points (collective).
 
     Args:
-        functions: With up-to-date ghost values.
-        domain: The mesh.
-        points: What this rank asks for, shape (n, dim), wherever the cells are; another rank may ask for others.
+        functions: Functions with up-to-date ghost values.
+        domain: The domain of their mesh.
+        points: Points of this rank, shape (n, dim); their cells may be on any rank.
 
     Returns:
-        Of each function the values, shape (n, components): not a number outside the mesh; where cells meet, those in
-        one of them, the same for all functions.
+        The values of each function, shape (n, components): NaN outside the mesh; where cells meet, the values in one of
+        them, the same cell for all functions.
 
     Raises:
         InputError: On all ranks, if the points of one of them have another shape.
@@ -112,10 +112,10 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
 
 
 def _in_space(mesh: dolfinx.mesh.Mesh, points: npt.ArrayLike) -> Array:
-    """Points as DOLFINx takes them, shape (n, 3) (collective).
+    """Points in the form of DOLFINx, shape (n, 3) (collective).
 
     Raises:
-        InputError: On all ranks, if one has something else.
+        InputError: On all ranks, if the points of one rank have another shape.
     """
     dim, wrong = mesh.geometry.dim, False
     try:

@@ -1,8 +1,8 @@
-"""Where the boundary of a mesh lies on itself: cracks, hanging nodes, pieces not joined, sheets on one another.
+"""Finds places where the boundary of a mesh lies on itself: cracks, hanging nodes, pieces not joined, overlaps.
 
-There, facets that should be inside the domain belong to one cell each and count as boundary. They are found by a few
-points of each facet that lie inside another facet. Lengths are compared with the heights of the cells only, so nothing
-depends on the unit of length, and flat cells do not count as cracks.
+There, facets that should be inside the domain belong to only one cell and count as boundary. They are found by a few
+points of each facet that lie inside another facet. Lengths are compared only with the heights of cells. So the result
+does not depend on the unit of length, and flat cells do not count as cracks.
 """
 
 from collections.abc import Iterator
@@ -12,26 +12,27 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 
 NEAR = 1e-5
-"""Two facets nearer than this part of the heights of their cells lie on one another; single precision is that exact."""
+"""Facets lie on one another if they are nearer than this share of the heights of their cells; single precision is
+exact enough for it."""
 WEIGHTS = {
     2: np.array([[0.71, 0.29], [0.29, 0.71]]),
     3: np.array([[0.62, 0.27, 0.11], [0.11, 0.62, 0.27], [0.27, 0.11, 0.62]]),
 }
-"""Barycentric coordinates of the points of a facet that are tried: where facets meet, not on a line of symmetry."""
+"""Barycentric coordinates of the tried points of a facet, away from lines of symmetry, where other facets may end."""
 PAIRS = 10**6
-"""Pairs of facets and points looked at in one go."""
+"""Number of pairs of facets and points that are tested at once."""
 
 
 def seams(corners: Array, apexes: Array) -> tuple[Mask, Mask]:
-    """Which facets of the boundary lie on others.
+    """Find facets of the boundary that lie on other facets of the boundary.
 
     Args:
-        corners: Of the facets of the boundary, shape (facets, dim, dim).
-        apexes: Of the cell of each facet, the vertex opposite to it, shape (facets, dim).
+        corners: Vertices of the facets of the boundary, shape (facets, dim, dim).
+        apexes: Vertex opposite to each facet in its cell, shape (facets, dim).
 
     Returns:
-        For each facet whether it lies on another one with its cell on the other side, as at a crack, and whether with
-        its cell on the same side, where cells overlap.
+        Two masks of facets that lie on another one: those with the cells on different sides, as at a crack, and those
+        with the cells on the same side, where cells overlap.
     """
     count, dim = apexes.shape
     edges = corners[:, 1:] - corners[:, :1]
@@ -59,14 +60,14 @@ def _normals(edges: Array) -> Array:
     if edges.shape[2] == 2:
         normals = np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
     else:
-        scale = np.abs(edges).max(axis=(1, 2), keepdims=True)  # squares of lengths could be out of range
+        scale = np.abs(edges).max(axis=(1, 2), keepdims=True)  # otherwise squares of lengths may overflow
         normals = np.cross(*np.moveaxis(edges / scale, 1, 0))
     normals = normals / np.abs(normals).max(axis=1, keepdims=True)
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _is_inside(edges: Array, offset: Array) -> Mask:
-    """Whether points of facets' planes, from the first corner, are inside of the facets."""
+    """Whether points in the planes of facets, relative to the first corner, are inside the facets."""
     scale = np.abs(edges).max(axis=(1, 2), keepdims=True)
     edges, offset = edges / scale, offset / scale[:, :, 0]
     gram = edges @ edges.transpose(0, 2, 1)
@@ -75,7 +76,7 @@ def _is_inside(edges: Array, offset: Array) -> Mask:
 
 
 def _near(corners: Array, tried: Array) -> Iterator[tuple[Indices, Indices]]:
-    """Facets and points in the smallest ball around the middle of the facet that holds it."""
+    """Pairs of a facet and a point in the smallest ball around the middle of the facet that contains the facet."""
     from scipy.spatial import cKDTree  # slow to import, and needed for meshes from files only
 
     middle = corners.mean(axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.meshes.domain import Part
-from signorini_fenicsx.meshes.grids import Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
+from signorini_fenicsx.meshes.grids import Share, Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
 
 TINY = np.finfo(np.float64).tiny
 
@@ -19,7 +19,7 @@ class NamedPart(Part):
     """A boundary part of a named shape.
 
     Attributes:
-        contains: Tells for points of shape (3, n) which lie on the part.
+        contains: Maps points of shape (3, n) to a mask of those on the part.
     """
 
     contains: Callable[[Array], Mask] = field(kw_only=True)
@@ -35,7 +35,7 @@ class Shape:
         diameter: Largest distance between two of its points.
         parts: Boundary parts; they cover the boundary.
         outline: Adds the domain to the current Gmsh model.
-        grid: Structured mesh of a given fineness and diagonal, or None where there is none.
+        grid: Makes a rank's share of the structured mesh for h and a diagonal; None if there is none.
     """
 
     dim: int
@@ -43,7 +43,7 @@ class Shape:
     diameter: float
     parts: Mapping[str, NamedPart]
     outline: Callable[[], None]
-    grid: Callable[[float, str], Simplices] | None = None
+    grid: Callable[[float, str, Share], Simplices] | None = None
 
 
 def _plane(axis: int, value: float) -> NamedPart:
@@ -52,7 +52,7 @@ def _plane(axis: int, value: float) -> NamedPart:
 
 
 def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
-    """A circle by its angle from the positive x axis: −π to 0 on the lower half, else −π to π."""
+    """A circle with the angle from the positive x axis: −π to 0 for the lower half, −π to π for the whole circle."""
 
     def contains(x: Array) -> Mask:
         on = np.isclose(np.hypot(x[0], x[1]), radius)
@@ -76,7 +76,7 @@ def _hemisphere(sign: int) -> NamedPart:
 
 
 def _polygon(*corners: tuple[float, float], height: float = 0.0) -> Callable[[], None]:
-    """A polygon in the plane z = 0, or with a height the prism above it."""
+    """A polygon in the plane z = 0, or with a height > 0 the prism above it."""
 
     def outline() -> None:
         points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
@@ -110,7 +110,7 @@ def _annulus() -> None:
 
 
 def _ball() -> None:
-    """The unit ball: eight octants of the sphere, so that the equator is resolved."""
+    """The unit ball, made of eight octants, so that the mesh resolves the equator."""
     centre, *equator, south, north = [
         gmsh.model.geo.addPoint(*point, 0)
         for point in [(0, 0, 0), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1), (0, 0, 1)]

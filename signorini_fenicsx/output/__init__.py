@@ -1,1 +1,1 @@
-"""What is written: checkpoints, fields, tables, pictures."""
+"""Output of solutions: checkpoints, fields, tables, pictures."""

@@ -1,7 +1,7 @@
-"""A solution saved so that any number of ranks can read it: arrays in one NumPy file, numbered as the mesh was made.
+"""Saves a solution so that any number of ranks can read it: one NumPy file, in the original numbering of the mesh.
 
-RT0 is rebuilt from what it is on each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T), so no degree of freedom, and with it no
-partition, enters the file.
+RT0 is stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T). So the file has no degrees of
+freedom and does not depend on the partition.
 """
 
 import json
@@ -19,7 +19,8 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
-from signorini_fenicsx.base.parallel import collector_off, on_root, scatter_rows
+from signorini_fenicsx.base.parallel import collector_off, on_root
+from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import options_of
@@ -53,12 +54,12 @@ FILE = "checkpoint.npz"
 def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: FacetTable, marks: Marks) -> None:
     """Write a gathered solution (rank 0).
 
-    Cells and points are numbered as the mesh was made, and a facet of Γ_S is known by its vertices. Pictures can be
-    made of the file alone.
+    Cells and points have the original numbering of the mesh, and a facet of Γ_S is identified by its vertices. The file
+    alone is sufficient for pictures.
 
     Args:
-        path: Of the file.
-        solution: The solution, for what is the same on all ranks.
+        path: Path of the file.
+        solution: The solution, for everything that is the same on all ranks.
         fields: Its mesh and cell values.
         facets: Its values on Γ_S.
         marks: Its boundary parts and regions.
@@ -89,14 +90,14 @@ OUTCOME = (
     *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
     "rough_steps",
 )
-"""What a solution's outcome says about how it was found, but for its fields and its history."""
+"""Stored attributes of a solution's outcome, apart from fields and history."""
 COSTS = ("timings", "peak_memory")
 SAME = 1e-3
-"""Part of a KKT residual by which the one of what is read may differ from the one that was written."""
+"""Allowed relative difference between the KKT residuals of what is read and those that were written."""
 
 
 def _problem(solution: Solution) -> dict[str, Any]:
-    """The case, or what of a problem given in Python a file can hold."""
+    """The case; or, for a problem given in Python, the data that a file can hold."""
     if isinstance(solution.source, Case):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
@@ -138,13 +139,13 @@ def load_solution(
     Args:
         folder: The results folder.
         comm: Communicator.
-        problem: The data, if some were given in Python as what no file can hold.
-        options: Likewise with the algorithm.
+        problem: The data, needed if some were given in Python in a form that no file can hold.
+        options: The options, needed if the algorithm was given in Python.
 
     Raises:
-        InputError: If there is none, it could not have been written by this program, it needs data or an algorithm
-            given in Python, or its fields do not have the residuals that they had: then it is damaged, and no part of
-            it is used.
+        InputError: If there is no solution; if the file cannot come from this program; if `problem` or `options` are
+            needed; or if the residuals of the fields are not those that were written: then the file is damaged, and
+            nothing of it is used.
     """
     path = Path(folder) / FILE
     everything: list[Arrays] = []
@@ -208,7 +209,7 @@ def _read_problem(found: Checkpoint, dim: int) -> Problem:
     """The data of the file.
 
     Raises:
-        InputError: If it does not hold all of them.
+        InputError: If the file does not have all data.
     """
     if found.case is not None:
         return found.case.data(dim)
@@ -216,7 +217,7 @@ def _read_problem(found: Checkpoint, dim: int) -> Problem:
     given = found.about.given
     if given.missing:
         missing = ", ".join(given.missing)
-        raise InputError(f"{missing}: given in Python as what no file can hold; give load_solution the problem")
+        raise InputError(f"{missing}: given in Python, so not in the file; pass the problem to load_solution")
     return replace(_made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
 
 
@@ -233,13 +234,17 @@ def _law(table: dict[str, Any]) -> Law:
 
 
 def _read_options(found: Checkpoint) -> Options:
-    """Likewise the options."""
+    """The options of the file.
+
+    Raises:
+        InputError: If the algorithm was given in Python.
+    """
     if found.case is not None:
         return options_of(found.case)
     assert found.about.given is not None
     values = found.about.given.options
     if values.get("algorithm") == OWN:
-        raise InputError("the algorithm was given in Python; give load_solution the options")
+        raise InputError("the algorithm was given in Python; pass the options to load_solution")
     return _made(Options, values)
 
 
@@ -251,13 +256,13 @@ def _made[T](kind: type[T], values: dict[str, Any]) -> T:
 
 
 def _damage(about: About, method: Method, kkt: KKTResiduals) -> str | None:
-    """Why the residuals of what was read cannot be those of what was written; None if they can."""
+    """Why the residuals of what was read are not those that were written, or None if they are."""
     for name, value in vars(kkt).items():
         before = (about.kkt or {}).get(name, value)
         if np.isfinite(before) and not abs(value - before) <= KKT + SAME * before:
             return f"its KKT residual {name} is {value:.1e}, and was {before:.1e} when it was written"
     known = about.kkt is not None or method.starts_from_sets
-    judged = about.converged and known and about.own_residual is None  # others have a residual of their own
+    judged = about.converged and known and about.own_residual is None  # own_residual judges the others
     violation = kkt.violation() if judged else None
     return None if violation is None else f"it claims to be a solution, but has {violation}"
 
@@ -265,7 +270,7 @@ def _damage(about: About, method: Method, kkt: KKTResiduals) -> str | None:
 def _hold(
     conditions: SiteConditions, sigma: fem.Function, u: fem.Function, trace: Array, flux: Array, spaces: Spaces
 ) -> bool:
-    """Whether σ·n and p have the values that the conditions say (collective)."""
+    """Whether σ·n and p have the values that the conditions prescribe (collective)."""
     e, kind = spaces.facet_measure, conditions.kind
     squares = [
         e @ np.where(kind == given, values - conditions.value, 0.0) ** 2
@@ -283,21 +288,21 @@ def _parts(found: Checkpoint) -> Mapping[str, Part]:
 
 
 def _marks(about: About, arrays: Arrays, dim: int) -> Marks:
-    """Parts and regions, on rank 0; nothing elsewhere."""
+    """Parts and regions on rank 0; empty on other ranks."""
     empty = np.empty((0, dim), dtype=np.int64)
     facets = {name: arrays.get(f"part_{index}", empty) for index, name in enumerate(about.parts)}
     return Marks(facets, arrays.get("inside"), tuple(about.regions))
 
 
 def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:
-    """σ_h and u_h from cell values that rank 0 has in the order in which the mesh was made (collective)."""
+    """σ_h and u_h from cell values on rank 0 in the original order of the mesh (collective)."""
     mesh = spaces.mesh
     dim = mesh.geometry.dim
     centroid = centroids(mesh)
     middle = fem.Function(centroid.function_space)
     divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
     for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
-        values = scatter_rows(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
+        values = fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
         function.x.array[:] = values.ravel()
     sigma = fem.Function(spaces.V, name="sigma")
     x = ufl.SpatialCoordinate(mesh)

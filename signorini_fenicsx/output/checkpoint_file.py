@@ -1,6 +1,6 @@
-"""The file of a checkpoint, read without trusting it: nothing of it reaches DOLFINx that could not have been written.
+"""Reads the file of a checkpoint without trusting it: only contents that this program can have written reach DOLFINx.
 
-All of this runs on rank 0.
+All functions run on rank 0.
 """
 
 import tokenize
@@ -27,7 +27,7 @@ from signorini_fenicsx.methods.history import Step
 type Arrays = dict[str, npt.NDArray]
 
 UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
-"""What NumPy and zipfile raise of a damaged file; with a warning, NumPy reads what it never wrote."""
+"""Errors of NumPy and zipfile for damaged files. NumPy also warns when it reads something that it never wrote."""
 
 LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
     "points": (np.float64, "points", "dim"),
@@ -45,28 +45,28 @@ LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
     "facet_condition": (np.int64, "facets"),
     "facet_vertices": (np.int64, "facets", "dim"),
 }
-"""Type and shape of the arrays that each file holds; a word stands for the same number everywhere."""
+"""Type and shape of the arrays of a file; a word stands for the same number everywhere."""
 VALUES = ("u", "sigma", "divergence", "facet_u", "facet_p", "facet_flux")
-"""Those that need not be finite if the run has failed."""
+"""Arrays that need not be finite if the run has failed."""
 SIMPLICES = {1: "line", 2: "triangle", 3: "tetra"}
 
 
 FORMAT = 2
-"""Of the files that are written. Those of format 1 have no number and no problems given in Python."""
+"""Format of the files that are written. Files of format 1 have no format number and no problems given in Python."""
 
 
 class GivenInPython(BaseModel):
-    """A problem that no case file has.
+    """A problem that was given in Python, not by a case file.
 
     Attributes:
-        title: Of the results.
+        title: Title of the results.
         domain: Name of its domain.
         signorini: Parts of Γ_S.
         neumann: Parts of Γ_N.
-        problem: The data that are numbers, texts or tables of them.
+        problem: The data that are numbers, texts or tables of these.
         laws: The laws, as [[law]] has them.
-        missing: The names of the others, which no file can hold.
-        options: Those that are names and numbers; the algorithm is `options.OWN` if it is none in the registry.
+        missing: Names of the other data, which no file can hold.
+        options: The options that are names and numbers; the algorithm is `options.OWN` if it is not in the registry.
     """
 
     model_config = ConfigDict(strict=True)
@@ -82,13 +82,13 @@ class GivenInPython(BaseModel):
 
 
 class About(BaseModel):
-    """What a file says besides its arrays; see `Solution` for what has the same name there.
+    """The contents of a file besides its arrays. Attributes that are not listed here are those of `Solution`.
 
     Attributes:
         name: Name of the case or the problem.
         format: See FORMAT.
-        case: The case, as its file has it; None for a problem given in Python.
-        given: A problem given in Python.
+        case: The contents of the case file; None for a problem given in Python.
+        given: A problem given in Python, or None.
         part_names: Boundary parts of Γ_S.
         parts: For each boundary part the label of the coordinate along it.
         regions: Names of the regions.
@@ -125,13 +125,13 @@ class About(BaseModel):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A file that has passed all checks but that of its residuals.
+    """A file that has passed all checks except that of its residuals.
 
     Attributes:
-        about: What it says.
-        case: Its case, None for a problem given in Python.
-        arrays: Its arrays, see `LAYOUT`; also `part_0` … with the facets of each boundary part, shape (facets, dim),
-            and `inside`, shape (cells, regions), if there are regions.
+        about: Its contents besides arrays.
+        case: Its case; None for a problem given in Python.
+        arrays: Its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary part, shape
+            (facets, dim); `inside`, shape (cells, regions), if there are regions.
     """
 
     about: About
@@ -158,14 +158,14 @@ class Checkpoint:
 
     @property
     def title(self) -> str:
-        """Name in more words."""
+        """Title of the results."""
         if self.case is not None:
             return self.case.title
         return "" if self.about.given is None else self.about.given.title
 
     @property
     def shape(self) -> str | None:
-        """The named shape, if the domain is one."""
+        """The named shape, or None if the domain is not one."""
         return None if self.case is None else self.case.geometry.shape
 
     @property
@@ -182,14 +182,14 @@ class Checkpoint:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """Read a file and check all that can be checked without solving.
+    """Read a file and check everything that can be checked without spaces and residuals.
 
     Raises:
-        InputError: If there is none, or it could not have been written by this program.
+        InputError: If there is no file, or it cannot come from this program.
     """
     try:
         if not path.is_file():
-            raise InputError(f"{path.parent}: holds no {path.name}, so no solution to start from")
+            raise InputError(f"{path.parent}: holds no {path.name}, so there is no solution to read")
         arrays = _read(path)
         about = About.model_validate_json(str(arrays.pop("about", "")))
         found = Checkpoint(about, _case(about), arrays)
@@ -207,13 +207,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 
 def _read(path: Path) -> Arrays:
-    """All arrays of a file; what it says of their sizes is compared with its own before memory is taken."""
+    """All arrays of a file. Their stated sizes are compared with the size of the file before memory is allocated."""
     with zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="error"):
         entries = archive.infolist()
         if any(entry.flag_bits & 1 or entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-            raise InputError("not a readable solution (it is compressed or encrypted, as this program never does)")
+            raise InputError("not a readable solution (it is compressed or encrypted; this program never does that)")
         if sum(entry.file_size for entry in entries) > path.stat().st_size:
-            raise InputError("not a readable solution (it says that it holds more than it does)")
+            raise InputError("not a readable solution (it states larger sizes than it has)")
         return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
 
 
@@ -228,7 +228,7 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray:
         for length in shape:
             count *= length
         if kind.hasobject or min(shape, default=0) < 0 or count * kind.itemsize != entry.file_size - file.tell():
-            raise InputError(f"not a readable solution ({entry.filename} does not have the size that it says)")
+            raise InputError(f"not a readable solution ({entry.filename} does not have the size that it states)")
         file.seek(0)
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
@@ -243,7 +243,7 @@ def _case(about: About) -> Case | None:
 
 
 def _check_layout(found: Checkpoint) -> None:
-    """Types, shapes and numbers that must be finite, or among the known ones."""
+    """Check types and shapes, that values are finite, and that conditions and parts are known ones."""
     about, arrays = found.about, found.arrays
     layout = LAYOUT | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
@@ -264,17 +264,17 @@ def _check_layout(found: Checkpoint) -> None:
         if kind is np.float64 and not (np.isfinite(array).all() or (name in VALUES and not about.converged)):
             raise InputError(f"is damaged: {name} is not finite everywhere")
     if not np.isin(arrays["facet_condition"], list(Condition)).all():
-        raise InputError("is damaged: facet_condition holds what is no condition")
+        raise InputError("is damaged: facet_condition has a value that is no condition")
     if not np.isin(arrays["facet_part"], range(len(about.part_names))).all():
-        raise InputError("is damaged: facet_part holds what is no part")
+        raise InputError("is damaged: facet_part has a value that is no part")
     if found.shape is not None and SHAPES[found.shape].dim != dim:
-        raise InputError(f"is damaged: its mesh has dimension {dim}, which '{found.domain}' has not")
+        raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if found.case is not None:
         found.case.check_dimension(dim)
 
 
 def _check_mesh(found: Checkpoint) -> None:
-    """The mesh as that of any file; Γ_S must be the facets that have values."""
+    """Check the mesh like that of any file; Γ_S must be the facets that have values."""
     about, arrays, dim = found.about, found.arrays, found.dim
     if found.shape is None:
         known = set(about.parts.values()) <= set(AXES[:dim])

@@ -19,10 +19,10 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class FacetTable:
-    """One row per Γ_S facet of all ranks, by part and then along it.
+    """One row per Γ_S facet of all ranks, ordered by part and then along the part.
 
     Attributes:
-        part: Index into the case's Γ_S parts.
+        part: Index into the parts of Γ_S.
         x: Midpoints, shape (facets, 3).
         along: Coordinate along the part.
         measure: |e|.
@@ -56,7 +56,7 @@ class Boundary:
 
     Attributes:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
-        u: What is known of u there: p_h on Γ_S, the mean of u_D on Γ_D, not a number on Γ_N.
+        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N.
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
@@ -73,9 +73,9 @@ class Fields:
         points: Shape (points, dim).
         cells: Shape (cells, dim + 1).
         u: Shape (cells,).
-        sigma: At the centroids, shape (cells, dim).
+        sigma: σ_h at the centroids, shape (cells, dim).
         divergence: ∇·σ_h, shape (cells,).
-        indicator: η_T of the certificate, shape (cells,), or None without one.
+        indicator: η_T of the certificate, shape (cells,); None without a certificate.
     """
 
     points: Array

@@ -1,4 +1,4 @@
-"""A solution as notebooks show it: a figure, or a table with one."""
+"""A solution for notebooks: a figure, or a table with a figure."""
 
 import base64
 import html as text
@@ -11,7 +11,7 @@ from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gath
 from signorini_fenicsx.solving.solution import Solution
 
 DPI = 75
-"""Of the picture beside the table."""
+"""Resolution of the picture below the table."""
 
 
 def figure(solution: Solution, certificate: Certificate | None = None) -> Figure | None:
@@ -20,13 +20,13 @@ def figure(solution: Solution, certificate: Certificate | None = None) -> Figure
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)
     if table is None or cells is None or boundary is None:
         return None
-    from signorini_fenicsx.output import pictures  # costs a second, only where it is needed
+    from signorini_fenicsx.output import pictures  # takes a second to import
 
     return pictures.overview(pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate))
 
 
 def html(solution: Solution) -> str | None:
-    """A table of what counts and the overview (collective; None on all ranks but 0)."""
+    """A table of the main results and the overview (collective; None on all ranks but 0)."""
     spaces, outcome = solution.spaces, solution.outcome
     facets, measure = solution.contact()
     picture = figure(solution)

@@ -43,7 +43,7 @@ XINCLUDE = "http://www.w3.org/2001/XInclude"
 def write_results(
     solution: Solution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
 ) -> None:
-    """Write all files of a solution into a folder that appears whole, or not at all, see `Solution.write`."""
+    """Write all files of a solution into a folder, completely or not at all, see `Solution.write` (collective)."""
     with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
         write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
         place.publish()
@@ -63,13 +63,17 @@ def write_solution(
     """Write all files of a solution into an existing folder (collective).
 
     Args:
-        solution: What to write.
-        folder: Where; files of the same names are overwritten.
-        certificate: Its error bound, if it has one.
-        proof: What came of the attempt to prove it, if there was one.
+        solution: The solution.
+        folder: The folder; files with the same names are overwritten.
+        certificate: Its error bound, or None.
+        proof: The result of the attempt to prove the bound, or None.
         plot: Also draw PNGs.
-        html: Also write `solution.html`, pictures that one can turn.
+        html: Also write `solution.html`, pictures that the mouse can turn.
         fields: Also write the fields for ParaView.
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+        WriteFailure: If a library cannot write, at least on this rank.
     """
     folder = Path(folder)
     watch = Stopwatch()
@@ -89,11 +93,11 @@ def write_solution(
             if table is not None and cells is not None:
                 part = folder / f"{FILE}.part"
                 write_checkpoint(part, solution, cells, table, marks)
-                part.rename(folder / FILE)  # the first file: if no other finds room, this one is whole
+                part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
                 names = solution.data.laws.names() if solution.data.laws.listed else []
                 write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
                 if boundary is not None:
-                    from signorini_fenicsx.output import pictures  # costs a second, only where it is needed
+                    from signorini_fenicsx.output import pictures  # takes a second to import
 
                     scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
                     if plot:
@@ -161,7 +165,7 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str] = ()) -> None:
-    """Write one row per Γ_S facet, by part and then along it (rank 0)."""
+    """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition", *["segment"][: len(segments)]])
@@ -172,34 +176,34 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, seg
 
 
 def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`, this with the certificate's η_T (collective).
+    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`; the last contains η_T of the certificate (collective).
 
-    A VTX file has one element for all its functions, so all of `solution.bp` is in DG1, in which u_h and σ_h are
-    exact. XDMF takes P0: there σ is its value at the centroid.
+    A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.
+    `solution.xdmf` uses P0, with σ_h at the centroids.
 
     Raises:
-        OSError: On all ranks, if there is no room.
-        WriteFailure: If a library cannot write, on this rank at least.
+        OSError: On all ranks, if the disk is full.
+        WriteFailure: If a library cannot write, at least on this rank.
     """
     comm = solution.spaces.mesh.comm
     sizes = _sizes(solution)
     on_root(comm, lambda: _check_room(folder, sizes))
     try:
         _write_fields(solution, folder, certificate)
-    except RuntimeError as error:  # as its cause it keeps the open file alive, whose end would abort the program
+    except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
         raise WriteFailure("the fields for ParaView cannot be written") from error
     on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
 
 
 def _sizes(solution: Solution) -> dict[str, int]:
-    """About the largest sizes that the files of `write_fields` may have, in bytes (collective)."""
+    """Rough upper bounds of the sizes of the files of `write_fields`, in bytes (collective)."""
     spaces = solution.spaces
     mesh, ranks = spaces.mesh, spaces.mesh.comm.size
     dim = mesh.topology.dim
     cells = mesh.topology.index_map(dim).size_global
     points = mesh.geometry.index_map().size_global
     facets = spaces.mesh.comm.allreduce(len(spaces.facets))
-    number, place, vtx = 8, 3 * 8, 9  # a value, a point or vector, and what VTX has per point besides
+    number, place, vtx = 8, 3 * 8, 9  # bytes of a value, of a point or vector, and of VTX's extra data per point
     head = 12_000 + 3_000 * ranks
     return {
         "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
@@ -209,10 +213,12 @@ def _sizes(solution: Solution) -> dict[str, int]:
 
 
 def _check_room(folder: Path, sizes: Mapping[str, int]) -> None:
-    """Take the room that files need and give it back: ADIOS2 and HDF5 abort where there is none (rank 0).
+    """Make sure that there is disk space for the files, because ADIOS2 and HDF5 abort on a full disk (rank 0).
+
+    The space is allocated and freed again.
 
     Raises:
-        OSError: If there is none.
+        OSError: If the disk is full.
     """
     places = {folder / f"{name}.room": size for name, size in sizes.items()}
     try:
@@ -256,9 +262,9 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
 
 def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file; it is not closed after a failure, which would wait for other ranks, or abort (collective).
+    """Write one file (collective). After a failure it is not closed: closing would wait for other ranks, or abort.
 
-    In ADIOS2's newer format BP5, several ranks wait for each other for ever where the disk is full.
+    The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
     """
     file = io.VTXWriter(comm, path, functions, engine="BP4")
     file.write(0.0)
@@ -266,10 +272,10 @@ def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> Non
 
 
 def _join_grids(path: Path) -> None:
-    """Make one grid of the mesh and all functions, with a time, for readers of all kinds (rank 0).
+    """Make one grid of the mesh and all functions, with a time, so that all readers can read the file (rank 0).
 
-    DOLFINx gives each function a grid of its own, which meshio cannot read. PyVista wants a time in the grid, where
-    meshio refuses it; so the grid refers VTK to its own copy with a time, in an element whose children meshio skips.
+    DOLFINx writes one grid for each function, which meshio cannot read. PyVista needs a time in the grid, where meshio
+    refuses it. So the grid refers VTK to a copy with a time, inside an element whose children meshio skips.
     """
     tree = ElementTree.parse(path)
     domain = tree.getroot()[0]
@@ -280,7 +286,7 @@ def _join_grids(path: Path) -> None:
     mesh.set("Reference", "/Xdmf/Domain/Grid/Information/Grid")
     parts = " or ".join(f"self::{kind}" for kind in ("Topology", "Geometry", "Attribute"))
     information = ElementTree.SubElement(mesh, "Information", Name="with a time", Value="0")
-    information.text = "<none/>"  # meshio wants XML there
+    information.text = "<none/>"  # meshio needs XML here
     timed = ElementTree.SubElement(information, "Grid", Name="mesh", GridType="Uniform")
     ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
     ElementTree.SubElement(timed, "Time", Value="0")

@@ -26,8 +26,8 @@ class Options:
     """How to solve, like the section `[solve]` of a case file without h.
 
     Attributes:
-        algorithm: A name that `signorini methods` lists, or a rule or method of one's own.
-        backend: Solves the linear problems of the set rules: "hybrid", "mixed", or a backend of one's own.
+        algorithm: A name that `signorini methods` lists, or your own rule or method.
+        backend: Solves the linear problems of the set rules: "hybrid", "mixed", or your own backend.
         rho: ρ > 0 of the set rule or the projection iteration; None for the default of the method.
         eps: ε > 0 of the penalty and stabilised methods.
         max_iterations: Iterations allowed; None for the default of the method.

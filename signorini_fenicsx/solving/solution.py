@@ -56,7 +56,7 @@ class PointValues(NamedTuple):
 class Solution:
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
 
-    In a notebook it shows itself. Some of what it can be asked:
+    A notebook shows it as a table and a picture. Some examples:
 
     >>> solution
     <Solution of problem: alg1, 128 cells, converged after 4 iterations>
@@ -66,8 +66,8 @@ class Solution:
     >>> abs(solution.flux_through() + 40 * (0.5 - 0.6)) < 1e-12
     True
 
-    p lives on a mesh of its own, that of the facets of Γ_S. In UFL it is a coefficient like any other on the measure
-    `spaces.ds`; `spaces.form` compiles what it is in, `spaces.integrate` sums an integral over all ranks:
+    The mesh of p is that of the facets of Γ_S. In UFL p is an ordinary coefficient on the measure `spaces.ds`.
+    `spaces.form` compiles forms with p, and `spaces.integrate` gives their integrals over all ranks:
 
     >>> p, v, ds = solution.p, ufl.TestFunction(fem.functionspace(solution.spaces.mesh, ("P", 1))), solution.spaces.ds
     >>> load = fem.assemble_vector(solution.spaces.form(p * v * ds))
@@ -132,16 +132,16 @@ class Solution:
         return f"<Solution of {self.name}: {about}>"
 
     def _repr_html_(self) -> str | None:
-        """A small table and a picture, for notebooks (collective; None where it is not rank 0)."""
+        """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
         from signorini_fenicsx.output.notebook import html
 
         return html(self)
 
     def plot(self, certificate: Certificate | None = None) -> Figure | None:
-        """Draw the overview of the command line, `overview.png` (collective).
+        """Draw the overview, which the command line writes as `overview.png` (collective).
 
         Args:
-            certificate: Its error bound; then the contributions of the cells are drawn as well.
+            certificate: Its error bound; if given, the contributions of the cells are drawn as well.
 
         Returns:
             The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
@@ -153,16 +153,16 @@ class Solution:
     def write(
         self, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False, html: bool = False
     ) -> None:
-        """Write the files of the command line into a folder, in the place of an earlier result (collective).
+        """Write the files of the command line into a folder, where they replace an earlier result (collective).
 
         Args:
-            folder: Where; it is made if need be.
-            certificate: Its error bound, to be written as well.
+            folder: The folder; it is created if it does not exist.
+            certificate: Its error bound, which is written as well.
             plot: Also draw PNGs.
-            html: Also write `solution.html`, pictures that one can turn.
+            html: Also write `solution.html`, pictures that the mouse can turn.
 
         Raises:
-            InputError: If the folder cannot be written or has something else in it.
+            InputError: If the folder cannot be written or contains other files.
         """
         from signorini_fenicsx.output.writing import write_results
 
@@ -172,25 +172,24 @@ class Solution:
         """u_h and σ_h at any points of the mesh (collective).
 
         Args:
-            points: Shape (n, dim), whichever rank has their cells; each rank asks for points of its own, or for none.
+            points: Shape (n, dim). Each rank passes its own points, or none; their cells may be on any rank.
 
         Returns:
-            The values at the points of this rank: not a number outside the mesh, those of one of the cells where
-            several meet.
+            The values at the points of this rank: NaN outside the mesh, and the values of one cell where several meet.
 
         Raises:
-            InputError: On all ranks, if the points of one have another shape.
+            InputError: On all ranks, if the points of one rank have another shape.
         """
         u, sigma = at_points([self.u, self.sigma], self.spaces.domain, points)
         return PointValues(u[:, 0], sigma)
 
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
-        """∫ σ_h·n, what leaves Ω through parts of its boundary; −∫f through all of it, to rounding (collective).
+        """∫ σ_h·n over parts of the boundary (collective).
 
-        With the stabilised method it is not: there ∇·σ_h = −f_h + εu_h.
+        Over all of ∂Ω it is −∫f up to rounding, except for the stabilised method, where ∇·σ_h = −f_h + εu_h.
 
         Args:
-            parts: Name of a part, or several that together are meant once where they overlap; None for all of ∂Ω.
+            parts: Name of a part, or of several, whose facets count once where they overlap; None for all of ∂Ω.
 
         Raises:
             InputError: If there is no such part, or it has facets inside the domain.
@@ -205,7 +204,7 @@ class Solution:
                 raise InputError(f"unknown part '{name}'; there are {known}{did_you_mean(name, domain.facets)}")
             inside = np.setdiff1d(domain.facets[name], outer)
             if self.spaces.mesh.comm.allreduce(len(inside)) > 0:
-                raise InputError(f"part '{name}' has facets inside the domain, through which nothing leaves it")
+                raise InputError(f"part '{name}' has facets inside the domain; the flux is that through the boundary")
             chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
         entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
         ds = ufl.Measure("ds", domain=self.spaces.mesh, subdomain_data=[(1, entities)])
@@ -314,6 +313,7 @@ class Solution:
             "algorithm": options.algorithm_name,
             "backend": outcome.backend,
             "linear_solver": outcome.linear_solver,
+            "mesh": spaces.domain.origin(),
             "h": spaces.domain.h,
             "cells": spaces.mesh.topology.index_map(spaces.mesh.topology.dim).size_global,
             "signorini_facets": spaces.Lambda.dofmap.index_map.size_global,

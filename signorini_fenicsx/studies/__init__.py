@@ -1,1 +1,1 @@
-"""Parameter studies: many runs of a case, kill-safe."""
+"""Parameter studies: many runs of a case, which may be killed and continued at any time."""

@@ -1,4 +1,4 @@
-"""A study on disk: one folder per finished run, one launch at a time, and the tables made of all runs."""
+"""The folder of a study: one folder per finished run, tables of all runs, and a lock for one launch at a time."""
 
 import csv
 import fcntl
@@ -22,7 +22,7 @@ from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.studies.study import Run, flattened
 
 LOCK = ".lock"
-"""A folder that holds this file is a study's."""
+"""A folder with this file belongs to a study."""
 CLAIMS = ".claims"
 
 RECORD = "run.json"
@@ -30,13 +30,13 @@ NOT_RESULTS = (
     *("case", "title", "algorithm", "converged", "reason", "rows"),
     *("versions", "command", "ranks", "timings", "peak_memory"),
 )
-"""Keys of a summary that stand elsewhere in the tables, or nowhere because they differ from launch to launch."""
+"""Keys of a summary that are elsewhere in the tables, or in none because they differ from launch to launch."""
 
 type Row = dict[str, Any]
 
 
 class Status(Enum):
-    """Where a run stands."""
+    """The status of a run."""
 
     TODO = "to do"
     RUNNING = "running"
@@ -46,13 +46,13 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Record:
-    """What is known of a finished run.
+    """The record of a finished run.
 
     Attributes:
         status: DONE or FAILED.
         summary: Its `summary.json`.
-        seconds: Wall time it took.
-        ranks: Ranks it ran on.
+        seconds: Wall time of the run.
+        ranks: Number of its ranks.
     """
 
     status: Status
@@ -62,28 +62,28 @@ class Record:
 
     @property
     def reason(self) -> str:
-        """Why it ended as it did, in words; empty for measured errors."""
+        """Why the run ended, in words; empty if it measured errors."""
         return str(self.summary.get("reason", ""))
 
 
 class StudyFolder:
-    """The folder of a study; a context manager, entered by all ranks together, that no second launch can enter.
+    """The folder of a study: a context manager that all ranks enter together, and only one launch at a time.
 
-    A run's folder appears under `runs` whole, when it is finished; a failed one ends in `.failed`.
+    When a run is finished, its complete folder appears under `runs`; for a failed run its name ends in `.failed`.
     """
 
     def __init__(self, comm: MPI.Comm, path: Path | str):
-        """Name the folder; nothing is touched before the context is entered."""
+        """Keep the path; nothing on disk changes before the context is entered."""
         self._comm = comm
         self.path = Path(path).absolute()
         self.claims = self.path / CLAIMS
         self._lock: int | None = None
 
     def __enter__(self) -> Self:
-        """Create the folder, lock it and clear what a killed launch left (collective).
+        """Create the folder, lock it and remove what a killed launch has left (collective).
 
         Raises:
-            InputError: If it cannot be written, is something else, or another launch is in it.
+            InputError: If it cannot be written, is not the folder of a study, or another launch is using it.
         """
         on_root(self._comm, self._open)
         return self
@@ -103,7 +103,7 @@ class StudyFolder:
         return self.path / "runs" / run.name
 
     def status(self, run: Run) -> Status:
-        """Where a run stands, from the files alone."""
+        """The status of a run, from the files alone."""
         if (self.place(run) / RECORD).is_file():
             return Status.DONE
         if (failed_place(self.place(run)) / RECORD).is_file():
@@ -111,10 +111,10 @@ class StudyFolder:
         return Status.RUNNING if (self.claims / run.name).exists() else Status.TODO
 
     def record(self, run: Run) -> Record:
-        """Read what a finished run has left.
+        """Read the record of a finished run.
 
         Raises:
-            InputError: If it has been damaged since.
+            InputError: If it is damaged.
         """
         status = self.status(run)
         folder = self.place(run) if status is Status.DONE else failed_place(self.place(run))
@@ -132,12 +132,12 @@ class StudyFolder:
                 clear(failed_place(self.place(run)))
 
     def write_tables(self, runs: Sequence[Run]) -> None:
-        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, each at once (rank 0).
+        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, each in one step (rank 0).
 
-        The table has one row per run, or per level of a run that measures errors, with all parameters and results, and
-        nothing that depends on how the study was launched; that is in the timings.
+        The table has one row per run, or per level of a run that measures errors, with all parameters and results. What
+        depends on how the study was launched is only in the timings.
         """
-        import pyarrow.parquet  # takes a second, which only the end of a study need wait
+        import pyarrow.parquet  # takes a second to import
 
         records = [(run, self.record(run)) for run in runs]
         table = _rectangular([row for run, record in records for row in _rows(run, record)])
@@ -172,10 +172,10 @@ class StudyFolder:
             (self.path / "runs").mkdir(parents=True, exist_ok=True)
             lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR, 0o666)
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system lifts it when the process dies
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system releases it when the process dies
             except BlockingIOError:
                 os.close(lock)
-                raise InputError(f"output {self.path}: another launch of a study is at work in it") from None
+                raise InputError(f"output {self.path}: another launch of a study is writing into it") from None
             self._lock = lock
             shutil.rmtree(self.claims, ignore_errors=True)
             self.claims.mkdir()
@@ -194,11 +194,11 @@ def _rows(run: Run, record: Record) -> list[Row]:
 
 
 def _plain(values: Row) -> Row:
-    """Lists as JSON text, so that each cell of a table is one value."""
+    """Turn lists into JSON text, so that each cell of a table is one value."""
     return {key: json.dumps(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
 def _rectangular(rows: list[Row]) -> list[Row]:
-    """The same columns in all rows, in order of first appearance, with None where a row has no value."""
+    """Give all rows the same columns, in order of first appearance, with None where a row has no value."""
     columns = dict.fromkeys(key for row in rows for key in row)
     return [{key: row.get(key) for key in columns} for row in rows]

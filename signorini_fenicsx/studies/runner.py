@@ -1,4 +1,4 @@
-"""Runs a study: what is not finished is handed out to groups of ranks, each result kept as soon as it is there."""
+"""Runs a study: unfinished runs are distributed to groups of ranks; each result is kept as soon as it is complete."""
 
 import json
 import time
@@ -30,15 +30,15 @@ def run_study(
     """Do the runs that have not been done, the largest first, and write the tables of all (collective).
 
     Args:
-        runs: The study's runs.
-        ranks_per_run: Ranks that share one.
-        folder: Where they are kept, entered.
-        comm: Communicator that the groups are made of.
+        runs: The runs of the study.
+        ranks_per_run: Number of ranks for one run.
+        folder: The folder of the study, entered.
+        comm: Communicator that is split into groups.
         on_run: Called on all ranks of a group after each of its runs.
 
     Raises:
-        InputError: If nothing can be written any more, say because the disk is full; finished runs stay.
-        OSError: Likewise.
+        InputError: If results cannot be written; finished runs stay.
+        OSError: Likewise, for example on a full disk.
     """
     todo = on_root(comm, lambda: [run for run in runs if folder.status(run) is Status.TODO])
     by_name = {run.name: run for run in sorted(todo, key=lambda run: -run.cells)}
@@ -52,15 +52,15 @@ def run_study(
 
 
 def check_all_succeeded(runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm) -> None:
-    """Make a study with failed runs a failure (collective).
+    """Raise if runs of a study failed (collective).
 
     Raises:
-        NumericalFailure: If a run failed; it names the first.
+        NumericalFailure: If a run failed; the message names the first one.
     """
     failed = on_root(comm, lambda: [run for run in runs if folder.status(run) is Status.FAILED])
     if failed:
         reason = on_root(comm, lambda: folder.record(failed[0]).reason)
-        raise NumericalFailure(f"{len(failed)} of {len(runs)} runs, the first {failed[0].name}: {reason}")
+        raise NumericalFailure(f"{len(failed)} of {len(runs)} runs failed, the first one {failed[0].name}: {reason}")
 
 
 def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:

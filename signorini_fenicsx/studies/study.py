@@ -1,4 +1,4 @@
-"""Studies: a case and lists of values, expanded to runs; read from TOML and validated before anything runs."""
+"""Studies: a case and lists of values, expanded into runs; read from TOML and validated before anything runs."""
 
 import hashlib
 import itertools
@@ -23,7 +23,7 @@ from signorini_fenicsx.methods.registry import METHODS
 SHORT = tuple(Solve.model_fields)
 """Keys of [solve] that a study may write without `solve.`"""
 MAX_RUNS = 100_000
-"""More runs than this are taken for a mistake in the lists."""
+"""Largest number of runs; more are regarded as a mistake in the lists."""
 
 type Level = Annotated[int, Field(ge=0, le=30, strict=True)]
 
@@ -53,15 +53,15 @@ class Study(_Section):
 
     Attributes:
         name: Short name, used for the default output folder; not a key of the file.
-        title: What it is about.
-        case: Name or path of the case, unless it is varied.
-        ranks_per_run: Ranks that share a run.
+        title: Title of the study.
+        case: Name or path of the case, unless the case is varied.
+        ranks_per_run: Number of ranks for one run.
         fields: Whether each run also writes its fields for ParaView.
         plot: Whether each run also draws its pictures.
         set: Values of all runs.
-        vary: Lists of values; the runs are all their combinations, the last list varying fastest.
-        together: Groups of equally long lists that vary in step, as one list of `vary` does.
-        convergence: What a run is, if not one solve.
+        vary: Lists of values. The runs are all their combinations; the last list varies fastest.
+        together: Groups of equally long lists that vary together; a group acts like one list of `vary`.
+        convergence: The errors that each run measures, or None for one solve per run.
     """
 
     name: str = Field(default="study", exclude=True)
@@ -81,13 +81,13 @@ class Run:
     """One run of a study.
 
     Attributes:
-        name: Name of its folder, with a digest of everything that determines the result: equal runs of different
-            studies share it, a changed one has another.
-        case: What to solve.
-        convergence: Which errors to measure, or None for one solve.
+        name: Name of its folder. It contains a digest of everything that determines the result, so equal runs of
+            different studies have the same name, and a changed run gets another one.
+        case: The case.
+        convergence: The errors to measure, or None for one solve.
         fields: Whether to write fields for ParaView.
         plot: Whether to draw pictures.
-        cells: Rough number of cells of all its meshes, the measure of its work.
+        cells: Rough number of cells of all its meshes, as a measure of its work.
     """
 
     name: str
@@ -99,12 +99,12 @@ class Run:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """All keys of the case with their values, dotted, those of [solve] last."""
+        """All keys of the case, dotted, with their values; those of [solve] come last."""
         return {"case": self.case.name} | flattened(self.case.model_dump(mode="json", exclude={"title"}))
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested dictionaries, and lists of them, as one with dotted keys."""
+    """Turn nested dictionaries, and lists of them, into one with dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
@@ -114,15 +114,15 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
-    """Read a study by name or path and expand it to its runs; equal ones only once.
+    """Read a study by name or path and expand it into its runs; equal runs are listed once.
 
     Raises:
-        InputError: If there is no such study, it is malformed, or one of its cases is.
+        InputError: If there is no such study, or if the study or one of its cases is malformed.
     """
     path = file_of("study", name_or_path)
     tree = read_toml(path)
     if "name" in tree:
-        raise InputError(f"{path}: unknown key 'name'; a study is called as its file")
+        raise InputError(f"{path}: unknown key 'name'; the name of a study is that of its file")
     try:
         study = Study.model_validate(tree | {"name": path.stem})
         return study, expanded(study, path.parent)
@@ -135,11 +135,11 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
 
 
 def expanded(study: Study, folder: Path) -> list[Run]:
-    """The runs of a study, in its order; equal ones only once.
+    """The runs of a study, in its order; equal runs are listed once.
 
     Args:
         study: The study.
-        folder: Where paths of its cases start.
+        folder: Folder to which paths of its cases are relative.
 
     Raises:
         InputError: If lists or values are not valid.
@@ -165,7 +165,7 @@ def expanded(study: Study, folder: Path) -> list[Run]:
 
 
 def _values(section: str, tree: Mapping[str, Any]) -> dict[str, Any]:
-    """A section with dotted keys, `solve.` added where it may be left out."""
+    """A section with dotted keys; `solve.` is added where it was left out."""
     values: dict[str, Any] = {}
     for short, value in flattened(tree).items():
         key = f"solve.{short}" if short in SHORT else short
@@ -203,15 +203,15 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no penalty; use one of {penalised}")
     if task is not None:
         for level in task.levels:
-            case.with_values(level_values(task.vary, level))  # refused now, not when other runs have been done
+            case.with_values(level_values(task.vary, level))  # raises now, not after other runs
     return make_run(case, task, fields=study.fields, plot=study.plot)
 
 
 def _file_digest(path: str) -> str:
-    """Digest of a mesh file: a run is known by the mesh, not by the name of its file (rank 0).
+    """Digest of a mesh file, because a run is identified by its mesh, not by the name of the file (rank 0).
 
     Raises:
-        InputError: If it cannot be read.
+        InputError: If the file cannot be read.
     """
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
@@ -220,14 +220,14 @@ def _file_digest(path: str) -> str:
 
 
 def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
-    """A run, named by what it is.
+    """A run; its name contains a digest of its contents.
 
-    Keys at their default do not enter the name, so that runs made before there was a key stay valid.
+    Keys with default values do not enter the digest, so old runs stay valid when a new key is introduced.
     """
     values = flattened(case.model_dump(mode="json", exclude_defaults=True))
     if case.geometry.file is not None:
         values["geometry.file"] = _file_digest(case.geometry.file)
-    if case.file_h is not None:  # without h, a `.geo` file has sizes of its own
+    if case.file_h is not None:  # without h, a `.geo` file uses its own sizes
         values["solve.h"] = case.file_h
     content = {
         "version": __version__,

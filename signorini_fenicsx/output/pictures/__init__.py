@@ -1,4 +1,4 @@
-"""Pictures of a solution, from gathered arrays on rank 0. Only those in space need VTK."""
+"""Pictures of a solution, from gathered arrays on rank 0. Only pictures in 3D need VTK."""
 
 import math
 from pathlib import Path
@@ -27,7 +27,7 @@ def scene_of(
     regions: Mask | None = None,
     certificate: Certificate | None = None,
 ) -> Scene:
-    """What pictures need of a solution and its gathered arrays (rank 0)."""
+    """The scene for pictures of a solution, from its gathered arrays (rank 0)."""
     spaces = solution.spaces
     return Scene(
         title=solution.title or solution.name,
@@ -44,7 +44,7 @@ def scene_of(
 
 
 def caption(solution: Solution, cells: int, certificate: Certificate | None) -> str:
-    """Algorithm, h, ε, cells and the certified error, in mathematical type."""
+    """Algorithm, h, ε, cells and the certified error, in Matplotlib's mathematical type."""
     h = solution.spaces.domain.h
     asked = solution.source.solve.h if isinstance(solution.source, Case) and solution.spaces.domain.is_shape else h
     words = [method(solution), rf"$h = {style.power(asked if asked / 2 < h <= asked * (1 + 1e-12) else h)}$"]
@@ -60,21 +60,24 @@ def caption(solution: Solution, cells: int, certificate: Certificate | None) -> 
 
 
 def method(solution: Solution) -> str:
-    """The title of its algorithm, in mathematical type."""
+    """The title of the algorithm, in Matplotlib's mathematical type."""
     return solution.method.title.replace("_h", "$_h$")
 
 
 @mpl.rc_context(style.STYLE)
 def draw_all(folder: Path, scene: Scene) -> None:
-    """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and, with one, `certificate.png`."""
+    """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png` (rank 0).
+
+    Without a certificate there is no `certificate.png`.
+    """
     _files_of(scene).draw_files(folder, scene)
     draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
 
 
 @mpl.rc_context(style.STYLE)
 def overview(scene: Scene) -> Figure:
-    """The picture with everything in it; a notebook shows it."""
-    import matplotlib.pyplot  # noqa: F401 - it is what makes notebooks show figures
+    """The overview as a figure, which a notebook shows (rank 0)."""
+    import matplotlib.pyplot  # noqa: F401 - with it imported, notebooks show figures
 
     figure: Figure = _files_of(scene).overview(scene)
     figure.draw_without_rendering()  # ticks are made here, in this style
@@ -82,8 +85,8 @@ def overview(scene: Scene) -> Figure:
 
 
 def write_page(path: Path, scene: Scene) -> None:
-    """Write pictures that can be turned with the mouse, in one file for a browser (rank 0)."""
-    from signorini_fenicsx.output.pictures import page  # takes Plotly
+    """Write pictures that the mouse can turn, in one file for a browser (rank 0)."""
+    from signorini_fenicsx.output.pictures import page  # imports Plotly
 
     page.write_page(path, scene)
 
@@ -95,9 +98,9 @@ def draw_mesh(path: Path, scene: Scene) -> None:
 
 
 def _files_of(scene: Scene) -> ModuleType:
-    """What draws the files of a scene: each kind of scene has a module, with the same functions."""
+    """The module that draws the files of a scene; the modules for 2D and 3D have the same functions."""
     if scene.dim == 2:
         return plane_files
-    from signorini_fenicsx.output.pictures import space_files  # takes VTK
+    from signorini_fenicsx.output.pictures import space_files  # imports VTK
 
     return space_files

@@ -34,7 +34,7 @@ def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
         ("u_change", r"$\|u_h^{(n+1)}-u_h^{(n)}\|_Q$", "s--" if few else "--"),
     ):
         values = np.array([getattr(step, key) for step in history])
-        positive = values > 0  # a repeated set changes nothing, and 0 has no logarithm
+        positive = values > 0  # 0 for a repeated set has no logarithm
         axes.semilogy(n[positive], values[positive], look, label=label, markersize=4)
     axes.set(xlabel="$n$", title=title)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -52,7 +52,7 @@ def draw_iterations(path: Path, history: list[Step], title: str) -> None:
 
 @mpl.rc_context(style.STYLE)
 def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> None:
-    """Draw errors over h or ε on logarithmic axes, with the slides' and lines of slope 1 and ½ (rank 0)."""
+    """Draw errors over h or ε on logarithmic axes, with those of the slides and lines of slope 1 and ½ (rank 0)."""
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     axes = figure.add_subplot()
     base = 10 if vary is Vary.EPS else 2

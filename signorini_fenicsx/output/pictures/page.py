@@ -1,4 +1,4 @@
-"""`solution.html`: one file with pictures that can be turned with the mouse; a browser needs no network for it."""
+"""`solution.html`: one file with pictures that the mouse can turn; the browser needs no network."""
 
 import html
 import re
@@ -15,10 +15,10 @@ from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, creases, thinned
 
 MOST_TRIANGLES = 40_000
-"""Of a surface: a megabyte or two."""
+"""Most triangles of a surface, which then takes one or two megabytes."""
 ZOOM = 1.25
 HEIGHT = 0.5
-"""Of a surface over the plane, in sides of the domain."""
+"""Height of a surface over the plane, relative to the shorter side of the domain."""
 CAMERA = {"projection": {"type": "orthographic"}, "eye": {"x": 0.9, "y": -1.4, "z": 0.8}}
 SYMBOLS = {
     r"\leq": "≤",
@@ -34,11 +34,11 @@ SYMBOLS = {
 
 @dataclass(frozen=True)
 class Sheet:
-    """A picture that one chooses with a button.
+    """A picture that the user chooses with a button.
 
     Attributes:
-        name: On the button.
-        traces: What it shows besides what all show.
+        name: Text of the button.
+        traces: What it shows in addition to the common parts of all pictures.
     """
 
     name: str
@@ -72,7 +72,7 @@ def write_page(path: Path, scene: Scene) -> None:
 
 
 def _axes(scene: Scene) -> dict[str, Any]:
-    """Equal scales along the coordinates; a surface over the plane is half as high as the domain's shorter side."""
+    """Axes with equal scales; a surface over the plane is half as high as the shorter side of the domain."""
     low, high = scene.fields.points.min(axis=0), scene.fields.points.max(axis=0)
     sides = (high - low) / (high - low).max()
     third = (HEIGHT * sides.min(),) if scene.dim == 2 else ()
@@ -88,7 +88,7 @@ def _axes(scene: Scene) -> dict[str, Any]:
 
 
 def plain(caption: str) -> str:
-    """Mathematical type of Matplotlib as HTML."""
+    """Turn Matplotlib's mathematical type into HTML."""
     text = html.escape(caption)
     for symbol, character in SYMBOLS.items():
         text = text.replace(symbol, character)

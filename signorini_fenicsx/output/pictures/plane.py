@@ -1,4 +1,4 @@
-"""Maps of a solution in the plane: u_h, σ_h, the certificate, the mesh. Each draws into axes that it is given."""
+"""Maps of a solution in the plane: u_h, σ_h, the certificate, the mesh. Each is drawn into given axes."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,11 +23,11 @@ from signorini_fenicsx.output.pictures.streams import streamlines
 from signorini_fenicsx.output.pictures.water import Water
 
 MOST_TRIANGLES = 30_000
-"""Of a map: one is then a few pixels large."""
+"""Most triangles of a map; each is then a few pixels large."""
 MOST_FACES = 4_000
-"""Of a surface in perspective, which Matplotlib sorts and paints one by one."""
+"""Most faces of a surface in perspective, which Matplotlib sorts and paints one by one."""
 WIDE = 1.8
-"""A domain this much wider than high gets panels below each other, and no surface."""
+"""If width over height of a domain is above this, panels are below each other, and no surface is drawn."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ class Plane:
 
     @cached_property
     def water(self) -> Water | None:
-        """The water of a seepage problem, None in others."""
+        """The water of a seepage problem; None for other problems."""
         return Water.of(self.scene)
 
     @cached_property
     def triangulation(self) -> tuple[Triangulation, Indices]:
-        """What is painted, and the cells that it is made of."""
+        """The painted triangles, and the cell of each."""
         fields = self.scene.fields
         triangles, rows = thinned(fields.points, fields.cells, MOST_TRIANGLES)
         return Triangulation(*fields.points.T, triangles), rows
@@ -133,7 +133,7 @@ class Plane:
         self._surroundings(axes, title)
 
     def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
-        """η_T, what each cell contributes to the certified error, on a logarithmic scale."""
+        """η_T, the contribution of each cell to the certified error, on a logarithmic scale."""
         indicator = self.scene.fields.indicator
         assert indicator is not None
         triangulation, rows = self.triangulation
@@ -151,7 +151,7 @@ class Plane:
         self._surroundings(axes, f"{len(fields.cells)} cells")
 
     def handles(self) -> list:
-        """What the legend of a map lists."""
+        """The entries of the legend of a map."""
         scene = self.scene
         kinds = set(scene.boundary.kind.tolist())
         seepage = " (seepage face)" if self.water else ""
@@ -195,7 +195,7 @@ class Plane:
 
 
 def log_norm(indicator: Array) -> LogNorm:
-    """Four decades below the largest η_T."""
+    """A logarithmic scale of four decades up to the largest η_T."""
     largest = max(float(indicator.max()), 1e-300)
     return LogNorm(max(float(indicator.min()), 1e-4 * largest), largest)
 

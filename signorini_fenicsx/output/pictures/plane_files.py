@@ -11,11 +11,11 @@ from signorini_fenicsx.output.pictures.plane import Plane
 from signorini_fenicsx.output.pictures.scene import Scene
 
 OVERVIEW_PARTS = 3
-"""Parts of Γ_S that an overview shows; `signorini.png` shows all."""
+"""Most parts of Γ_S that an overview shows; `signorini.png` shows all."""
 
 
 def draw_files(folder: Path, scene: Scene) -> None:
-    """Draw all but `iterations.png` into a folder."""
+    """Draw all files except `iterations.png` into a folder."""
     plane = Plane(scene)
     _draw_u(folder / "u.png", plane)
     _draw_map(folder / "sigma.png", plane, "sigma")
@@ -26,7 +26,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
 
 
 def overview(scene: Scene) -> Figure:
-    """The picture with everything in it."""
+    """The overview of a solution in the plane."""
     return _overview(Plane(scene))
 
 

@@ -1,4 +1,4 @@
-"""What rendered views need around them: no display, no margins, arrows along the coordinates."""
+"""Tools for rendered views: rendering without a display, cropping, arrows along the coordinates."""
 
 import os
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array
 
 @contextmanager
 def offscreen() -> Iterator[None]:
-    """Let VTK render without a display; else it looks for an X server and warns."""
+    """Let VTK render without a display; otherwise it searches for an X server and warns."""
     key = "VTK_DEFAULT_OPENGL_WINDOW"
     if "DISPLAY" in os.environ or key in os.environ:
         yield

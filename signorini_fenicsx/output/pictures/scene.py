@@ -1,4 +1,4 @@
-"""What there is to draw: gathered arrays of one solution on rank 0, and what pictures make of them."""
+"""The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
 from dataclasses import dataclass
@@ -30,18 +30,18 @@ class Group:
 
 @dataclass(frozen=True)
 class Scene:
-    """A solution as pictures take it (rank 0).
+    """A solution for pictures (rank 0).
 
     Attributes:
-        title: What was solved.
-        caption: How, in mathematical type.
+        title: Title of the problem.
+        caption: Algorithm and mesh, in mathematical type.
         fields: Mesh and cell values.
         facets: Γ_S.
         boundary: The whole boundary.
-        regions: Which cells are in which region, shape (cells, regions), or None.
-        labels: Name of the coordinate along each part of Γ_S, by the name of the part.
-        contact: Condition of the facets in contact.
-        segments: Names of the segments of all laws, if there are others than that of Signorini.
+        regions: Mask of the cells in each region, shape (cells, regions), or None.
+        labels: For each part of Γ_S the name of the coordinate along it.
+        contact: Condition on the facets in contact.
+        segments: Names of the segments of all laws, if there are others than the Signorini law.
         history: Steps of the algorithm.
     """
 
@@ -58,12 +58,12 @@ class Scene:
 
     @property
     def dim(self) -> int:
-        """2 or 3."""
+        """Dimension, 2 or 3."""
         return int(self.fields.points.shape[1])
 
     @property
     def touching(self) -> Mask:
-        """Which facets of Γ_S are in contact."""
+        """Mask of the facets of Γ_S in contact."""
         return self.facets.condition == self.contact
 
     @cached_property
@@ -81,7 +81,7 @@ class Scene:
 
     @cached_property
     def measure(self) -> Array:
-        """|T|."""
+        """|T| per cell."""
         corners = self.fields.points[self.fields.cells]
         edges = corners[:, 1:] - corners[:, :1]
         return np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
@@ -107,7 +107,7 @@ class Scene:
         return np.linalg.norm(self.fields.sigma, axis=1)
 
     def at_vertices(self, values: Array) -> Array:
-        """The mean over the cells around each vertex."""
+        """The mean of cell values over the cells around each vertex."""
         vertices = self.fields.cells.ravel()
         count = np.bincount(vertices, minlength=len(self.fields.points))
         total = np.bincount(vertices, np.repeat(values, self.dim + 1), minlength=len(self.fields.points))
@@ -129,11 +129,11 @@ class Scene:
 def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indices]:
     """Fewer triangles with the same corners and edges, for pictures of large meshes.
 
-    All vertices within a box of a grid become one of them: the one that sticks out most from its neighbours, so that a
-    boundary stays where it is.
+    All vertices within a box of a grid are replaced by one of them: the one that is farthest from the mean of its
+    neighbours, so that boundaries stay in place.
 
     Returns:
-        Triangles, and the rows they were in.
+        The remaining triangles, and their rows in `triangles`.
     """
     rows = np.arange(len(triangles))
     if len(triangles) <= most:
@@ -141,7 +141,7 @@ def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indi
     corners = np.zeros((len(triangles), 3, 3))
     corners[:, :, : points.shape[1]] = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.sqrt(np.linalg.norm(normals, axis=1).sum() / most)  # twice the area, two triangles a box
+    size = np.sqrt(np.linalg.norm(normals, axis=1).sum() / most)  # twice the area; two triangles per box
     box = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
     _, box_of = np.unique(box, axis=0, return_inverse=True)
     box_of = box_of.ravel()
@@ -163,8 +163,8 @@ def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
         edges: Vertices of each, shape (edges, 2).
 
     Returns:
-        For each chain the rows of its edges, and its vertices in order, one more than edges; a closed chain ends with
-        its first vertex.
+        For each chain the rows of its edges, and its vertices in order, one more than edges. The last vertex of a
+        closed chain is its first one.
     """
     around: dict[int, list[int]] = {}
     for row, ends in enumerate(edges.tolist()):
@@ -190,7 +190,7 @@ def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
 
 
 def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:
-    """Edges at which triangles end or meet at more than this angle, shape (edges, 2); how they turn does not matter."""
+    """Edges where triangles end or meet at more than this angle, shape (edges, 2), for triangles of any orientation."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]]), axis=1)
     corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

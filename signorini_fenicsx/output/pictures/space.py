@@ -24,18 +24,18 @@ from signorini_fenicsx.output.pictures.scene import Scene, creases
 PIXELS = 700
 STREAMLINES = 70
 EDGES_UP_TO = 6_000
-"""Triangles of Γ_S whose edges can be told apart."""
+"""Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
 USUAL_VIEW = np.array([1.0, -1.6, 0.9])
 VIEWS = [
     np.array([np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)])
     for up in np.radians([25, -25, 50, -50])
     for turn in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
 ]
-"""Directions from which one may look, the usual ones first."""
+"""Possible directions of view, the usual ones first."""
 HALVES = ("half", "sigma", "certificate")
 """Views of half of the domain."""
 SAME = 0.92
-"""A view that shows this part of all that can be seen is enough."""
+"""One view is enough if it shows this share of what all views show."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Space:
 
     Attributes:
         scene: The solution.
-        rendered: Images by what they show and from where.
+        rendered: Images by content and direction of view.
     """
 
     scene: Scene
@@ -104,7 +104,7 @@ class Space:
         return self.grid.slice_orthogonal().combine().extract_surface(algorithm=None)
 
     def half(self, *, whole_cells: bool = False) -> pyvista.PolyData:
-        """The surface of the half of the domain behind its middle, seen from where Γ_S is seen best."""
+        """The surface of the half of the domain behind its middle, as seen from the best view of Γ_S."""
         return self._behind(self.grid, crinkle=whole_cells).extract_surface(algorithm=None)
 
     def _behind(self, data: pyvista.DataSet, **options: Any) -> pyvista.DataSet:
@@ -216,7 +216,7 @@ class Space:
         self._show(axes, f"{len(self.scene.fields.cells)} cells", "mesh", build, view)
 
     def handles(self) -> list:
-        """What the legend of Γ_S lists."""
+        """The entries of the legend of Γ_S."""
         return [Patch(color=group.colour, label=rf"$\Gamma_S$, {group.name}") for group in self.scene.groups]
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
@@ -238,12 +238,12 @@ class Space:
     def _add_lines(
         self, plotter: pyvista.Plotter, lines: pyvista.PolyData, view: Array, color: str, width: float
     ) -> None:
-        """Lines, moved towards the eye a little, so that the surface on which they lie does not cover them."""
+        """Lines, moved a little towards the eye, so that the surface on which they lie does not hide them."""
         moved = lines.translate(0.004 * self.extent * view)
         plotter.add_mesh(moved, color=color, line_width=width, lighting=False, render_lines_as_tubes=width > 2)
 
     def _seen(self, view: Array) -> Array:
-        """How much of each triangle of Γ_S one sees from a direction: its area, less if aslant, 0 if hidden."""
+        """The visible area of each triangle of Γ_S from a direction: its projected area, or 0 if it is hidden."""
         scene = self.scene
         corners = scene.fields.points[scene.facets.vertices]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -259,13 +259,13 @@ class Space:
         return scene.facets.measure * visible * np.minimum(slant, 0.35)
 
     def _show(self, axes: Axes, title: str, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> None:
-        """Render into axes, with the edges of the domain and the directions of the coordinates; each view once."""
+        """Render into axes, with the edges of the domain and the coordinate directions; each image is rendered once."""
         if (key, tuple(view)) not in self.rendered:
             self.rendered[key, tuple(view)] = self._render(key, build, view)
         image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
         axes.imshow(image, interpolation="antialiased")
-        axes.set(xlim=(-0.1 * width, width), ylim=(1.1 * height, 0))  # room for the directions
+        axes.set(xlim=(-0.1 * width, width), ylim=(1.1 * height, 0))  # room for the coordinate directions
         axes.set_axis_off()
         axes.set_title(title)
         triad(axes, view)

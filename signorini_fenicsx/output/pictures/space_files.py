@@ -11,7 +11,7 @@ from signorini_fenicsx.output.pictures.space import Space
 
 
 def draw_files(folder: Path, scene: Scene) -> None:
-    """Draw all but `iterations.png` into a folder."""
+    """Draw all files except `iterations.png` into a folder."""
     space = Space(scene)
     figure, (left, right) = _row(2)
     space.draw_half(figure, left, "(a) $u_h$ on half of the domain")
@@ -42,7 +42,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
 
 
 def overview(scene: Scene) -> Figure:
-    """The picture with everything in it."""
+    """The overview of a solution in space."""
     return _overview(Space(scene))
 
 

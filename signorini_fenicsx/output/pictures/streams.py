@@ -9,7 +9,7 @@ from signorini_fenicsx.output.gather import Fields
 GRID = 110
 """Points of the grid along the longer side of the domain."""
 ARROW = 0.022
-"""Length of the arrow heads over that side."""
+"""Length of the arrow heads, relative to this side."""
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
@@ -17,7 +17,7 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
     """Streamlines of σ_h, and arrow heads in their middle.
 
     Returns:
-        Points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
+        The points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
     """
     low, high = fields.points.min(axis=0), fields.points.max(axis=0)
     size = float((high - low).max())
@@ -31,7 +31,7 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
 
 
 def on_grid(fields: Fields, x: Array, y: Array) -> Array:
-    """σ_h at the points of a regular grid, shape (2, len(y), len(x)); not a number outside of the domain."""
+    """σ_h at the points of a regular grid, shape (2, len(y), len(x)); NaN outside the domain."""
     origin, spacing = np.array([x[0], y[0]]), np.array([x[1] - x[0], y[1] - y[0]])
     corners = (fields.points[fields.cells] - origin) / spacing  # in units of the grid
     first = np.ceil(corners.min(axis=1) - 1e-9).astype(np.int64)
@@ -53,7 +53,7 @@ def on_grid(fields: Fields, x: Array, y: Array) -> Array:
 
 
 def _spread(sigma: Array) -> Array:
-    """The same field, continued by one point of the grid, so that streamlines reach the boundary."""
+    """The field, continued by one point of the grid outside the domain, so that streamlines reach the boundary."""
     padded = np.pad(sigma, ((0, 0), (1, 1), (1, 1)), constant_values=np.nan)
     rows, columns = sigma.shape[1:]
     around = np.stack([padded[:, 1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS])

@@ -1,4 +1,4 @@
-"""How all pictures look: type, colours, colour limits, numbers as mathematics."""
+"""The common style of all pictures: fonts, colours, colour limits, numbers in mathematical type."""
 
 import math
 from pathlib import Path
@@ -24,7 +24,7 @@ STYLE = {
     "figure.constrained_layout.h_pad": 0.08,
     "figure.constrained_layout.w_pad": 0.08,
 }
-"""Settings of Matplotlib; `mpl.rc_context(STYLE)` puts a function under them and leaves the process as it is."""
+"""Settings of Matplotlib; `mpl.rc_context(STYLE)` applies them to a function only, not to the process."""
 
 CONTACT, FREE, WATER = "#d62728", "#5ab4e6", "#4a90c2"
 SEGMENTS = ("#ff9f1c", "#2a9d8f", "#8d5bb5", "#b08968", "#e377c2", "#7f7f7f")
@@ -33,7 +33,7 @@ OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
 QUANTILE = 0.99
-"""Colours end where this part of the domain is below; a corner singularity is beyond."""
+"""The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
 
 
 def power(value: float) -> str:
@@ -49,11 +49,11 @@ def power(value: float) -> str:
 
 
 def limits(values: Array, weights: Array) -> tuple[float, float, str]:
-    """Colour limits of what may have peaks, and how to extend the colour bar.
+    """Colour limits for values that may have peaks, and the ends of the colour bar to extend.
 
     Args:
-        values: What is coloured, not negative.
-        weights: The measure of the cell of each.
+        values: The values, not negative.
+        weights: The measure of the cell of each value.
     """
     order = np.argsort(values)
     measure = np.cumsum(weights[order])
@@ -65,7 +65,7 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
 
 
 def letter(number: int) -> str:
-    """(a), (b), … of a panel."""
+    """The letter of a panel: (a), (b) and so on."""
     return f"({chr(ord('a') + number)})"
 
 
@@ -78,12 +78,12 @@ def shape_axes(axes: Axes, title: str) -> None:
 
 
 def colour_bar(figure: Figure | SubFigure, axes: Axes, image: object, label: str, extend: str = "neither") -> Colorbar:
-    """A colour bar beside a panel, as high as it."""
+    """A colour bar beside a panel, with the height of the panel."""
     return figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.85, aspect=25, pad=0.02)
 
 
 def legend_below(figure: Figure | SubFigure, handles: list, columns: int = 4) -> None:
-    """A legend under all panels, where it covers nothing."""
+    """A legend below all panels, where it hides nothing."""
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 

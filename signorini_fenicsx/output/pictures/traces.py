@@ -23,9 +23,9 @@ PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
         "q_S": ("$q_S$", {"color": "black", "linewidth": 1.0, "linestyle": "--"}),
     },
 }
-"""Of each panel the columns of the table with their labels and looks."""
+"""For each panel the columns of the table, with their labels and styles."""
 MARKERS = 40
-"""At most this many markers on a line."""
+"""Largest number of markers on a line."""
 SHADE = 0.13
 TITLES = {"u": "trace of $u$", "flux": "flux"}
 
@@ -36,7 +36,7 @@ class Line:
 
     Attributes:
         rows: Its facets in order.
-        ends: Coordinate of their ends, one more.
+        ends: Coordinates of their ends, one more than facets.
     """
 
     rows: Indices
@@ -46,8 +46,8 @@ class Line:
 def pieces(scene: Scene, part: int) -> tuple[list[Line], str]:
     """The connected pieces of a part with the coordinate along it and its name.
 
-    The coordinate is that of the part, or the arc length where one value of it belongs to several places, as on a
-    closed curve.
+    The coordinate is that of the part. If one of its values belongs to several points, as on a closed curve, it is the
+    arc length.
     """
     facets = scene.facets
     rows = np.flatnonzero(facets.part == part)
@@ -105,7 +105,7 @@ def shaded(scene: Scene) -> list[Group]:
 
 
 def handles(scene: Scene) -> list:
-    """What the legend of such panels lists."""
+    """The entries of the legend of these panels."""
     lines = [Line2D([], [], label=label, **look) for panel in PANELS.values() for label, look in panel.values()]
     return [*lines, *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in shaded(scene))]
 

@@ -1,4 +1,4 @@
-"""Seepage: where ψ is minus the height, u is minus the head of water, and its pictures show the water."""
+"""Seepage: if ψ is minus the height, u is minus the head of water, and the pictures show the water."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from signorini_fenicsx.output.pictures.scene import Scene, chains
 
 @dataclass(frozen=True)
 class Water:
-    """The water in a domain of the plane and outside of it.
+    """The water inside and outside a domain in the plane.
 
     Attributes:
         scene: The solution.
@@ -61,14 +61,14 @@ class Water:
             )
 
     def handles(self) -> list:
-        """What the legend says about it."""
+        """The entries of the legend for the water."""
         table = Line2D([], [], color="black", linewidth=1.8, label="water table")
         level = Line2D([], [], color=style.WATER, marker="v", linewidth=1.2, label="water outside")
         return [table, level]
 
 
 def _pool(wall: Array, level: float, domain: Array) -> Array:
-    """The outline of the water before a wall: up to its level, a quarter of the domain's height wide, over the base."""
+    """The outline of the water before a wall, from the base up to its level; a quarter of the domain's height wide."""
     order = np.argsort(wall[:, 1])
     wall = wall[order]
     left = wall[:, 0].mean() < domain[:, 0].mean()

@@ -1,0 +1,114 @@
+"""Uniform refinement: each triangle gives four and each tetrahedron eight, on the rank where it lives.
+
+A triangle is cut along the lines between the midpoints of its edges, so its children are similar to it. A tetrahedron
+loses its four corners, and the octahedron that is left is cut along its shortest diagonal (J. Bey, Tetrahedral grid
+refinement, Computing 55, 1995): the children of all generations belong to few classes of similar tetrahedra.
+"""
+
+import itertools
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx.common import IndexMap
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, membership
+from signorini_fenicsx.meshes.refinement import descendant
+
+EDGES = {2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
+"""Vertices of the edges of a cell, in DOLFINx's order."""
+AROUND = {(0, 5): (1, 2, 4, 3), (1, 4): (0, 2, 5, 3), (2, 3): (0, 1, 5, 4)}
+"""For each diagonal of the octahedron, between midpoints of opposite edges, the other four edges in a circle."""
+TIE = 1e-6
+"""Diagonals that differ by less than this, relatively, count as equal: rounding must not choose between them."""
+
+
+def _children(dim: int) -> Indices:
+    """Corners of the children without an octahedron, as vertices 0 … dim and midpoints dim + 1 + edge."""
+    midpoint = {edge: dim + 1 + number for number, edge in enumerate(EDGES[dim])}
+    corners = range(dim + 1)
+    rows = [[a if a == b else midpoint[min(a, b), max(a, b)] for b in corners] for a in corners]
+    return np.array(rows if dim == 3 else [*rows, [3, 4, 5]])
+
+
+def _children_of_facet(dim: int, facet: int) -> Indices:
+    """Corners of the children of a facet, numbered likewise; facet i is opposite to vertex i."""
+    midpoint = {edge: dim + 1 + number for number, edge in enumerate(EDGES[dim])}
+    corners = [vertex for vertex in range(dim + 1) if vertex != facet]
+    rows = [[a if a == b else midpoint[min(a, b), max(a, b)] for b in corners] for a in corners]
+    return np.array(rows if dim == 2 else [*rows, [midpoint[pair] for pair in itertools.combinations(corners, 2)]])
+
+
+OCTAHEDRON = 4 + np.array(
+    [[[*diagonal, around[i], around[(i + 1) % 4]] for i in range(4)] for diagonal, around in AROUND.items()]
+)
+"""For each diagonal the four tetrahedra around it."""
+
+
+def refined_uniformly(domain: Domain) -> Domain:
+    """Refine all cells of a domain once (collective).
+
+    The children stay on the rank of their parent. New vertices on curved parts of the boundary move there; a mesh from
+    a file keeps its polygon or polyhedron. Parts and regions are inherited.
+
+    Raises:
+        NumericalFailure: If moving vertices to a curved boundary would flatten or invert a cell.
+    """
+    mesh, comm = domain.mesh, domain.mesh.comm
+    dim = mesh.topology.dim
+    size = mesh.topology.index_map(dim).size_local
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    mesh.topology.create_connectivity(1, dim)
+    nodes, edges = mesh.geometry.index_map(), mesh.topology.index_map(1)
+    of_vertex, of_edge = _numbers(comm, nodes, edges)
+    edges_of_cell = mesh.topology.connectivity(dim, 1).array.reshape(size, len(EDGES[dim]))
+    numbers = np.hstack([of_vertex[mesh.geometry.dofmaps[0][:size]], of_edge[edges_of_cell]])
+
+    ends = dolfinx.mesh.entities_to_geometry(mesh, 1, np.arange(edges.size_local, dtype=np.int32))
+    points = np.concatenate([mesh.geometry.x[: nodes.size_local], mesh.geometry.x[ends].mean(axis=1)])[:, :dim]
+    children = numbers[:, _children(dim)]
+    if dim == 3:
+        octahedron = numbers[np.arange(size)[:, None, None], OCTAHEDRON[_shortest_diagonal(mesh)]]
+        children = np.concatenate([children, octahedron], axis=1)
+    cells = children.reshape(-1, dim + 1)
+    facets = {name: _children_of_facets(mesh, facets, numbers) for name, facets in domain.facets.items()}
+    fine = distribute(comm, points, cells, dim, stay=True)
+    marks = Marks(facets, np.repeat(membership(domain), 2**dim, axis=0), tuple(domain.regions))
+    return descendant(domain, fine, marks, made=domain.made, coarser=domain)
+
+
+def _numbers(comm: MPI.Comm, *maps: IndexMap) -> list[Indices]:
+    """New numbers of the entities of several kinds on this rank: a rank's own follow each other, kind by kind."""
+    sizes = np.array(comm.allgather([index_map.size_local for index_map in maps]), dtype=np.int64)
+    first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).reshape(sizes.shape)  # the new numbers, by rank and kind
+    before = np.cumsum(sizes, axis=0) - sizes  # the old ones
+    numbers = []
+    for kind, index_map in enumerate(maps):
+        own = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+        owner = np.concatenate([np.full(index_map.size_local, comm.rank, dtype=np.int32), index_map.owners])
+        numbers.append(index_map.local_to_global(own) + (first - before)[owner, kind])
+    return numbers
+
+
+def _shortest_diagonal(mesh: dolfinx.mesh.Mesh) -> Indices:
+    """For each cell the number of the shortest diagonal between midpoints of opposite edges."""
+    corners = mesh.geometry.x[mesh.geometry.dofmaps[0]]
+    middle = {edge: corners[:, list(ends)].mean(axis=1) for edge, ends in enumerate(EDGES[3])}
+    lengths = np.stack([np.linalg.norm(middle[a] - middle[b], axis=1) for a, b in AROUND], axis=1)
+    return np.argmax(lengths <= lengths.min(axis=1, keepdims=True) * (1 + TIE), axis=1)
+
+
+def _children_of_facets(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], numbers: Indices) -> Indices:
+    """The vertices of the children of boundary facets, ascending, shape (children, dim)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    mesh.topology.create_connectivity(dim, dim - 1)
+    cells = mesh.topology.connectivity(dim - 1, dim).array[mesh.topology.connectivity(dim - 1, dim).offsets[facets]]
+    of_cell = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
+    place = np.argmax(of_cell == facets[:, None], axis=1)
+    tables = np.stack([_children_of_facet(dim, facet) for facet in range(dim + 1)])
+    rows = numbers[cells[:, None, None], tables[place]]
+    return np.sort(rows.reshape(-1, dim), axis=1)
