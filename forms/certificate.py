@@ -13,7 +13,7 @@ Proof: ½‖κ∇v − y‖² = ½|∇(v − u)|² + ½‖σ − y‖² + (∇(v
 (u − ψ)(σ·n − q_S) = 0. All terms on the left are ≥ 0.
 """
 
-from ufl import Form, Measure, conditional, div, dot, grad, gt, inner, inv
+from ufl import div, dot, inv
 from ufl.core.expr import Expr
 
 
@@ -30,13 +30,3 @@ def reconstruction(u: Expr, sigma: Expr, centroid: Expr, mean_moment: Expr, x: E
     """
     linear = dot(inv(kappa) * sigma, x - centroid)
     return u + linear - div(sigma) / (2 * len(x)) * (second_moment(centroid, x, kappa) + mean_moment)
-
-
-def cut_off(cut: Expr, value: Expr) -> Expr:
-    """χ times a value; 0 where χ is 0, whatever the value is there."""
-    return conditional(gt(cut, 0), cut * value, 0)
-
-
-def flux_gap(v: Expr, y: Expr, kappa: Expr, q: Expr, measure: Measure) -> Form:
-    """‖κ∇v − y‖² in the energy norm, weighted by q; for q the indicator of T it is the share of T in 2 gap(v, y)."""
-    return inner(grad(v) - inv(kappa) * y, kappa * grad(v) - y) * q * measure

@@ -20,7 +20,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.data import quadrature
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.expressions import (
     interval_and_gradient,
@@ -155,7 +155,7 @@ def outcome(text: str, x: ufl.SpatialCoordinate) -> str:
     if found is not None:
         assert isinstance(found, Expr), text
         assert found.ufl_shape == () == found.ufl_free_indices, text
-        assert 8 <= quadrature(found)["quadrature_degree"] <= 30, text
+        assert 8 <= quadrature_degree(Datum(found)) <= 30, text
     assert message.isprintable(), f"the message of {text!r} cannot be printed"
     took = time.process_time() - began
     assert took < SECONDS, f"{text[:200]!r} took {took:.1f} s"
@@ -210,7 +210,8 @@ def main() -> None:
         counts[result] += 1
         if result == "UFL" and counts[result] % options.compile == 0:
             f = parse_expression(text, x)
-            spaces.integrate(f * ufl.Measure("dx", domain=spaces.mesh, metadata=quadrature(f)))
+            degree = quadrature_degree(Datum(f))
+            spaces.integrate(f * ufl.Measure("dx", domain=spaces.mesh, metadata={"quadrature_degree": degree}))
             counts["compiled"] += 1
         if check_enclosures(options.seed + counts.total()):
             counts["enclosed"] += 1

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.spaces import assembled, cell_measures
+from signorini_fenicsx.discrete.spaces import assembled
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution
@@ -77,7 +77,7 @@ def all_errors(solution: Solution) -> dict[str, float]:
     assert errors is not None
     Q = solution.spaces.Q
     u = parse_expression(case_of(solution).exact.u, ufl.SpatialCoordinate(Q.mesh))
-    measures = cell_measures(Q)
+    measures = solution.spaces.cell_measures
     means = assembled(u * ufl.TestFunction(Q) * ufl.dx(metadata={"quadrature_degree": 10})) / measures
     return {
         "sigma_V": np.hypot(errors["sigma_L2"], errors["div_sigma_L2"]),

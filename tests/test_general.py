@@ -86,7 +86,7 @@ def conductivities(x: Expr) -> list[Expr]:
 
 def energy_error(solution: Solution, u: Expr) -> float:
     """‖σ − σ_h‖ in (κ⁻¹·, ·)."""
-    kappa = solution.data.kappa
+    kappa = solution.data.kappa.ufl
     difference = kappa * ufl.grad(u) - solution.sigma
     dx = ufl.Measure("dx", domain=solution.spaces.mesh, metadata={"quadrature_degree": 8})
     return math.sqrt(solution.spaces.integrate(ufl.inner(ufl.inv(kappa) * difference, difference) * dx))

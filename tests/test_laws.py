@@ -228,9 +228,9 @@ def test_results_of_python_are_kept(folder: Path):
     [
         (
             {"kind": "friction", "g": "x - 1/2"},
-            r"law.0 \(friction\): g must not be negative, as on the facet at \(0",
+            r"law.0 \(friction\): g must not be negative, as at \(0",
         ),
-        ({"kind": "two-sided", "psi_upper": "-y - 1"}, "psi must not be above psi_upper, as on the facet at"),
+        ({"kind": "two-sided", "psi_upper": "-y - 1"}, "psi must not be above psi_upper, as at"),
         ({"kind": "wall", "beta": "-1"}, "beta must not be negative"),
         ({"kind": "regulator", "k": "0", "g_low": 0, "g_high": 1}, "k must be positive"),
         ({"kind": "regulator", "k": "1", "g_low": 2, "g_high": 1}, "g_low must not be above g_high"),

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces, cell_measures, cells_and_dofs, centroids
+from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
 from signorini_fenicsx.forms.mixed import load, trace_term
 
@@ -115,12 +115,12 @@ class _Recovery:
         self._lift = data.u_lift
         self._u_cr, self._at_contact = fem.Function(data.u_lift.function_space), fem.Function(spaces.V)
         x = ufl.SpatialCoordinate(mesh)
-        centroid = centroids(mesh)
+        centroid = spaces.centroids
         flux = recovered_flux(self._u_cr, f_h, centroid, x, kappa)
         self._flux = fem.Expression(flux, spaces.V.element.interpolation_points)
         scalar = recovered_scalar(self._u_cr, f_h, centroid, x, kappa)
         self._scalar = fem.form(scalar * ufl.TestFunction(spaces.Q) * ufl.dx)
-        self._measures = cell_measures(spaces.Q)
+        self._measures = spaces.cell_measures
 
     def fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
         """σ_h and u_h. A facet between two cells gets the flux of one of them; both agree up to the linear residual."""

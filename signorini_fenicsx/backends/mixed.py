@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 
 
@@ -52,7 +52,7 @@ class MixedBackend(FacetBackend):
         self._system = _matrix(spaces, data, stabilisation)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
-        self._cells = cell_measures(Q)[: Q.dofmap.index_map.size_local]
+        self._cells = spaces.cell_measures[: Q.dofmap.index_map.size_local]
         self._load = self._right_side()
         self.before = fem.Function(Q)
         self._b, self._x, self._residual = (create_vector([V, Q]) for _ in range(3))

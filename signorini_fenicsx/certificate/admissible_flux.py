@@ -8,6 +8,7 @@ large. In this way the bound contains no constant of the domain, except in a ter
 from __future__ import annotations
 
 import contextlib
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +18,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
-from signorini_fenicsx.certificate.samples import CellMetric
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.points import in_vertices
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.solving.solution import Solution
 
 ROUNDING = 1e-9
@@ -44,13 +46,13 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
     y = _with_enough_flux(spaces, data, _without_penalty(solution))
-    rounding = ROUNDING * np.sqrt(spaces.integrate(flux_product(y, y, ufl.dx, data.kappa_h)))
+    rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(y).sum()))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
-        imbalance.x.array[:] = assembled((ufl.div(y) + data.f_h) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
+        imbalance.x.array[:] = _divergence(spaces, y, volume) + data.f_h.x.array
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
-            return y, float(left + _distance(spaces, data, metric, y, solution.sigma))
+            return y, float(left + _distance(metric, y, solution.sigma))
         try:
             correction = _balancing_flux(spaces, data, y, imbalance)
         except LinearSolveFailure:
@@ -60,13 +62,19 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
     return y, np.inf
 
 
-def _distance(spaces: Spaces, data: Data, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
+def _distance(metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
     """The bound ‖(low κ_h)^-½ (y − σ_h)‖ of ‖y − σ_h‖ (collective)."""
     if y is sigma:
         return 0.0
-    low = fem.Function(spaces.Q)
-    low.x.array[:] = metric.low  # no ghost cells
-    return float(np.sqrt(spaces.integrate(flux_product(y - sigma, y - sigma, ufl.dx, low * data.kappa_h))))
+    difference = y.copy()
+    difference.x.array[:] -= sigma.x.array
+    comm = y.function_space.mesh.comm
+    return math.sqrt(comm.allreduce((metric.squares(difference) / metric.low).sum()))
+
+
+def _divergence(spaces: Spaces, y: fem.Function, volume: Array) -> Array:
+    """∇·y per owned cell (collective)."""
+    return assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
 
 
 def _without_penalty(solution: Solution) -> fem.Function:
@@ -106,8 +114,8 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
     loads = replace(
         data,
         f_h=imbalance,
-        u_lift=fem.Function(data.u_lift.function_space),
         sigma_lift=fem.Function(spaces.V),
+        u_lift=fem.Function(data.u_lift.function_space),
         psi_h=nothing,
         q_Sh=nothing,
     )
@@ -140,19 +148,17 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
         z = _balancing_flux(spaces, data, nothing, middle)
     except LinearSolveFailure:
         return np.inf
-    return min(constant * whole, constant * left + _distance(spaces, data, metric, z, nothing))
+    return min(constant * whole, constant * left + _distance(metric, z, nothing))
 
 
 def _load_constant(spaces: Spaces, data: Data, metric: CellMetric, z: fem.Function) -> float:
     """C with ‖w‖ ≤ C|w| for all w = 0 on Γ_D, from the flux z for the load 1; see `resolution` (collective)."""
     mesh = spaces.mesh
     dim, number = mesh.topology.dim, len(metric.volume)
-    corners = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
-    corners.interpolate(z)
-    values = corners.x.array.reshape(-1, dim + 1, dim)[:number]
+    values = in_vertices(z)[:number]
     inverse = np.broadcast_to(metric.inverse, (number, dim, dim))
     squares = np.einsum("cvi,cij,cvj->cv", values, inverse, values).max(axis=1, initial=0.0) / metric.low
-    load = -assembled(ufl.div(z) * ufl.TestFunction(spaces.Q) * ufl.dx) / metric.volume
+    load = -_divergence(spaces, z, metric.volume)
     s = mesh.comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
     m = mesh.comm.allreduce(load.min(initial=np.inf), MPI.MIN)
     return float(2 * s / m) if m > 0 else np.inf

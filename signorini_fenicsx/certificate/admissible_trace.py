@@ -12,6 +12,7 @@ v is below ψ in sampled points, and the maximum ensures v ≥ ψ in all other p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import basix
@@ -22,14 +23,22 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
-from signorini_fenicsx.certificate.samples import CellMetric, cell_values, facet_lattice, quadratic_nodes
-from signorini_fenicsx.discrete.data import Data, is_constant
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, centroids
-from signorini_fenicsx.forms.certificate import cut_off, reconstruction, second_moment
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.points import (
+    Points,
+    cut_off,
+    facet_lattice,
+    in_cells,
+    larger,
+    owned_cells,
+    quadratic_nodes,
+)
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.forms.certificate import reconstruction, second_moment
 from signorini_fenicsx.solving.solution import Solution
 
 type Indices = npt.NDArray[np.int32]
@@ -52,8 +61,8 @@ class Trace:
 
     Attributes:
         v: Quadratic on cells, with the values of u_D in its nodes on Γ_D.
-        exact: The admissible function: v changed to be u_D itself on Γ_D and ≥ ψ itself on Γ_S.
-        above: exact − ψ on Γ_S.
+        exact: The admissible function: v changed to be u_D itself on Γ_D and ≥ ψ itself on Γ_S; None if that is v.
+        above: Gives the admissible function − ψ in points of Γ_S.
         cells: Owned cells on which v and exact may differ.
         at_dirichlet: Those of these cells where u_D itself enters.
         touching: Those of these cells where χ_t > 0, so that ψ itself enters.
@@ -62,8 +71,8 @@ class Trace:
     """
 
     v: fem.Function
-    exact: Expr
-    above: Expr
+    exact: ExactTrace | None
+    above: Callable[[Points], Array]
     cells: Indices
     at_dirichlet: Indices
     touching: Indices
@@ -83,7 +92,9 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     on_dirichlet = fem.locate_dofs_topological(space, facet_dim, spaces.dirichlet_facets)
     in_contact = fem.locate_dofs_topological(space, facet_dim, spaces.facets[solution.contact_set().inside])
 
-    w_D, psi = (_interpolated(space, value) for value in (data.u_D - data.psi, data.psi))
+    nodes = quadratic_nodes(mesh.basix_cell())
+    w_D, psi = (datum.at_nodes(space, nodes) for datum in (data.u_D, data.psi))  # values, not coefficients
+    w_D.x.array[:] -= psi.x.array
     w = v.copy()
     w.x.array[:] -= psi.x.array
     w.x.array[in_contact] = 0.0
@@ -97,9 +108,9 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     obstacle.project(w.x.array)
     relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
     v.x.array[:] = w.x.array + psi.x.array
-    if is_constant(data.u_D) and is_constant(data.psi):
-        nowhere = np.empty(0, dtype=np.int32)
-        return Trace(v, v, w, nowhere, nowhere, nowhere, np.zeros(len(spaces.facets)), feasible)
+    if data.u_D.number is not None and data.psi.number is not None:
+        nowhere, zero = np.empty(0, dtype=np.int32), np.zeros(len(spaces.facets))
+        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], nowhere, nowhere, nowhere, zero, feasible)
     return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
 
 
@@ -117,40 +128,91 @@ def _with_exact_data(
     mesh = spaces.mesh
     facet_dim = mesh.topology.dim - 1
     linear = fem.functionspace(mesh, ("Lagrange", 1))
-    near_dirichlet, near_signorini, floor, touching = (fem.Function(linear) for _ in range(4))
+    near_dirichlet, near_signorini, touching, raised, floor = (fem.Function(linear) for _ in range(5))
     on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
     near_dirichlet.x.array[on_dirichlet] = 1.0
     near_signorini.x.array[fem.locate_dofs_topological(linear, facet_dim, spaces.facets)] = 1.0
 
-    missed = ufl.as_ufl(0.0) if is_constant(data.psi) else data.psi - psi
     near, corners = near_dirichlet.x.array.copy(), facet_nodes(linear, spaces)
-    if not is_constant(data.psi):
+    if data.psi.number is None:
         near += near_signorini.x.array
         touches = (w.x.array[facet_nodes(w.function_space, spaces)] == 0).all(axis=1)
         touching.x.array[:] = near_signorini.x.array - _largest_around(linear, corners, 1.0 - touches)
-    kept = cut_off(touching, missed)
-    above = w + kept - cut_off(near_signorini, missed)
-    above += cut_off(near_dirichlet, data.u_D - psi - kept - w_D)
-    if not is_constant(data.psi):
-        lacking = np.maximum(-facet_lattice(mesh, spaces.facets, SAMPLES).values(above).min(axis=1, initial=0.0), 0.0)
+    exact = ExactTrace(data, w, w_D, psi, near_dirichlet, near_signorini, touching, raised, floor)
+    if data.psi.number is None:
+        low = exact.unlimited(facet_lattice(mesh, spaces.facets, SAMPLES))[:, :, 0].min(axis=1, initial=0.0)
         fixed = np.isin(corners, on_dirichlet).any(axis=1)
-        raised = fem.Function(linear)
-        raised.x.array[:] = _largest_around(linear, corners, np.where(fixed, *ROOM[::-1]) * lacking)
+        raised.x.array[:] = _largest_around(linear, corners, -np.where(fixed, *ROOM[::-1]) * low)
         raised.x.array[on_dirichlet] = 0.0
-        above += raised
     cells, at_dirichlet, touched = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32)
         for some in (near, near_dirichlet.x.array, touching.x.array)
     )
-    bound = psi + cut_off(near_signorini, missed)
     at_seam = near_signorini.x.array[linear.dofmap.list].any(axis=1)
     on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
-    lowest = on_wall.among(at_seam).values(above).min(initial=0.0)
+    lowest = exact.unlimited(on_wall.among(at_seam)).min(initial=0.0)
     depth = mesh.comm.allreduce(max(FAR_BELOW * np.abs(w.x.array).max(initial=0.0), -2 * SAMPLES * lowest), MPI.MAX)
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
-    above = ufl.max_value(above, floor)
     height = w.x.array[facet_nodes(w.function_space, spaces)].min(axis=1)
-    return Trace(v, bound + above, above, cells, at_dirichlet, touched, height, feasible)
+    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, height, feasible)
+
+
+@dataclass(frozen=True)
+class ExactTrace:
+    """The function of the module by its parts, as jets in points, see `discrete.points`.
+
+    Attributes:
+        data: u_D and ψ.
+        w: The function above I_hψ, quadratic.
+        w_D: The same on Γ_D, I_h(u_D − ψ).
+        psi: I_hψ.
+        near_dirichlet: χ_D.
+        near_signorini: Likewise 1 on Γ_S.
+        touching: χ_t.
+        raised: w_⁺.
+        floor: 0 at Γ_S, and elsewhere so low that it changes nothing.
+    """
+
+    data: Data
+    w: fem.Function
+    w_D: fem.Function
+    psi: fem.Function
+    near_dirichlet: fem.Function
+    near_signorini: fem.Function
+    touching: fem.Function
+    raised: fem.Function
+    floor: fem.Function
+
+    def unlimited(self, points: Points, *, gradient: bool = False) -> Array:
+        """What the maximum of the module limits, less I_hψ and what it misses of ψ at Γ_S (collective)."""
+
+        def linear(function: fem.Function) -> Array:
+            return points.linear(function, gradient=gradient)
+
+        missed, psi = self._missed(points, gradient=gradient), points.quadratic(self.psi, gradient=gradient)
+        w, w_D = (points.quadratic(function, gradient=gradient) for function in (self.w, self.w_D))
+        kept = cut_off(linear(self.touching), missed)
+        at_dirichlet = self.data.u_D.jet(points, gradient=gradient) - psi - kept - w_D
+        above = w + kept - cut_off(linear(self.near_signorini), missed)
+        return above + cut_off(linear(self.near_dirichlet), at_dirichlet) + linear(self.raised)
+
+    def above(self, points: Points) -> Array:
+        """The function less ψ on Γ_S (collective)."""
+        return self._limited(points)[:, :, 0]
+
+    def gradient(self, points: Points) -> Array:
+        """Its gradient (collective)."""
+        missed = cut_off(points.linear(self.near_signorini, gradient=True), self._missed(points, gradient=True))
+        jet = self._limited(points, gradient=True) + points.quadratic(self.psi, gradient=True) + missed
+        return jet[:, :, 1:]
+
+    def _limited(self, points: Points, *, gradient: bool = False) -> Array:
+        return larger(self.unlimited(points, gradient=gradient), points.linear(self.floor, gradient=gradient))
+
+    def _missed(self, points: Points, *, gradient: bool) -> Array:
+        """ψ − I_hψ."""
+        psi = self.data.psi.jet(points, gradient=gradient)
+        return psi - (points.quadratic(self.psi, gradient=gradient) if self.data.psi.number is None else psi)
 
 
 def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:
@@ -180,18 +242,6 @@ def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> 
     return np.asarray(largest.x.array, dtype=np.float64)
 
 
-def _interpolated(space: fem.FunctionSpace, value: Expr) -> fem.Function:
-    """Values of a continuous function in vertices and midpoints of edges, not Bernstein coefficients (collective)."""
-    function = fem.Function(space)
-    if is_constant(value):
-        function.x.array[:] = float(value)
-        return function
-    for cells, values in cell_values(space.mesh, value, quadratic_nodes(space.mesh.basix_cell())):
-        function.x.array[space.dofmap.list[cells]] = values
-    function.x.scatter_forward()
-    return function
-
-
 def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """The reconstruction, averaged over the cells around each node with weights κ_h (collective).
 
@@ -200,7 +250,7 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     spaces, kappa = solution.spaces, solution.data.kappa_h
     mesh = spaces.mesh
     x = ufl.SpatialCoordinate(mesh)
-    centroid = centroids(mesh)
+    centroid = spaces.centroids
     moment = fem.Function(spaces.Q)
     moment.x.array[:] = assembled(second_moment(centroid, x, kappa) * ufl.TestFunction(spaces.Q) * ufl.dx)
     moment.x.array[:] /= metric.volume  # no ghost cells
@@ -211,7 +261,8 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
     of_cells = _weights(solution.data)
-    for cells, values in cell_values(mesh, quadratic, quadratic_nodes(mesh.basix_cell())):
+    for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
+        cells, values = points.cells, points.of_ufl(quadratic)
         weights = np.broadcast_to(of_cells[cells, None], values.shape)
         for function, summands in ((v, weights * values), (total, weights)):
             function.x.array[:] += np.bincount(nodes[cells].ravel(), summands.ravel(), len(function.x.array))
@@ -224,8 +275,8 @@ def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
 
 def _weights(data: Data) -> Array:
     """Mean eigenvalue of κ_h per owned cell."""
-    if is_constant(data.kappa_h):
+    if data.kappa.number is not None:
         return np.ones(len(data.f_h.x.array))
-    entries = data.kappa_h.x.array.reshape(len(data.f_h.x.array), *(data.kappa_h.ufl_shape or (1, 1)))
+    entries = data.kappa_h.x.array.reshape(len(data.f_h.x.array), *(data.kappa.shape or (1, 1)))
     means: Array = np.trace(entries, axis1=1, axis2=2) / entries.shape[1]
     return means

@@ -29,12 +29,14 @@ mesh covers: a polygon or polyhedron if the boundary is curved.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -43,17 +45,17 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
 from signorini_fenicsx.certificate.oscillation import ContactExcess, load_oscillation
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.certificate.samples import CellMetric, cell_metric
-from signorini_fenicsx.discrete.data import Data, is_constant, quadrature, scalar_conductivity
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
-from signorini_fenicsx.forms.certificate import flux_gap
-from signorini_fenicsx.forms.mixed import flux_product
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.points import Entities, Points, cell_quadrature, in_vertices, owned_cells
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
-FAR, NEAR = 1, 2
-"""Cells away from Γ_D and cells that touch it."""
+QUADRATIC = 2
+"""Degree of |κ∇v − y|² where v is quadratic and κ a number."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,8 @@ def certify(solution: Solution) -> Certificate:
 def _certificate(solution: Solution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    metric = cell_metric(spaces.mesh, data)
-    size = float(np.sqrt(spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx, data.kappa_h))))
+    metric = cell_metric(spaces, data)
+    size = math.sqrt(comm.allreduce(metric.squares(solution.sigma).sum()))
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
@@ -182,25 +184,41 @@ def _twice_the_gap(
     spaces: Spaces, data: Data, trace: Trace, y: fem.Function, excess: ContactExcess
 ) -> tuple[Array, Array]:
     """2 gap(v, y) per owned cell, in two parts: ‖κ∇v − y‖², and the term on Γ_S (collective)."""
-    kappa, q = data.kappa, ufl.TestFunction(spaces.Q)
-    degree = quadrature(data.u_D + data.psi + scalar_conductivity(kappa))
-    number = spaces.Q.dofmap.index_map.size_local
-    near = np.zeros(number, dtype=bool)
-    near[trace.cells] = True
-    parts = [(FAR, np.flatnonzero(~near).astype(np.int32)), (NEAR, trace.cells)]
-    dx = ufl.Measure("dx", domain=spaces.mesh, subdomain_data=parts)
-    far = flux_gap(trace.v, y, kappa, q, dx(FAR) if is_constant(kappa) else dx(FAR, metadata=quadrature(kappa)))
-    mismatch = assembled(far)
-    if trace.exact is not trace.v:
-        mismatch += assembled(flux_gap(trace.exact, y, kappa, q, dx(NEAR, metadata=degree)))
-    return mismatch, excess.gap(excess.points.values(trace.above), number)
+    mesh, kappa = spaces.mesh, data.kappa
+    far = np.setdiff1d(owned_cells(mesh), trace.cells)
+    of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
+    parts: list[tuple[Entities, int, Callable[[Points], Array]]] = [(far, of_kappa, partial(_slope, trace.v))]
+    if trace.exact is not None:
+        parts.append((trace.cells, quadrature_degree(data.u_D, data.psi, kappa), trace.exact.gradient))
+    mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
+    for cells, degree, slope in parts:
+        for points in cell_quadrature(mesh, cells, degree):
+            flux = points.barycentric @ fluxes[points.cells]
+            mismatch[points.cells] = points.integrals(_flux_gap(slope(points), flux, kappa.values(points)))
+    return mismatch, excess.gap(trace.above(excess.points), len(mismatch))
+
+
+def _slope(v: fem.Function, points: Points) -> Array:
+    """∇v."""
+    return points.quadratic(v, gradient=True)[:, :, 1:]
+
+
+def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:
+    """κ⁻¹(κ∇v − y)·(κ∇v − y) in points; infinite where κ has no inverse."""
+    with np.errstate(all="ignore"):
+        if kappa.ndim == 2:
+            return np.asarray(((kappa[:, :, None] * slope - y) ** 2).sum(axis=2) / kappa)
+        gap = (kappa @ slope[..., None])[..., 0] - y
+        regular = np.linalg.det(kappa) != 0
+        inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
+        return np.where(regular, np.einsum("nqi,nqij,nqj->nq", gap, inverse, gap), np.inf)
 
 
 def _with_deviation(spaces: Spaces, metric: CellMetric, y: fem.Function, mismatch: Array, deviation: Array) -> Array:
     """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
     if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
         return mismatch
-    size = np.sqrt(np.maximum(assembled(ufl.inner(y, y) * ufl.TestFunction(spaces.Q) * ufl.dx), 0.0))
+    size = np.sqrt(metric.squares(y, np.eye(metric.jacobian.shape[1])))
     lowest = metric.kappa_min
     root = np.sqrt((1 + deviation / lowest) * np.maximum(mismatch, 0.0)) + deviation * size / lowest**1.5
     return np.asarray(root**2, dtype=np.float64)

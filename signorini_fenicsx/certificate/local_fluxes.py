@@ -31,11 +31,14 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.samples import AT_ONCE, CellMetric, FacetPoints, facet_type
+from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.discrete.points import FacetPoints, facet_type
 
 OF_LOAD, OF_FLUX = 1, 2
 """Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""
 SINGULAR = 1e-10
+AT_ONCE = 20_000
+"""Cells whose matrices are in memory at the same time."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.local_fluxes import (
@@ -32,16 +31,18 @@ from signorini_fenicsx.certificate.local_fluxes import (
     load_norms,
     projected,
 )
+from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.certificate.samples import (
-    CellMetric,
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.points import (
     FacetPoints,
-    cell_values,
     facet_quadrature,
     facet_type,
+    in_cells,
+    owned_cells,
     quadratic_nodes,
 )
-from signorini_fenicsx.discrete.data import Data, is_constant, quadrature
 from signorini_fenicsx.discrete.spaces import Spaces
 
 
@@ -90,14 +91,15 @@ def load_oscillation(
         resolution: Records what quadrature may have missed.
     """
     mesh = spaces.mesh
-    on_signorini = facet_quadrature(mesh, spaces.facets, _degree(data.q_S**2 + data.psi + data.u_D))
+    degree = max(quadrature_degree(data.q_S, power=2), quadrature_degree(data.psi, data.u_D))
+    on_signorini = facet_quadrature(mesh, spaces.facets, degree)
     q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
     s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
     excess = ContactExcess(on_signorini, r - s)
-    on_facets = [] if is_constant(data.q_S) else [FacetLoad(on_signorini, r, missed)]
-    if not is_constant(data.g_N):
-        on_neumann = facet_quadrature(mesh, spaces.neumann_facets, _degree(data.g_N**2))
+    on_facets = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
+    if data.g_N.number is None:
+        on_neumann = facet_quadrature(mesh, spaces.neumann_facets, quadrature_degree(data.g_N, power=2))
         dofs = spaces.neumann_dofs
         g_h = data.sigma_lift.x.array[dofs] * spaces.neumann_basis_flux / spaces.neumann_measure
         g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
@@ -110,7 +112,7 @@ def _on_facets(
     name: str, points: FacetPoints, means: Array, data: Data, metric: CellMetric, resolution: Resolution
 ) -> tuple[Array, Array]:
     """Flux data in the points of a quadrature, as quadratics if they can be enclosed, and their error (collective)."""
-    values = points.values(getattr(data, name))
+    values = getattr(data, name).values(points)
     if not resolution.encloses(name):
         return values, np.zeros(len(values))
     facet = facet_type(points.mesh.topology.dim)
@@ -122,24 +124,18 @@ def _on_facets(
 
 def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
     """The load f − f_h on the owned cells, None if f is a number (collective)."""
-    if is_constant(data.f):
+    if data.f.number is not None:
         return None
     cell = spaces.mesh.basix_cell()
     positive = basix.QuadratureType.xiao_gimbutas  # weights; the default, Keast's rules, has negative ones
-    points, weights = basix.make_quadrature(cell, _degree(data.f**2), positive)
+    points, weights = basix.make_quadrature(cell, quadrature_degree(data.f, power=2), positive)
     parts = [
-        projected(values - data.f_h.x.array[cells, None], cell, OF_LOAD, points, weights)
-        for cells, values in cell_values(spaces.mesh, data.f, points)
+        projected(data.f.values(some) - data.f_h.x.array[some.cells, None], cell, OF_LOAD, points, weights)
+        for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points)
     ]
-    empty = projected(np.empty((0, len(points))), cell, OF_LOAD, points, weights)
-    coefficients, rests = zip(*((part.coefficients, part.rest) for part in [empty, *parts]), strict=True)
-    load = Projection(np.concatenate(coefficients), np.concatenate(rests))
+    load = Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("coefficients", "rest")))
     if not resolution.encloses("f"):
         return load
     nodes = data.f_h.x.array[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
     seen = np.sqrt(load.rest / weights.sum())
     return replace(load, rest=resolution.on_cells("f", nodes, seen, metric) ** 2 * weights.sum())
-
-
-def _degree(value: Expr) -> int:
-    return quadrature(value)["quadrature_degree"]

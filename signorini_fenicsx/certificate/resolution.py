@@ -46,8 +46,9 @@ from signorini_fenicsx.certificate.interpolants import (
     seen_slope,
 )
 from signorini_fenicsx.certificate.local_fluxes import facet_constants
-from signorini_fenicsx.certificate.samples import CellMetric, FacetPoints
-from signorini_fenicsx.discrete.data import Data, is_constant
+from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
@@ -166,7 +167,7 @@ class Resolution:
         """
         number, dim = len(metric.volume), metric.jacobian.shape[1]
         deviation = np.zeros(number)
-        if is_constant(self.data.kappa) or not self._given_as_text("kappa"):
+        if self.data.kappa.number is not None or not self._given_as_text("kappa"):
             return metric, deviation
         vertices = cell_vertices(self.spaces.mesh)
         coefficients = np.zeros((number, len(edge_order(dim + 1)) + dim + 1, dim, dim))
@@ -240,7 +241,8 @@ class Resolution:
 
     def _given_as_text(self, name: str) -> bool:
         """Whether a datum is a number or a tree; otherwise it is added to `by_quadrature`."""
-        known = is_constant(getattr(self.data, name)) or any(key.partition(".")[0] == name for key in self.data.trees)
+        is_number = getattr(self.data, name).number is not None
+        known = is_number or any(key.partition(".")[0] == name for key in self.data.trees)
         if not known:
             self.by_quadrature.add(name)
         return known

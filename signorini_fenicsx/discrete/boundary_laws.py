@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
-import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.chains import Chains, joined
+from signorini_fenicsx.discrete.data_values import check_nodes, facet_means
+from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.laws import Graph, Law, Signorini
+from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in the order of bounds."""
-
-type MeansOf = Callable[[str, Expr, Indices, Expr | None], Array]
-"""Means of a datum over some rows of `Spaces.facets`, weighted by another one if there is one (collective)."""
+BOUNDS = ("psi", "psi_upper")
+"""Data that must be continuous."""
 
 
 @dataclass(frozen=True)
@@ -29,23 +32,32 @@ class PartLaw:
 
     Attributes:
         law: The law.
-        name: What messages call it: "law.0" for the first one that is listed.
-        rows: Its facets of this rank, rows of `Spaces.facets`.
+        name: How messages call it: "law.0" for the first one that is listed, empty for ψ and q_S of the problem.
+        rows: Its facets of this rank, as rows of `Spaces.facets`.
         data: Its data by their names.
     """
 
     law: Law
     name: str
     rows: Indices
-    data: Mapping[str, Expr]
+    data: Mapping[str, Datum]
+
+    def key(self, name: str) -> str:
+        """The name of one of its data in messages."""
+        return f"{self.name}.{name}" if self.name else name
+
+    def chains(self, points: FacetPoints) -> Chains:
+        """The law in each of some points of its facets, measured from u = 0 and κ∇u·n = 0."""
+        values = {name: datum.values(points).ravel() for name, datum in self.data.items()}
+        return chains_of(replace(self.law.graph(values), reference=(0.0, 0.0)), points.shape[0] * points.shape[1])
 
 
 @dataclass(frozen=True)
 class BoundaryLaws:
-    """What holds on Γ_S.
+    """The laws on Γ_S.
 
     Attributes:
-        of_parts: The laws; that of the parts that `Boundary.signorini` lists comes first, if there are some.
+        of_parts: Each law with its parts; first ψ and q_S of the problem on the parts that `Boundary.signorini` lists.
         chains: Their graphs per facet, measured from the references.
     """
 
@@ -54,11 +66,11 @@ class BoundaryLaws:
 
     @property
     def listed(self) -> bool:
-        """Whether there are laws beside that of the parts that `Boundary.signorini` lists."""
+        """Whether there are laws besides ψ and q_S of the problem."""
         return any(part.name for part in self.of_parts)
 
     def names(self) -> list[str]:
-        """Names of all segments, those of the laws one after another; see `labels`."""
+        """Names of all segments, law after law; see `labels`."""
         return [segment for part in self.of_parts for segment in part.law.segments]
 
     def labels(self, segment: np.ndarray) -> np.ndarray:
@@ -71,47 +83,39 @@ class BoundaryLaws:
         return labels
 
 
-def signorini_alone(spaces: Spaces, data: Mapping[str, Expr]) -> BoundaryLaws:
-    """The law of Signorini on all of Γ_S."""
-    rows = np.arange(len(spaces.facets))
-    return BoundaryLaws((PartLaw(Signorini(spaces.part_names), "", rows, data),), Chains.at_corner(len(rows)))
-
-
-def several_laws(
-    spaces: Spaces, laws: Sequence[tuple[str, Law, Mapping[str, Expr]]], means_of: MeansOf
-) -> tuple[BoundaryLaws, Array, Array]:
-    """Several laws, each on its parts (collective).
-
-    Args:
-        spaces: The discrete spaces.
-        laws: For each law its name, itself and its data.
-        means_of: Takes means.
+def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> tuple[BoundaryLaws, Array, Array]:
+    """The laws of all parts of Γ_S (collective).
 
     Returns:
-        They, and u and κ∇u·n at the reference of each facet.
+        They, and u and κ∇u·n at the reference of each facet: the means of ψ and q_S where these hold.
 
     Raises:
         InputError: If data are not what their law allows; the message says where.
     """
+    listed = {part for law in problem.laws for part in law.parts}
+    plain = [part for part in spaces.part_names if part not in listed]
+    laws: list[tuple[str, Law, Mapping[str, Datum]]] = []
+    if plain:
+        laws.append(("", Signorini(plain), {"psi": psi, "q_S": q_S}))
+    for i, law in enumerate(problem.laws):
+        laws.append((f"law.{i}", law, _data(spaces, law, f"law.{i}")))
     number = len(spaces.facets)
     psi_h, q_Sh = np.empty(number), np.empty(number)
     of_parts, chains = [], []
     for name, law, data in laws:
-        parts = [spaces.part_names.index(part) for part in law.parts]
-        rows = np.flatnonzero(np.isin(spaces.part_of_facet, parts))
-        weights = {key: data[weight] for key, weight in law.weights.items()}
-        means = {key: means_of(f"{name}.{key}", value, rows, weights.get(key)) for key, value in data.items()}
-        for what, size in law.refused(means):
-            _refuse(f"{name} ({law.name}): {what}", size, means, spaces, rows)
+        rows = np.flatnonzero(np.isin(spaces.part_of_facet, [spaces.part_names.index(part) for part in law.parts]))
+        part = PartLaw(law, name, rows, data)
+        means = _means(spaces, part)
+        _refuse(spaces, part)
         graph = law.graph(means)
         psi_h[rows], q_Sh[rows] = graph.reference
-        chains.append((rows, _chains(graph, len(rows))))
-        of_parts.append(PartLaw(law, name, rows, data))
+        chains.append((rows, chains_of(graph, len(rows))))
+        of_parts.append(part)
     return BoundaryLaws(tuple(of_parts), joined(chains, number)), psi_h, q_Sh
 
 
-def _chains(graph: Graph, number: int) -> Chains:
-    """Chains measured from the references."""
+def chains_of(graph: Graph, number: int) -> Chains:
+    """Chains through the corners of a graph at so many sites, measured from its reference."""
     p, flux = (
         np.stack([np.broadcast_to(corner[axis] - graph.reference[axis], number) for corner in graph.corners], axis=1)
         for axis in (0, 1)
@@ -122,22 +126,58 @@ def _chains(graph: Graph, number: int) -> Chains:
     return replace(chains, plain=len(graph.corners) == 1 and graph.corners[0] is graph.reference)
 
 
-def _refuse(what: str, size: Array, means: Mapping[str, Array], spaces: Spaces, rows: Indices) -> None:
-    """Refuse data where a size is > 0, but for rounding (collective).
+def _data(spaces: Spaces, law: Law, name: str) -> dict[str, Datum]:
+    """The data of a law (collective).
 
     Raises:
-        InputError: On all ranks, with the place of the largest.
+        InputError: If a text cannot be read, or is no scalar.
     """
-    scale = max([0.0, *(float(np.abs(values).max(initial=0.0)) for values in means.values())])
-    comm = spaces.mesh.comm
-    wrong = np.flatnonzero(size > ROUNDING * comm.allreduce(scale, MPI.MAX))
-    dim = spaces.mesh.topology.dim
-    worst = (-np.inf, ())
-    if len(wrong) > 0:
-        row = wrong[np.argmax(size[wrong])]
-        x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets[rows[[row]]])[0, :dim]
-        worst = float(size[row]), tuple(x.tolist())
-    size_there, place = max(comm.allgather(worst))
-    if place:
-        at = ", ".join(f"{x:.4g}" for x in place)
-        raise InputError(f"[[law]] {what}, as on the facet at ({at}), by {size_there:.3g}")
+    found: dict[str, Datum] = {}
+    for key, given in law.data().items():
+        try:
+            tree: Any = parsed(given, spaces.mesh.geometry.dim)
+        except InputError as error:
+            raise InputError(f"{name}.{key}: {error}") from None
+        found[key] = datum_of(spaces, f"{name}.{key}", tree)
+    return found
+
+
+def _means(spaces: Spaces, part: PartLaw) -> dict[str, Array]:
+    """Means of the data over the facets, some of them weighted (collective).
+
+    Raises:
+        InputError: If a datum is not finite.
+    """
+    facets, where = spaces.facets[part.rows], "on its parts" if part.name else "on Γ_S"
+    means = {key: facet_means(spaces, part.key(key), datum, facets, where) for key, datum in part.data.items()}
+    for key in BOUNDS:
+        if key in part.data:
+            check_nodes(spaces, part.key(key), part.data[key], facets, where)
+    for key, by in part.law.weights.items():
+        datum, weight = part.data[key], part.data[by]
+        if weight.number is None:
+            points = facet_quadrature(spaces.mesh, facets, quadrature_degree(datum, weight, power=2))
+            moments = points.means(datum.values(points) * weight.values(points))
+            means[key] = np.divide(moments, points.means(weight.values(points)), out=means[key], where=means[by] > 0)
+    return means
+
+
+def _refuse(spaces: Spaces, part: PartLaw) -> None:
+    """Refuse data that their law does not allow, in points of a quadrature (collective).
+
+    Raises:
+        InputError: On all ranks, with the place of the worst.
+    """
+    comm, dim = spaces.mesh.comm, spaces.mesh.geometry.dim
+    points = facet_quadrature(spaces.mesh, spaces.facets[part.rows], quadrature_degree(*part.data.values()))
+    values = {key: datum.values(points).ravel() for key, datum in part.data.items()}
+    largest = max([0.0, *(float(np.abs(each).max(initial=0.0)) for each in values.values())])
+    rounding = ROUNDING * comm.allreduce(largest, MPI.MAX)
+    for what, size in part.law.refused(values):
+        worst: tuple[float, tuple[float, ...]] = (0.0, ())
+        if size.max(initial=0.0) > rounding:
+            worst = float(size.max()), tuple(points.x.reshape(-1, dim)[np.argmax(size)].tolist())
+        excess, place = max(comm.allgather(worst))
+        if place:
+            at = ", ".join(f"{x:.4g}" for x in place)
+            raise InputError(f"{part.name} ({part.law.name}): {what}, as at ({at}), by {excess:.3g}")

@@ -4,33 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, facet_type, in_facets, quadratic_nodes
+from signorini_fenicsx.discrete.spaces import Spaces
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
 """Relative size of a sum of loads that counts as rounding."""
 
 
-def check_nodes(spaces: Spaces, name: str, value: Expr, facets: npt.NDArray[np.int32], where: str) -> None:
+def check_nodes(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> None:
     """Make sure that continuous data are finite at the vertices and edge midpoints of these facets (collective).
 
     Raises:
         InputError: If they are not.
     """
     mesh = spaces.mesh
-    space = fem.functionspace(mesh, ("P", 2))
-    nodes = fem.locate_dofs_topological(space, mesh.topology.dim - 1, facets)
-    cells = np.unique(cells_and_dofs(spaces.V, facets)[0])
-    function = fem.Function(space)
-    function.interpolate(fem.Expression(value, space.element.interpolation_points), cells)
-    if not mesh.comm.allreduce(bool(np.isfinite(function.x.array[nodes]).all()), op=MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+    found = datum.values(in_facets(mesh, facets, quadratic_nodes(facet_type(mesh.topology.dim))))
+    if not mesh.comm.allreduce(bool(np.isfinite(found).all()), op=MPI.LAND):
+        raise InputError(f"{_key(name)}: not finite everywhere {where}")
+
+
+def check_finite(spaces: Spaces, name: str, where: str, datum: Datum, cells: npt.NDArray[np.int32]) -> None:
+    """Make sure that a scalar and its gradient are finite at the quadrature points of these cells (collective).
+
+    Raises:
+        InputError: If they are not.
+    """
+    if datum.number is not None:
+        return
+    blocks = cell_quadrature(spaces.mesh, cells, quadrature_degree(datum))
+    finite = [bool(np.isfinite(datum.jet(points, gradient=True)).all()) for points in blocks]
+    if not spaces.mesh.comm.allreduce(all(finite), op=MPI.LAND):
+        raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
 
 
 def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
@@ -41,11 +51,31 @@ def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
     """
     comm = spaces.mesh.comm
     if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+        raise InputError(f"{_key(name)}: not finite everywhere {where}")
     largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
     low, high = DATA_RANGE
     if largest != 0 and not low <= largest <= high:
-        raise InputError(f"[problem] {name}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+        raise InputError(f"{_key(name)}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+
+
+def facet_means(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:
+    """Mean on each of these boundary facets (collective).
+
+    Raises:
+        InputError: If one is not finite, or they are too large or too small.
+    """
+    if datum.number is not None:
+        means = np.full(len(facets), datum.number)
+    else:
+        points = facet_quadrature(spaces.mesh, facets, quadrature_degree(datum))
+        means = points.means(datum.values(points))
+    check_means(name, where, means, spaces)
+    return means
+
+
+def _key(name: str) -> str:
+    """How a case file names a datum."""
+    return name if name.startswith("law.") else f"[problem] {name}"
 
 
 def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:

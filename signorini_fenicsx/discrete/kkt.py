@@ -1,19 +1,21 @@
 """Residuals of the discrete Signorini problem that do not depend on units."""
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
+from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
-from signorini_fenicsx.discrete.data import Data, scalar_conductivity
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
 from signorini_fenicsx.forms.norms import l2
 
@@ -83,11 +85,10 @@ def kkt_residuals(
         eps: ε of the penalty.
     """
     constant = data.common_constant(spaces)
-    if constant != 0:
-        data, u = data.less(spaces, constant), u.copy()
-        p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
-        u.x.array[:] -= constant
-    length = spaces.length()
+    data, u = data.less(spaces, constant), u.copy()
+    p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
+    u.x.array[:] -= constant
+    length = spaces.length
     scales = _scales(spaces, sigma, u, data)
     if scales[1] == 0:
         return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -110,19 +111,27 @@ def kkt_residuals(
 
 def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    kappa, k, length = data.kappa_h, scalar_conductivity(data.kappa_h), spaces.length()
-    energy, gradient, flux = (
-        np.sqrt(spaces.integrate(form))
-        for form in (flux_product(sigma, sigma, ufl.dx, kappa), l2(ufl.inv(kappa) * sigma, ufl.dx), l2(sigma, ufl.dx))
-    )
-    given = fem.Constant(spaces.mesh, float(np.abs(data.extent(spaces)).max()))
-    weights = ufl.sqrt(k), ufl.as_ufl(1.0), k
-    (level, *of_u), (given_level, *of_given) = (
-        [np.sqrt(spaces.integrate(l2(w * value, ufl.dx))) / length for w in weights] for value in (u, given)
-    )
-    if energy <= max(CONSTANT * level, ROUNDING * given_level) and not _is_driven(spaces, data):
-        return np.maximum(of_u, of_given)
+    forms = (_energy, sigma, data.kappa_h), (_gradient_square, sigma, data.kappa_h), (_flux_square, sigma)
+    energy, gradient, flux = (np.sqrt(spaces.integrate(spaces.kept(*form))) for form in forms)
+    k, measures = data.conductivities(spaces), spaces.cell_measures
+    values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
+    squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
+    of_u, of_given = np.sqrt(spaces.mesh.comm.allreduce(squares)) / spaces.length
+    if energy <= max(CONSTANT * of_u[0], ROUNDING * of_given[0]) and not _is_driven(spaces, data):
+        return np.maximum(of_u, of_given)[1:]
     return np.array([gradient, flux])
+
+
+def _energy(_: Spaces, sigma: Expr, kappa: Expr) -> Form:
+    return flux_product(sigma, sigma, ufl.dx, kappa)
+
+
+def _gradient_square(_: Spaces, sigma: Expr, kappa: Expr) -> Form:
+    return l2(ufl.inv(kappa) * sigma, ufl.dx)
+
+
+def _flux_square(_: Spaces, sigma: Expr) -> Form:
+    return l2(sigma, ufl.dx)
 
 
 def _is_driven(spaces: Spaces, data: Data) -> bool:
@@ -135,32 +144,53 @@ def _is_driven(spaces: Spaces, data: Data) -> bool:
 
 def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
-    k, length = scalar_conductivity(data.kappa_h), spaces.length()
-    missing = ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + data.f_h)
-    given = ufl.dot(sigma - data.sigma_lift, spaces.n)
-    squares = [l2(missing / w, ufl.dx) + length * l2(given / w, spaces.ds_neumann) for w in (k, 1)]
-    return np.sqrt([spaces.integrate(square) for square in squares])
+    k, n = data.conductivities(spaces), spaces.neumann_cells
+    missing = assembled(spaces.kept(_missing_mass, sigma, data.f_h)) / spaces.cell_measures
+    difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
+    lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
+    squares = [
+        spaces.cell_measures @ (missing / w) ** 2 + spaces.length * (spaces.neumann_measure @ (lacking / v) ** 2)
+        for w, v in ((k, k[n]), (1.0, 1.0))
+    ]
+    return np.sqrt(spaces.mesh.comm.allreduce(np.array(squares)))
+
+
+def _missing_mass(spaces: Spaces, sigma: Expr, f_h: Expr) -> Form:
+    """h_T (∇·σ + f_h), integrated over each cell."""
+    return ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + f_h) * ufl.TestFunction(spaces.Q) * ufl.dx
 
 
 def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
-    V = spaces.V
-    tau, n = ufl.TestFunction(V), spaces.n
-    flux_residual = flux_equation(sigma, u, tau, ufl.dx, data.kappa_h) - trace_term(p, tau, n, spaces.ds)
-    flux_residual -= trace_term(data.u_lift, tau, n, spaces.ds_dirichlet)
-    residual = fem.assemble_vector(spaces.form(flux_residual))
-    residual.scatter_reverse(la.InsertMode.add)
-    residual.array[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
-    owned = residual.array[: V.dofmap.index_map.size_local]
-    M, W = (_mass_diagonal(spaces, kappa) for kappa in (ufl.as_ufl(1.0), data.kappa_h))
-    return np.sqrt(V.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
+    residual = assembled(spaces.kept(_flux_residual, data.kappa_h, sigma, u, p, data.u_lift))
+    residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
+    size = spaces.V.dofmap.index_map.size_local
+    owned = residual[:size]
+    kappa = data.matrices(spaces)
+    M, W = (_mass_diagonal(spaces, np.linalg.inv(k))[:size] for k in (np.eye(kappa.shape[1])[None], kappa))
+    return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
 
 
-def _mass_diagonal(spaces: Spaces, kappa: Expr) -> Array:
-    """The diagonal of (κ⁻¹σ, τ), owned entries (collective)."""
-    sigma, tau = ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V)
-    mass = assemble_matrix(fem.form(flux_product(sigma, tau, ufl.dx, kappa)))
-    mass.assemble()
-    diagonal: Array = mass.getDiagonal().array_r.copy()
-    mass.destroy()
-    return diagonal
+def _flux_residual(spaces: Spaces, kappa: Expr, sigma: Expr, u: Expr, p: Expr, u_lift: Expr) -> Form:
+    tau, n = ufl.TestFunction(spaces.V), spaces.n
+    found = flux_equation(sigma, u, tau, ufl.dx, kappa) - trace_term(p, tau, n, spaces.ds)
+    return found - trace_term(u_lift, tau, n, spaces.ds_dirichlet)
+
+
+def _mass_diagonal(spaces: Spaces, weight: Array) -> Array:
+    """The diagonal of (Bσ, τ) for a matrix B per cell, or one for all; complete for owned entries (collective).
+
+    The basis function of a facet is c (x − x_e)/(d|T|) on T with x_e the opposite vertex and c its flux. With y_e = x_e
+    − x_T, ∫ (x − x_e)·B(x − x_e) over T is |T| times y_e·By_e + Σ_v y_v·By_v / ((d + 1)(d + 2)).
+    """
+    dim = spaces.mesh.geometry.dim
+    arms = corners(spaces.mesh) - corners(spaces.mesh).mean(axis=1, keepdims=True)
+    squares = ((arms @ weight) * arms).sum(axis=2)
+    squares += squares.sum(axis=1, keepdims=True) / ((dim + 1) * (dim + 2))
+    slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
+    flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others
+    squares *= flux**2 / (dim**2 * spaces.cell_measures)[:, None]
+    diagonal = fem.Function(spaces.V)
+    diagonal.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), squares.ravel(), len(diagonal.x.array))
+    diagonal.x.scatter_reverse(la.InsertMode.add)
+    return np.asarray(diagonal.x.array, dtype=np.float64)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -14,6 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
+from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.meshes.domain import Domain
 
 SIGNORINI = 1
@@ -44,6 +47,7 @@ class Spaces:
         dirichlet_facets: Mesh facets of Γ_D on this rank.
         has_dirichlet: Whether any rank has facets of Γ_D.
         neumann_facets: Mesh facets of Γ_N on this rank.
+        neumann_cells: Mesh cell behind each Γ_N facet.
         neumann_dofs: RT0 degree of freedom of each Γ_N facet.
         neumann_basis_flux: ∫_e φ·n of its basis function.
         neumann_measure: |e| of each Γ_N facet.
@@ -51,6 +55,7 @@ class Spaces:
         ds: Measure of Γ_S on the mesh.
         ds_dirichlet: Measure of Γ_D on the mesh.
         ds_neumann: Measure of Γ_N on the mesh.
+        kept_forms: The forms of `kept`.
     """
 
     domain: Domain
@@ -68,6 +73,7 @@ class Spaces:
     dirichlet_facets: npt.NDArray[np.int32]
     has_dirichlet: bool
     neumann_facets: npt.NDArray[np.int32]
+    neumann_cells: npt.NDArray[np.int32]
     neumann_dofs: npt.NDArray[np.int32]
     neumann_basis_flux: Array
     neumann_measure: Array
@@ -75,6 +81,7 @@ class Spaces:
     ds: ufl.Measure
     ds_dirichlet: ufl.Measure
     ds_neumann: ufl.Measure
+    kept_forms: KeptForms = field(default_factory=KeptForms)
 
     @property
     def mesh(self) -> dolfinx.mesh.Mesh:
@@ -85,9 +92,34 @@ class Spaces:
         """σ·n per Γ_S facet, where it is constant."""
         return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
 
+    @cached_property
+    def cell_measures(self) -> Array:
+        """|T| of the owned cells; there are no ghosts."""
+        return assembled(fem.Constant(self.mesh, 1.0) * ufl.TestFunction(self.Q) * ufl.dx)
+
+    @cached_property
     def length(self) -> float:
-        """L = |Ω|^(1/d) (collective)."""
-        return self.integrate(fem.Constant(self.mesh, 1.0) * ufl.dx) ** (1 / self.mesh.topology.dim)
+        """L = |Ω|^(1/d) (collective when first used)."""
+        return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
+
+    @cached_property
+    def centroids(self) -> fem.Function:
+        """The centroids x_T as a P0 vector function."""
+        dim = self.mesh.geometry.dim
+        centroid = fem.Function(fem.functionspace(self.mesh, ("DG", 0, (dim,))))
+        centroid.interpolate(lambda x: x[:dim])
+        return centroid
+
+    @cached_property
+    def crouzeix_raviart(self) -> fem.FunctionSpace:
+        """Crouzeix-Raviart functions, for lifts and the facet system."""
+        return fem.functionspace(self.mesh, ("CR", 1))
+
+    @cached_property
+    def Q_matrix(self) -> fem.FunctionSpace:
+        """P0 matrices, for κ_h."""
+        dim = self.mesh.geometry.dim
+        return fem.functionspace(self.mesh, ("DG", 0, (dim, dim)))
 
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
         """A function of Λ_h with these values per Γ_S facet, ghosts updated (collective)."""
@@ -96,13 +128,34 @@ class Spaces:
         function.x.scatter_forward()
         return function
 
-    def form(self, ufl_form: ufl.Form) -> fem.Form:
+    def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:
         """Compile a form that may contain functions of Λ_h (collective)."""
         return fem.form(ufl_form, entity_maps=[self.entity_map])
 
-    def integrate(self, ufl_form: ufl.Form) -> float:
+    def integrate(self, form: ufl.Form | fem.Form) -> float:
         """Integral over all ranks (collective)."""
-        return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(ufl_form))))
+        return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(form))))
+
+    def kept(self, build: Build, *coefficients: Coefficient) -> Any:
+        """The form `build(spaces, *coefficients)`, compiled at the first call, see `kept_forms` (collective).
+
+        Args:
+            build: A function of a module that gives a UFL form, or blocks of them.
+            coefficients: Functions and constants with up-to-date ghost values.
+        """
+
+        def make(*own: Coefficient) -> Any:
+            return fem.form(build(self, *own), entity_maps=[self.entity_map])
+
+        return self.kept_forms.get(build, make, coefficients)
+
+    def kept_expression(self, build: Build, space: fem.FunctionSpace, *coefficients: Coefficient) -> fem.Expression:
+        """The expression `build(spaces, *coefficients)` in the interpolation points of a space (collective)."""
+
+        def make(*own: Coefficient) -> fem.Expression:
+            return fem.Expression(build(self, *own), space.element.interpolation_points)
+
+        return self.kept_forms.get((build, space.ufl_element()), make, coefficients)
 
 
 def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str] = ()) -> Spaces:
@@ -139,7 +192,7 @@ def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str
         part_of_facet[np.isin(facets, domain.facets[name])] = index
     measure = assembled(ufl.TestFunction(Lambda) * ds(SIGNORINI), [entity_map])
     flux_of_basis = assembled(ufl.dot(ufl.TestFunction(V), n) * ds((SIGNORINI, NEUMANN)))
-    neumann_dofs = cells_and_dofs(V, neumann_facets)[1]
+    neumann_cells, neumann_dofs = cells_and_dofs(V, neumann_facets)
     area_of_basis = assembled(ufl.FacetArea(mesh) * ufl.dot(ufl.TestFunction(V), n) * ds(NEUMANN))
     return Spaces(
         domain=domain,
@@ -157,6 +210,7 @@ def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str
         dirichlet_facets=dirichlet_facets,
         has_dirichlet=mesh.comm.allreduce(len(dirichlet_facets) > 0, MPI.LOR),
         neumann_facets=neumann_facets,
+        neumann_cells=neumann_cells,
         neumann_dofs=neumann_dofs,
         neumann_basis_flux=flux_of_basis[neumann_dofs],
         neumann_measure=area_of_basis[neumann_dofs] / flux_of_basis[neumann_dofs],
@@ -188,20 +242,8 @@ def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> 
     return dofs[dofs < space.dofmap.index_map.size_local]
 
 
-def centroids(mesh: dolfinx.mesh.Mesh) -> fem.Function:
-    """The centroids x_T as a P0 vector function, on owned and ghost cells."""
-    centroid = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))))
-    centroid.interpolate(lambda x: x[: mesh.geometry.dim])
-    return centroid
-
-
-def assembled(form: ufl.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:
+def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:
     """Vector of a linear form, complete for owned entries only (collective)."""
     vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array
-
-
-def cell_measures(Q: fem.FunctionSpace) -> Array:
-    """|T| of the owned and ghost cells."""
-    return assembled(fem.Constant(Q.mesh, 1.0) * ufl.TestFunction(Q) * ufl.dx)

@@ -29,7 +29,7 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
 from signorini_fenicsx.discrete.laws import LAWS, Law
 from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, centroids
+from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
@@ -276,7 +276,7 @@ def _hold(
         e @ np.where(kind == given, values - conditions.value, 0.0) ** 2
         for values, given in ((flux, Condition.NO_FLUX), (trace, Condition.ZERO_TRACE))
     ]
-    left = spaces.length() * spaces.mesh.comm.allreduce(np.array(squares))
+    left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))
     sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (sigma, u)]
     return bool(np.all(np.sqrt(left) <= KKT * np.sqrt(sizes)))
 
@@ -298,7 +298,7 @@ def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]
     """σ_h and u_h from cell values on rank 0 in the original order of the mesh (collective)."""
     mesh = spaces.mesh
     dim = mesh.geometry.dim
-    centroid = centroids(mesh)
+    centroid = spaces.centroids
     middle = fem.Function(centroid.function_space)
     divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
     for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):

@@ -12,18 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.contact_sets import FacetSegments, FacetSet, hausdorff
-from signorini_fenicsx.discrete.data import Data, quadrature
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.errors import exact_contact, exact_errors
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.sampling import at_points
@@ -35,9 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from signorini_fenicsx.certificate.certify import Certificate
-
-EXACT_CONTACT = 1e-12
-"""An exact u − ψ below this on Γ_S, relative to the largest |u| there, counts as contact."""
 
 
 class PointValues(NamedTuple):
@@ -228,30 +224,11 @@ class Solution:
         They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
         the contact set and the facets at whose midpoints the exact u is ψ.
         """
-        if self.data.exact is None:
+        spaces, data, exact = self.spaces, self.data, self.data.exact
+        if exact is None:
             return None
-        spaces = self.spaces
-        u = self.data.exact + fem.Constant(spaces.mesh, 0.0)  # a plain number has no mesh
-        metadata = quadrature(u)
-        dx = ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)
-        squares = {
-            "sigma_L2": l2(self.data.kappa * ufl.grad(u) - self.sigma, dx),
-            "div_sigma_L2": l2(self.data.f + ufl.div(self.sigma), dx),
-            "u_L2": l2(u - self.u, dx),
-            "p_L2": l2(u - self.p, spaces.ds(metadata=metadata)),
-        }
-        norms = {name: float(np.sqrt(spaces.integrate(square))) for name, square in squares.items()}
-        return norms | {"contact_hausdorff": hausdorff(self.contact_set(), self._exact_contact_set(u))}
-
-    def _exact_contact_set(self, u: Expr) -> FacetSet:
-        spaces = self.spaces
-        q, midpoints = ufl.TestFunction(spaces.Lambda), spaces.ds(metadata={"quadrature_degree": 1})
-        trace, gap = (
-            assembled(value * q * midpoints, [spaces.entity_map])[: len(spaces.facets)] / spaces.facet_measure
-            for value in (u, u - self.data.psi)
-        )
-        largest = spaces.mesh.comm.allreduce(np.abs(trace).max(initial=0.0), MPI.MAX)
-        return FacetSet(spaces, gap <= EXACT_CONTACT * largest)
+        norms = exact_errors(spaces, data, exact, self.sigma, self.u, self.p)
+        return norms | {"contact_hausdorff": hausdorff(self.contact_set(), exact_contact(spaces, data, exact))}
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""

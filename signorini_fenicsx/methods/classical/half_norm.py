@@ -36,7 +36,7 @@ class HalfNorm:
         vertices = self._rows.gather(mesh.geometry.input_global_indices[nodes])
         corners = self._rows.gather(mesh.geometry.x[nodes])
         measure = self._rows.gather(spaces.facet_measure)
-        length = spaces.length()
+        length = spaces.length
         self._matrix: Array | None = None
         if vertices is not None and corners is not None and measure is not None:
             laplacian = _facet_laplacian(vertices, corners)

@@ -86,7 +86,7 @@ def flux_uzawa(task: Task) -> Outcome:
     The step divided by ρ is a trace; it is measured like the KKT residual of p ≥ 0.
     """
     response = _Response(task, by_flux=True)
-    return _pointwise(task, response, 1 / math.sqrt(task.spaces.length()))
+    return _pointwise(task, response, 1 / math.sqrt(task.spaces.length))
 
 
 def trace_uzawa(task: Task) -> Outcome:
@@ -95,7 +95,7 @@ def trace_uzawa(task: Task) -> Outcome:
     The step divided by ρ is a flux; it is measured like the KKT residual of σ·n ≥ 0.
     """
     response = _Response(task, by_flux=False)
-    return _pointwise(task, response, math.sqrt(task.spaces.length()))
+    return _pointwise(task, response, math.sqrt(task.spaces.length))
 
 
 def _pointwise(task: Task, response: _Response, unit: float) -> Outcome:

@@ -9,7 +9,6 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.petsc import LinearSolver, direct_solver
@@ -18,7 +17,7 @@ from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, cell_measures, owned_on_facets
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
 from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
@@ -70,7 +69,8 @@ class P1System:
         self.diagonal = self.matrix.getDiagonal().array_r.copy()
 
         self._x, self._b = create_vector(self.space), create_vector(self.space)
-        u_D, psi = self._values(data.u_D), self._values(data.psi)
+        nodes = self.space.element.interpolation_points
+        u_D, psi = (datum.at_nodes(self.space, nodes).x.array[: self._size] for datum in (data.u_D, data.psi))
         self._data, self._psi = data, self.at_signorini(psi[self.signorini])
         known = self._psi.copy()
         known[self.dirichlet] = u_D[self.dirichlet]
@@ -164,7 +164,7 @@ class P1System:
         u_h.x.array[: self._size] = u + self._psi
         u_h.x.scatter_forward()
         means = fem.Function(spaces.Q, name="u")
-        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / cell_measures(spaces.Q)
+        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / spaces.cell_measures
         sigma = _projected_flux(u_h, self._data, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
@@ -174,13 +174,6 @@ class P1System:
         self._x.array_w[:] = u
         matrix.mult(self._x, self._b)
         return self._b.array_r.copy()
-
-    def _values(self, given: Expr) -> Array:
-        """Values at the vertices."""
-        function = fem.Function(self.space)
-        zero = fem.Constant(self.space.mesh, 0.0)
-        function.interpolate(fem.Expression(given + zero, self.space.element.interpolation_points))
-        return np.asarray(function.x.array[: self._size], dtype=np.float64)
 
     @cached_property
     def _facet_vertices(self) -> Indices:

@@ -24,7 +24,7 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.discrete.spaces import assembled, cell_measures
+from signorini_fenicsx.discrete.spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.history import Outcome, Recorder
@@ -48,7 +48,7 @@ def quadratic_programme(task: Task) -> Outcome:
     for matrix in matrices:
         matrix.assemble()
     hessian, divergence = (matrix_on_root(matrix) for matrix in matrices)
-    weight = 1 / np.sqrt(cell_measures(Q)[:cells])  # rows of the divergence for an orthonormal basis of Q_h
+    weight = 1 / np.sqrt(spaces.cell_measures[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)

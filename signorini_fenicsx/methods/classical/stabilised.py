@@ -53,7 +53,7 @@ def minimisation_uzawa(task: Task) -> Outcome:
         LinearSolveFailure: If a linear system cannot be solved.
     """
     spaces = task.spaces
-    length = spaces.length()
+    length = spaces.length
     rho = task.rho or length**2
     system = MixedBackend(spaces, task.data, stabilisation=1 / rho)
     parameters = Parameters(max_iterations=task.max_iterations)

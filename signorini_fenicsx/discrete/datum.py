@@ -1,0 +1,224 @@
+"""One of the data f, κ, u_D, …, from whatever it was given as: its values in points, as NumPy arrays.
+
+Numbers and texts are evaluated by NumPy alone, so that no new text compiles anything. UFL is evaluated by DOLFINx,
+which compiles it once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.core.expr import Expr
+from ufl.domain import extract_domains
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.given import Given
+from signorini_fenicsx.discrete.points import Points, in_cells, owned_cells
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.expressions import TREES, Tree, to_ufl, values, values_and_gradient
+
+DEGREES = 8, 30
+"""Least and largest degree of a quadrature of data."""
+
+
+@dataclass(frozen=True)
+class Datum:
+    """A function on the mesh: a scalar, or κ as a matrix; this one is given as UFL.
+
+    Attributes:
+        ufl: The function in UFL.
+    """
+
+    ufl: Expr
+
+    @cached_property
+    def number(self) -> float | None:
+        """The number that it is; None for all else."""
+        is_number = isinstance(self.ufl, ufl.constantvalue.ConstantValue) and self.ufl.ufl_shape == ()
+        return float(self.ufl) if is_number else None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """() or (dim, dim)."""
+        shape: tuple[int, ...] = self.ufl.ufl_shape
+        return shape
+
+    @cached_property
+    def degree(self) -> int:
+        """The polynomial degree that UFL estimates."""
+        return int(ufl.algorithms.estimate_total_polynomial_degree(apply_algebra_lowering(self.ufl)))
+
+    def values(self, points: Points) -> Array:
+        """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""
+        return np.full(points.shape, self.number) if self.number is not None else self._values(points)
+
+    def jet(self, points: Points, *, gradient: bool = False) -> Array:
+        """The jet of a scalar, see `points` (collective)."""
+        value = self.values(points)[:, :, None]
+        if not gradient:
+            return value
+        none = np.zeros((*points.shape, points.mesh.geometry.dim))
+        return np.concatenate([value, self._gradients(points) if self.number is None else none], axis=2)
+
+    def _values(self, points: Points) -> Array:
+        return points.of_ufl(self.ufl)
+
+    def _gradients(self, points: Points) -> Array:
+        return points.of_ufl(ufl.grad(self.ufl))
+
+    def less(self, constant: float) -> Datum:
+        """A scalar less a number."""
+        return _Less(self.ufl - constant, self, constant)
+
+    def at_nodes(self, space: fem.FunctionSpace, nodes: Array) -> fem.Function:
+        """A continuous function with these values in the nodes of a space, given on the reference cell (collective)."""
+        function = fem.Function(space)
+        if self.number is not None:
+            function.x.array[:] = self.number
+            return function
+        for points in in_cells(space.mesh, owned_cells(space.mesh), nodes):
+            function.x.array[space.dofmap.list[points.cells]] = self.values(points)
+        function.x.scatter_forward()
+        return function
+
+
+@dataclass(frozen=True)
+class _Text(Datum):
+    """A tree, or a matrix of them; also a number."""
+
+    trees: Tree | list[list[Tree]]
+
+    def _values(self, points: Points) -> Array:
+        x = _named(points)
+        if isinstance(self.trees, list):
+            return np.stack([np.stack([values(entry, x) for entry in row], axis=-1) for row in self.trees], axis=-2)
+        return values(self.trees, x)
+
+    def _gradients(self, points: Points) -> Array:
+        assert not isinstance(self.trees, list)
+        return values_and_gradient(self.trees, _named(points))[1]
+
+
+def _named(points: Points) -> dict[str, Array]:
+    return dict(zip("xyz", np.moveaxis(points.x, -1, 0), strict=False))
+
+
+@dataclass(frozen=True)
+class _Less(Datum):
+    """A datum less a number."""
+
+    datum: Datum
+    constant: float
+
+    def _values(self, points: Points) -> Array:
+        return self.datum.values(points) - self.constant
+
+    def _gradients(self, points: Points) -> Array:
+        return self.datum.jet(points, gradient=True)[:, :, 1:]
+
+
+@dataclass(frozen=True)
+class _ByRegion(Datum):
+    """A value in each region of the mesh; each cell is in one of them.
+
+    Attributes:
+        parts: Which cells of this rank, and the value there.
+    """
+
+    parts: list[tuple[Mask, Datum]]
+
+    def _values(self, points: Points) -> Array:
+        found = np.empty((*points.shape, *self.shape))
+        for inside, datum in self.parts:
+            value = datum.values(points.among(inside))
+            if len(datum.shape) < len(self.shape):
+                value = value[..., None, None] * np.eye(self.shape[0])
+            found[inside[points.cells]] = value
+        return found
+
+
+def quadrature_degree(*data: Datum, power: int = 1) -> int:
+    """Degree of a quadrature for a power of the sum of some data."""
+    least, most = DEGREES
+    return min(max(least, power * max(datum.degree for datum in data)), most)
+
+
+def datum_of(spaces: Spaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Datum:
+    """A datum from what was given, with numbers and texts as trees (collective).
+
+    Functions of points become piecewise quadratic, those that may jump by inner points.
+
+    Raises:
+        InputError: If it has the wrong shape, or is UFL on another mesh.
+    """
+    dim = spaces.mesh.geometry.dim
+    shapes = [(), (dim, dim)] if matrix else [()]
+    x = ufl.SpatialCoordinate(spaces.mesh)
+    if isinstance(given, Expr):
+        if any(domain != spaces.mesh.ufl_domain() for domain in extract_domains(given)):
+            raise InputError(f"[problem] {name}: is UFL on another mesh; write it on `domain.mesh`")
+        datum = Datum(given)
+    elif isinstance(given, TREES):
+        datum = _Text(to_ufl(given, x), given)
+    elif isinstance(given, tuple | list):
+        rows = [list(row) for row in given]
+        datum = _Text(ufl.as_matrix([[to_ufl(entry, x) for entry in row] for row in rows]), rows)
+    elif callable(given):
+        probe = np.asarray(given(np.zeros((3, 1))))
+        variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
+        element = basix.ufl.element(
+            "P", spaces.mesh.basix_cell(), 2, variant, shape=probe.shape[:-1], discontinuous=not continuous
+        )
+        function = fem.Function(fem.functionspace(spaces.mesh, element), name=name)
+        function.interpolate(lambda x: np.reshape(given(x), (-1, x.shape[1])))
+        datum = Datum(function)
+    else:
+        datum = Datum(ufl.as_ufl(given))
+    if datum.shape not in shapes:
+        raise InputError(f"[problem] {name}: has shape {datum.shape}, not {' or '.join(map(str, shapes))}")
+    return datum
+
+
+def conductivity_of(spaces: Spaces, given: Given | Mapping[str, Given]) -> Datum:
+    """κ, which may have a value for each region (collective).
+
+    Raises:
+        InputError: If it has the wrong shape, or not one value in each cell.
+    """
+    if not isinstance(given, Mapping):
+        return datum_of(spaces, "kappa", given, continuous=False, matrix=True)
+    regions = spaces.domain.regions
+    for name in given:
+        if name not in regions:
+            known = f"its regions are {', '.join(regions)}" if regions else "it has none"
+            raise InputError(f"[problem] kappa: unknown region '{name}' of the mesh; {known}")
+    number = spaces.Q.dofmap.index_map.size_local
+    parts, terms, values_given = [], [], np.zeros(number, dtype=np.int64)
+    for name, value in given.items():
+        inside = fem.Function(spaces.Q, name=name)
+        inside.x.array[regions[name]] = 1.0
+        datum = datum_of(spaces, f"kappa.{name}", value, continuous=False, matrix=True)
+        parts.append((inside.x.array > 0, datum))
+        terms.append((inside, datum.ufl))
+        values_given[regions[name]] += 1
+    without, several = spaces.mesh.comm.allreduce(
+        np.array([np.count_nonzero(values_given == 0), np.count_nonzero(values_given > 1)])
+    ).tolist()
+    if without > 0 or not parts:
+        missing = [name for name in regions if name not in given]
+        raise InputError(f"[problem] kappa: {without} cells have no value; regions without one: {', '.join(missing)}")
+    if several > 0:
+        raise InputError(f"[problem] kappa: {several} cells are in more than one of {', '.join(given)}")
+    identity = ufl.Identity(spaces.mesh.geometry.dim)
+    if any(datum.shape for _, datum in parts):
+        terms = [(inside, value if value.ufl_shape else value * identity) for inside, value in terms]
+    return _ByRegion(sum(inside * value for inside, value in terms), parts)

@@ -1,0 +1,52 @@
+"""Errors of a discrete solution where u is known."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, in_vertices, owned_cells
+from signorini_fenicsx.discrete.spaces import Spaces
+
+EXACT_CONTACT = 1e-12
+"""An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
+
+
+def exact_errors(
+    spaces: Spaces, data: Data, exact: Datum, sigma: fem.Function, u: fem.Function, p: fem.Function
+) -> dict[str, float]:
+    """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S (collective)."""
+    mesh, degree = spaces.mesh, quadrature_degree(exact)
+    fluxes, squares = in_vertices(sigma), np.zeros(4)
+    for points in cell_quadrature(mesh, owned_cells(mesh), degree):
+        jet, kappa, flux = exact.jet(points, gradient=True), data.kappa.values(points), fluxes[points.cells]
+        slope = jet[:, :, 1:, None]
+        exact_flux = kappa[..., None] * slope[..., 0] if kappa.ndim == 2 else (kappa @ slope)[..., 0]
+        divergence = np.einsum("nvi,nvi->n", flux, points.slopes)
+        errors = [
+            ((exact_flux - points.barycentric @ flux) ** 2).sum(axis=2),
+            (data.f.values(points) + divergence[:, None]) ** 2,
+            (jet[:, :, 0] - u.x.array[points.cells, None]) ** 2,
+        ]
+        squares[:3] += [points.integrals(error).sum() for error in errors]
+    on_signorini = facet_quadrature(mesh, spaces.facets, degree)
+    traces = p.x.array[: len(spaces.facets), None]
+    squares[3] = on_signorini.integrals((exact.values(on_signorini) - traces) ** 2).sum()
+    norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
+    return dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
+
+
+def exact_contact(spaces: Spaces, data: Data, exact: Datum) -> FacetSet:
+    """The facets of Γ_S in whose midpoints the exact u is ψ, or another value at which its law holds it (collective)."""
+    trace = exact.values(facet_quadrature(spaces.mesh, spaces.facets, 1))[:, 0]
+    rounding = EXACT_CONTACT * spaces.mesh.comm.allreduce(np.abs(trace).max(initial=0.0), MPI.MAX)
+    held = np.zeros(len(trace), dtype=bool)
+    for part in data.laws.of_parts:
+        law = part.chains(facet_quadrature(spaces.mesh, spaces.facets[part.rows], 1))
+        beside = np.abs(trace[part.rows, None] - law.value) <= rounding
+        held[part.rows] = (beside & np.isinf(law.slope)).any(axis=1)
+    return FacetSet(spaces, held)

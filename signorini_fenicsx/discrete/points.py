@@ -1,0 +1,307 @@
+"""Points in cells and boundary facets, and what functions are there, as NumPy arrays.
+
+A *jet* is the value of a function and, where it is wanted, its gradient: an array whose last axis has 1 or 1 + dim
+entries. Jets are added as arrays are.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import basix
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from ufl.algorithms.analysis import extract_type
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.base.arrays import Array, Mask
+
+type Entities = npt.NDArray[np.int32]
+
+AT_ONCE = 200_000
+"""Number of points in cells that are in memory at the same time."""
+
+
+@dataclass(frozen=True)
+class Points(ABC):
+    """The same points in some cells or boundary facets of this rank.
+
+    Attributes:
+        mesh: The mesh.
+        cells: Each of these cells, or the cell behind each facet.
+        points: Points in the reference cell or facet, shape (points, its dimension).
+        weights: Weights of a quadrature there; empty for other points.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    cells: Entities
+    points: Array
+    weights: Array
+
+    @property
+    @abstractmethod
+    def vertices(self) -> Array:
+        """Of each cell or facet, in the order of the reference one, shape (n, its vertices, dim)."""
+
+    @property
+    @abstractmethod
+    def barycentric(self) -> Array:
+        """Of the points in their cells, shape (n or 1, points, dim + 1)."""
+
+    @abstractmethod
+    def among(self, cells: Mask) -> Self:
+        """Those that lie in some of the cells; `cells` is a mask."""
+
+    @abstractmethod
+    def of_ufl(self, value: Expr) -> Array:
+        """Values of UFL, shape (n, points, *its shape) (collective)."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of cells or facets, and of the points in each."""
+        return len(self.cells), len(self.points)
+
+    @cached_property
+    def x(self) -> Array:
+        """The points, shape (n, points, dim)."""
+        x: Array = self.vertices[:, :1] + self.points @ (self.vertices[:, 1:] - self.vertices[:, :1])
+        return x
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Gradients of the barycentric coordinates of the cells, shape (n, dim + 1, dim)."""
+        x = corners(self.mesh)[self.cells]
+        inverse = np.linalg.inv((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
+        return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
+    @cached_property
+    def scale(self) -> Array:
+        """Measure of each cell or facet, divided by that of the reference one."""
+        edges = self.vertices[:, 1:] - self.vertices[:, :1]
+        return np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1)))
+
+    def means(self, values: Array) -> Array:
+        """Of values of shape (n, points, …)."""
+        found: Array = np.tensordot(values, self.weights / self.weights.sum(), (1, 0))
+        return found
+
+    def integrals(self, values: Array) -> Array:
+        """Of values of shape (n, points)."""
+        found: Array = self.scale * (values @ self.weights)
+        return found
+
+    def linear(self, function: fem.Function, *, gradient: bool = False) -> Array:
+        """Jet of a function that is linear on each cell by its values in the vertices, shape (n, points, …)."""
+        nodes = function.x.array[function.function_space.dofmap.list[self.cells]]
+        value = self.barycentric @ nodes[:, :, None]
+        if not gradient:
+            return value
+        slope = np.einsum("nv,nvi->ni", nodes, self.slopes)
+        return np.concatenate([value, np.broadcast_to(slope[:, None], (*self.shape, slope.shape[1]))], axis=2)
+
+    def quadratic(self, function: fem.Function, *, gradient: bool = False) -> Array:
+        """Jet of a function that is quadratic on each cell by its Bernstein coefficients, shape (n, points, …)."""
+        nodes = function.x.array[function.function_space.dofmap.list[self.cells]]
+        number = self.barycentric.shape[2]
+        first, second = np.array(basix.topology(self.mesh.basix_cell())[1]).T
+        form = np.empty((len(nodes), number, number))  # the function is Σ form_vw λ_v λ_w
+        form[:, range(number), range(number)] = nodes[:, :number]
+        form[:, first, second] = form[:, second, first] = nodes[:, number:]
+        half = self.barycentric @ form
+        value = (half * self.barycentric).sum(axis=2, keepdims=True)
+        return np.concatenate([value, 2 * half @ self.slopes], axis=2) if gradient else value
+
+
+@dataclass(frozen=True)
+class CellPoints(Points):
+    """The same points in some owned cells."""
+
+    @cached_property
+    def vertices(self) -> Array:
+        """Of each cell, shape (cells, dim + 1, dim)."""
+        return corners(self.mesh)[self.cells]
+
+    @cached_property
+    def barycentric(self) -> Array:
+        """Of the points, shape (1, points, dim + 1)."""
+        return _barycentric(self.points)[None]
+
+    def among(self, cells: Mask) -> Self:
+        """Those in some of the cells; `cells` is a mask."""
+        return replace(self, cells=self.cells[cells[self.cells]])
+
+    def of_ufl(self, value: Expr) -> Array:
+        """Values of UFL, shape (cells, points, *its shape) (collective)."""
+        expression = fem.Expression(_on_mesh(self.mesh, value), self.points)
+        values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
+        return values.reshape(*self.shape, *value.ufl_shape)
+
+
+@dataclass(frozen=True)
+class FacetPoints(Points):
+    """The same points in some boundary facets of this rank, which lie in owned cells.
+
+    Attributes:
+        facets: Mesh facets.
+        local: Index of each facet in its cell.
+    """
+
+    facets: Entities
+    local: Entities
+
+    @cached_property
+    def vertices(self) -> Array:
+        """Of each facet, shape (facets, dim, dim)."""
+        local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
+        return np.take_along_axis(corners(self.mesh)[self.cells], local[:, :, None], axis=1)
+
+    @cached_property
+    def barycentric(self) -> Array:
+        """Of the points in their cells, shape (facets, points, dim + 1)."""
+        return _barycentric(self._in_cell)[self.local]
+
+    @cached_property
+    def _in_cell(self) -> Array:
+        """The points in each facet of the reference cell, shape (its facets, points, dim)."""
+        cell = self.mesh.basix_cell()
+        reference = [basix.geometry(cell)[vertices] for vertices in basix.topology(cell)[-2]]
+        return np.stack([x[0] + self.points @ (x[1:] - x[0]) for x in reference])
+
+    def of_ufl(self, value: Expr) -> Array:
+        """Values of UFL, which may have the normal in it, shape (facets, points, *its shape) (collective).
+
+        As points of the cells: where DOLFINx has the points of a facet depends on the numbers of its vertices.
+        """
+        per_facet = ufl.as_tensor([ufl.replace(value, normals) for normals in self._normals(value)])
+        expression = fem.Expression(_on_mesh(self.mesh, per_facet), self._in_cell.reshape(-1, self._in_cell.shape[2]))
+        if len(self.cells) == 0:
+            return np.empty((*self.shape, *value.ufl_shape))
+        values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
+        values = values.reshape(len(self.cells), len(self._in_cell), len(self.points), *per_facet.ufl_shape)
+        which = self.local if per_facet.ufl_shape[0] > 1 else 0
+        found: Array = np.moveaxis(values, 3, 2)[np.arange(len(self.cells)), self.local, which]
+        return found
+
+    def _normals(self, value: Expr) -> list[dict[Expr, Expr]]:
+        """The normal of each facet of a cell, if there is a normal in the value; else one empty table."""
+        found = extract_type(value, ufl.classes.FacetNormal)
+        if not found:
+            return [{}]
+        inverse = ufl.JacobianInverse(self.mesh.ufl_domain())
+        reference = basix.cell.facet_outward_normals(self.mesh.basix_cell()).tolist()
+        normals = [ufl.dot(ufl.as_vector(normal), inverse) for normal in reference]
+        return [dict.fromkeys(found, normal / ufl.sqrt(ufl.inner(normal, normal))) for normal in normals]
+
+    def among(self, cells: Mask) -> Self:
+        """The facets of some of the cells; `cells` is a mask."""
+        chosen = cells[self.cells]
+        return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
+
+    def per_cell(self, values: Array, number: int) -> Array:
+        """Sums of values per facet over the facets of each owned cell; `number` is that of the cells."""
+        return np.bincount(self.cells, values, number)[:number]
+
+
+def _barycentric(points: Array) -> Array:
+    """Barycentric coordinates of points of the reference cell."""
+    return np.concatenate([1 - points.sum(axis=-1, keepdims=True), points], axis=-1)
+
+
+def _on_mesh(mesh: dolfinx.mesh.Mesh, value: Expr) -> Expr:
+    """The same, for a number too, which knows no mesh."""
+    return fem.Constant(mesh, 1.0) * value
+
+
+def in_vertices(sigma: fem.Function) -> Array:
+    """A flux of RT0, which is linear on each cell, in the vertices of the cells, shape (cells, dim + 1, dim)."""
+    mesh = sigma.function_space.mesh
+    dim = mesh.topology.dim
+    linear = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
+    linear.interpolate(sigma)
+    return np.asarray(linear.x.array, dtype=np.float64).reshape(-1, dim + 1, dim)
+
+
+def product(a: Array, b: Array) -> Array:
+    """The jet of a product of two functions, from theirs."""
+    found = a[..., :1] * b + b[..., :1] * a
+    found[..., :1] = a[..., :1] * b[..., :1]
+    return found
+
+
+def cut_off(cut: Array, jet: Array) -> Array:
+    """The jet of χ times a function; 0 where χ is 0, whatever the function is there."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.where(cut[..., :1] > 0, product(cut, jet), 0.0)
+
+
+def larger(a: Array, b: Array) -> Array:
+    """The jet of the larger of two functions."""
+    return np.where(a[..., :1] >= b[..., :1], a, b)
+
+
+def corners(mesh: dolfinx.mesh.Mesh) -> Array:
+    """Vertices of the cells of this rank, shape (cells, dim + 1, dim)."""
+    return mesh.geometry.x[mesh.geometry.dofmaps[0], : mesh.topology.dim]
+
+
+def quadratic_nodes(cell: basix.CellType) -> Array:
+    """The vertices of the reference cell or facet, then the midpoints of its edges."""
+    return basix.create_element(basix.ElementFamily.P, cell, 2, basix.LagrangeVariant.gll_warped).points
+
+
+def facet_type(dim: int) -> basix.CellType:
+    """The reference facet of a simplex."""
+    return basix.CellType.interval if dim == 2 else basix.CellType.triangle
+
+
+def owned_cells(mesh: dolfinx.mesh.Mesh) -> Entities:
+    """All owned cells."""
+    return np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+
+
+def in_cells(
+    mesh: dolfinx.mesh.Mesh, cells: Entities, points: Array, weights: Array | None = None
+) -> Iterator[CellPoints]:
+    """Points in owned cells, some cells at a time and equally often on all ranks (collective)."""
+    parts = mesh.comm.allreduce(-(-len(cells) * len(points) // AT_ONCE), MPI.MAX)
+    for some in np.array_split(cells, max(parts, 1)):
+        yield CellPoints(mesh, some, points, np.empty(0) if weights is None else weights)
+
+
+def cell_quadrature(mesh: dolfinx.mesh.Mesh, cells: Entities, degree: int) -> Iterator[CellPoints]:
+    """The points of a quadrature in owned cells, some cells at a time (collective)."""
+    return in_cells(mesh, cells, *basix.make_quadrature(mesh.basix_cell(), degree))
+
+
+def in_facets(mesh: dolfinx.mesh.Mesh, facets: Entities, points: Array, weights: Array | None = None) -> FacetPoints:
+    """Points in boundary facets of this rank (collective)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    mesh.topology.create_connectivity(dim, dim - 1)
+    facet_cells = mesh.topology.connectivity(dim - 1, dim)
+    cells = facet_cells.array[facet_cells.offsets[facets]]
+    cell_facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
+    local = np.argmax(cell_facets == facets[:, None], axis=1).astype(np.int32)
+    return FacetPoints(mesh, cells, points, np.empty(0) if weights is None else weights, facets, local)
+
+
+def facet_quadrature(mesh: dolfinx.mesh.Mesh, facets: Entities, degree: int) -> FacetPoints:
+    """The points of a quadrature in boundary facets of this rank (collective)."""
+    return in_facets(mesh, facets, *basix.make_quadrature(facet_type(mesh.topology.dim), degree))
+
+
+def facet_lattice(mesh: dolfinx.mesh.Mesh, facets: Entities, parts: int) -> FacetPoints:
+    """A grid in boundary facets of this rank whose edges are cut into equal parts (collective)."""
+    return in_facets(
+        mesh,
+        facets,
+        basix.create_lattice(facet_type(mesh.topology.dim), parts, basix.LatticeType.equispaced, True),
+    )
