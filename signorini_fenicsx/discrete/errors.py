@@ -41,7 +41,7 @@ def exact_errors(
 
 
 def exact_contact(spaces: Spaces, data: Data, exact: Datum) -> FacetSet:
-    """The facets of Γ_S in whose midpoints the exact u is ψ, or another value at which its law holds it (collective)."""
+    """The facets of Γ_S in whose midpoints the exact u is ψ, or a value at which another law holds it (collective)."""
     trace = exact.values(facet_quadrature(spaces.mesh, spaces.facets, 1))[:, 0]
     rounding = EXACT_CONTACT * spaces.mesh.comm.allreduce(np.abs(trace).max(initial=0.0), MPI.MAX)
     held = np.zeros(len(trace), dtype=bool)
