@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
-from random_problems import Array, Result, Wave, distance, distort, random_case, random_data
+from random_problems import Result, distance, distort, random_case, random_data
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tolerances import KKT
@@ -31,23 +31,18 @@ AGREE = 1e-6
 """Relative difference of p and σ that is left to the interior-point method where κ jumps."""
 
 
-class Level:
-    """A number plus a share of a wave, never negative if the number is not."""
-
-    def __init__(self, rng: np.random.Generator, size: float, middle: float):
-        self._wave = Wave(rng.uniform(1, 10, 3) / size, rng.uniform(0, 6))
-        self._middle, self._share = middle, rng.choice([0.0, 0.5, 1.0])
-
-    def __call__(self, x: Array) -> Array:
-        """Its values in points of shape (3, n)."""
-        return self._middle * (1 + self._share * self._wave(x))
+def random_level(rng: np.random.Generator, size: float, low: float, high: float, power: int = 0) -> str:
+    """A number between two over a power of the size, plus a share of a wave: never negative if no number is."""
+    k, a = rng.uniform(1, 10, 2) / size, rng.uniform(0, 6)
+    wave = f"sin({k[0]}*x + {k[1]}*y + {a})"
+    return f"({rng.uniform(low, high) / size**power}*(1 + {rng.choice([0.0, 0.5, 1.0])}*{wave}))"
 
 
 def random_law(rng: np.random.Generator, part: str, size: float) -> Law:
     """A law with data of order 1 on a domain of any size."""
 
-    def level(low: float, high: float, power: int = 0) -> Level:
-        return Level(rng, size, rng.uniform(low, high) / size**power)
+    def level(low: float, high: float, power: int = 0) -> str:
+        return random_level(rng, size, low, high, power)
 
     kind = rng.integers(6)
     if kind == 0:
@@ -55,14 +50,14 @@ def random_law(rng: np.random.Generator, part: str, size: float) -> Law:
     if kind == 1:
         return Friction([part], g=level(0, 2, 1))
     if kind == 2:
-        middle, width = level(-0.2, 0.2), level(0, 0.5)
-        return TwoSided([part], psi=middle, psi_upper=lambda x: middle(x) + width(x), q_S=level(-1, 1, 1))
+        psi = level(-0.2, 0.2)
+        return TwoSided([part], psi=psi, psi_upper=f"{psi} + {level(0, 0.5)}", q_S=level(-1, 1, 1))
     if kind == 3:
         return Wall([part], beta=level(0, 10 ** rng.uniform(-2, 4), 1), level=level(-0.5, 0.5))
     if kind == 4:
-        low, width = level(-1, 0.5, 1), level(0, 2, 1)
+        low = level(-1, 0.5, 1)
         k = 10 ** rng.uniform(-2, 4) / size
-        return Regulator([part], k=k, g_low=low, g_high=lambda x: low(x) + width(x), a=level(-0.2, 0.2))
+        return Regulator([part], k=k, g_low=low, g_high=f"{low} + {level(0, 2, 1)}", a=level(-0.2, 0.2))
     return random_graph(rng, part, size)
 
 

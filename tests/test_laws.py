@@ -165,6 +165,24 @@ def test_rules_walk_along_a_chain():
     np.testing.assert_array_equal(ALGORITHM_2.following(friction, p, flux, 1.0, first), [0, 0, 1, 1, 1, 1])
 
 
+def test_corners_that_coincide():
+    """Twice the same corner, and a two-sided bound without room, which is a Dirichlet condition."""
+    domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
+    f = "20*(x - 0.6)"
+    corners = [(-0.05, 0.3), (-0.05, 0.3), (0, 0.1), (0, 0.1), (0, 0.1)]
+    twice, once = (
+        solve(domain, Boundary([]), Problem(f, laws=[Corners(["bottom"], some, "vertical", 2)]))
+        for some in (corners, corners[1:3])
+    )
+    np.testing.assert_allclose(twice.sigma.x.array, once.sigma.x.array, atol=1e-12)
+    assert max(vars(twice.kkt).values()) < 1e-12
+    for algorithm in ("alg1", "alg2", "qp", "vi"):
+        closed = Problem(f, laws=[TwoSided(["bottom"], psi_upper="0.1*x", psi="0.1*x")], u_D="0.1*x")
+        found = solve(domain, Boundary([]), closed, Options(algorithm=algorithm))
+        assert max(vars(found.kkt).values()) < 1e-8
+        assert found.outcome.iterate.p == pytest.approx(0, abs=1e-10)
+
+
 def test_distance_to_a_graph():
     """Zero on it; beside a segment how far, beyond its end how far from the end, and sloped lines at their angle."""
     chain = Chains.through(np.array([[0.0, 1.0]]), np.array([[2.0, 1.0]]), np.array([np.inf]), np.array([0.0]))

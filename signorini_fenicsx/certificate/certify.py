@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -45,12 +46,22 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.law_trace import OnGammaS, law_trace
+from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
+from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
-from signorini_fenicsx.certificate.oscillation import ContactExcess, load_oscillation
+from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import Entities, Points, cell_quadrature, in_vertices, owned_cells
+from signorini_fenicsx.discrete.points import (
+    Entities,
+    Points,
+    cell_quadrature,
+    facet_type,
+    in_vertices,
+    owned_cells,
+)
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -105,7 +116,7 @@ class Certificate:
 
 
 @collector_off()
-def certify(solution: Solution) -> Certificate:
+def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
     The cost is some assembly, and up to three linear solves if the linear solver, a penalty or quadrature leaves an
@@ -113,14 +124,16 @@ def certify(solution: Solution) -> Certificate:
 
     Args:
         solution: A solution by any algorithm.
+        for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
+            method was used.
     """
     watch = Stopwatch()
     with watch.phase("certificate"):
-        certificate = _certificate(solution)
+        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def _certificate(solution: Solution) -> Certificate:
+def _certificate(solution: Solution, goal: Goal) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
@@ -128,10 +141,16 @@ def _certificate(solution: Solution) -> Certificate:
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
-    y, remainder = admissible_flux(solution, metric)
-    oscillation, excess = load_oscillation(spaces, data, metric, spaces.normal_flux(y), resolution)
-    trace = admissible_trace(solution, metric, y)
-    mismatch, contact = _twice_the_gap(spaces, data, trace, y, excess)
+    y, remainder = admissible_flux(solution, metric, goal)
+    if goal.plain:
+        excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
+        trace = admissible_trace(solution, metric, y)
+        contact = excess.gap(trace.above(excess.points), len(metric.volume))
+    else:
+        trace, contact, load = _under_laws(solution, metric, goal, y)
+        resolution.by_quadrature |= not_polynomial(goal)
+    oscillation = load_oscillation(spaces, data, metric, load, resolution)
+    mismatch = _mismatch(spaces, data, trace, y)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
     beside = resolution.near_boundary(trace, metric)
     seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
@@ -180,22 +199,30 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _twice_the_gap(
-    spaces: Spaces, data: Data, trace: Trace, y: fem.Function, excess: ContactExcess
-) -> tuple[Array, Array]:
-    """2 gap(v, y) per owned cell, in two parts: ‖κ∇v − y‖², and the term on Γ_S (collective)."""
+def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function) -> tuple[Trace, Array, FacetLoad]:
+    """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
+    spaces = solution.spaces
+    on = OnGammaS.of(solution, goal, y)
+    trace = law_trace(solution, metric, y, on)
+    points, law = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
+    found = LawGap.of(spaces, metric, points, law, trace.above(points), on.flux, on.slope(law))
+    return trace, found.per_cell(len(metric.volume)), found.load
+
+
+def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:
+    """‖κ∇v − y‖² per owned cell (collective)."""
     mesh, kappa = spaces.mesh, data.kappa
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
     parts: list[tuple[Entities, int, Callable[[Points], Array]]] = [(far, of_kappa, partial(_slope, trace.v))]
     if trace.exact is not None:
-        parts.append((trace.cells, quadrature_degree(data.u_D, data.psi, kappa), trace.exact.gradient))
+        parts.append((trace.cells, trace.degree, trace.exact.gradient))
     mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
     for cells, degree, slope in parts:
         for points in cell_quadrature(mesh, cells, degree):
             flux = points.barycentric @ fluxes[points.cells]
             mismatch[points.cells] = points.integrals(_flux_gap(slope(points), flux, kappa.values(points)))
-    return mismatch, excess.gap(trace.above(excess.points), len(mismatch))
+    return mismatch
 
 
 def _slope(v: fem.Function, points: Points) -> Array:

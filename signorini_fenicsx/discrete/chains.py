@@ -106,6 +106,15 @@ class Chains:
         at = (self.p == 0) & (self.flux == 0)
         return (before if steep else before | at).sum(axis=1).astype(np.int8)
 
+    def towards(self, present: Kinds, wanted: Kinds) -> Kinds:
+        """The next segment of each chain on the way from one to another, past such as are on the line of the first."""
+        step = np.sign(wanted - present)
+        following = present + step
+        for _ in range(self.corners - 1):
+            alike = [_chosen(values, following) == _chosen(values, present) for values in (self.slope, self.value)]
+            following = following + step * (alike[0] & alike[1] & (following != wanted))
+        return following
+
     def steepest(self) -> Kinds:
         """The steepest segment of each chain, the first of them."""
         inside = np.arange(self.corners + 1) <= self.count[:, None]

@@ -24,7 +24,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.given import Given
 from signorini_fenicsx.discrete.points import Points, in_cells, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.expressions import TREES, Tree, to_ufl, values, values_and_gradient
+from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, to_ufl, values, values_and_gradient
 
 DEGREES = 8, 30
 """Least and largest degree of a quadrature of data."""
@@ -45,6 +45,11 @@ class Datum:
         """The number that it is; None for all else."""
         is_number = isinstance(self.ufl, ufl.constantvalue.ConstantValue) and self.ufl.ufl_shape == ()
         return float(self.ufl) if is_number else None
+
+    @property
+    def is_polynomial(self) -> bool:
+        """Whether it is known to be a polynomial whose square a quadrature integrates exactly."""
+        return self.number is not None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -96,6 +101,12 @@ class _Text(Datum):
     """A tree, or a matrix of them; also a number."""
 
     trees: Tree | list[list[Tree]]
+
+    @property
+    def is_polynomial(self) -> bool:
+        """Whether it is known to be a polynomial whose square a quadrature integrates exactly."""
+        degree = None if isinstance(self.trees, list) else polynomial_degree(self.trees)
+        return self.number is not None or (degree is not None and 2 * degree <= DEGREES[1])
 
     def _values(self, points: Points) -> Array:
         x = _named(points)

@@ -75,6 +75,10 @@ class Law:
         """The graph where the data have these values."""
         raise NotImplementedError
 
+    def bounds(self) -> tuple[str | None, str | None]:
+        """The names of the data that are the least and the largest u, if the graph ends in vertical segments."""
+        return None, None
+
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """What the data must not be, in words, and where they are: a number > 0 there."""
         yield from ()
@@ -103,6 +107,10 @@ class Signorini(Law):
         """The corner is the reference."""
         corner = values["psi"], values["q_S"]
         return Graph(corner, [corner], before=np.inf)
+
+    def bounds(self) -> tuple[str | None, str | None]:
+        """The lower one is ψ."""
+        return "psi", None
 
 
 @dataclass(frozen=True)
@@ -147,6 +155,10 @@ class TwoSided(Law):
         """The reference is the lower corner."""
         lower = values["psi"], values["q_S"]
         return Graph(lower, [lower, (values["psi_upper"], values["q_S"])], np.inf, np.inf)
+
+    def bounds(self) -> tuple[str | None, str | None]:
+        """Both."""
+        return "psi", "psi_upper"
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """Bounds in the wrong order."""
@@ -246,6 +258,14 @@ class Corners(Law):
         corners = [(values[f"corners.{i}.0"], values[f"corners.{i}.1"]) for i in range(len(self.corners))]
         before, beyond = (values.get(name, np.inf) for name in ("before", "beyond"))
         return Graph(corners[0], corners, before, beyond)
+
+    def bounds(self) -> tuple[str | None, str | None]:
+        """The first and the last corner, where what lies beyond is vertical."""
+        last = len(self.corners) - 1
+        return (
+            "corners.0.0" if self.before == VERTICAL else None,
+            f"corners.{last}.0" if self.beyond == VERTICAL else None,
+        )
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """A graph that is not monotone."""

@@ -67,7 +67,7 @@ class SetRule:
             segment += passed if present.segment is None else np.where(tied, present.segment > corner, passed)
         if present is None or present.segment is None:
             return segment
-        return present.segment + np.sign(segment - present.segment)
+        return law.towards(present.segment, segment)
 
 
 @dataclass(frozen=True)
