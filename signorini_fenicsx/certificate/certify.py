@@ -23,8 +23,9 @@ so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational i
 If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
 Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-u is the solution of the Signorini problem itself, also if a penalty method was used. Its domain is the one that the
-mesh covers: a polygon or polyhedron if the boundary is curved.
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`. After a penalty
+method u is the exact solution of the penalty problem, or of the Signorini problem if one asks for that. Its domain is
+the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 """
 
 from __future__ import annotations
@@ -85,6 +86,7 @@ class Certificate:
         unresolved: Data that are not resolved, each with a place; the same on all ranks.
         coarse: Mask of the owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
+        of_penalty: Whether u is the solution of a penalty's own problem.
         v: The continuous v in P2, with interpolated u_D and ψ.
         seconds: Wall time of the certificate, the longest over all ranks.
     """
@@ -101,13 +103,15 @@ class Certificate:
     coarse: npt.NDArray[np.bool_]
     indicator: fem.Function
     v: fem.Function
+    of_penalty: bool = False
     seconds: float = 0.0
 
     def summary(self) -> dict[str, Any]:
         """All but the fields, ready for JSON."""
         unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
         lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
-        return self.numbers() | {"guaranteed": self.guaranteed} | lists
+        of = {"of_penalty": True} if self.of_penalty else {}
+        return self.numbers() | {"guaranteed": self.guaranteed} | lists | of
 
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""
@@ -188,6 +192,7 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
         coarse=resolution.coarse,
         indicator=indicator,
         v=trace.v,
+        of_penalty=goal.of_penalty,
     )
 
 
@@ -202,10 +207,11 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
 def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function) -> tuple[Trace, Array, FacetLoad]:
     """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
     spaces = solution.spaces
-    on = OnGammaS.of(solution, goal, y)
+    on = OnGammaS.of(solution, goal, metric, y)
     trace = law_trace(solution, metric, y, on)
     points, law = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
-    found = LawGap.of(spaces, metric, points, law, trace.above(points), on.flux, on.slope(law))
+    v = trace.above(points)
+    found = LawGap.of(spaces, metric, points, law, v, on.flux, on.flux_of_piece(law, v))
     return trace, found.per_cell(len(metric.volume)), found.load
 
 

@@ -45,7 +45,7 @@ from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 STIFF = 1.0
-"""A sloped segment with βh/κ above this holds v, as a vertical one does."""
+"""A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
 SAFE = 2.0
 """Factor of what ℓ needs in sampled points."""
 
@@ -61,6 +61,7 @@ class OnGammaS:
         piece: The sloped or flat segment that v is near on each facet; vertical only if no other is beside.
         flux: y·n per facet.
         level: σ·n + βp on the piece, per facet.
+        steep: The segments of each facet that hold v: vertical ones, and stiff ones, shape (facets, segments).
     """
 
     goal: Goal
@@ -69,16 +70,21 @@ class OnGammaS:
     piece: Kinds
     flux: Array
     level: Array
+    steep: Mask
 
     @classmethod
-    def of(cls, solution: Solution, goal: Goal, y: fem.Function) -> OnGammaS:
+    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
         """Those of a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
         segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
         piece = goal.pieces(segment, flux - data.q_Sh)
         rows = np.arange(len(piece))
         slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
-        return cls(goal, spaces, segment, piece, flux, law.value[rows, piece] + data.q_Sh + slope * data.psi_h)
+        level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
+        height = metric.volume[spaces.cells] / spaces.facet_measure
+        resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
+        steep = law.slope * (height * resistance)[:, None] > STIFF
+        return cls(goal, spaces, segment, piece, flux, level, steep)
 
     def in_points(self, law: Chains, values: str, segment: Kinds) -> Array:
         """β or the value of a segment of each facet, in points of the facets, shape (facets, points)."""
@@ -92,34 +98,37 @@ class OnGammaS:
         slope = self.in_points(law, "slope", self.piece)
         return np.where(np.isinf(slope), 0.0, slope)
 
-    def held(self, nodes: Chains, metric: CellMetric) -> tuple[Array, Mask, Mask]:
+    def flux_of_piece(self, law: Chains, v: Array) -> tuple[Array, Array]:
+        """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is vertical."""
+        vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.segment)), self.segment])[:, None]
+        slope = np.where(vertical, 0.0, self.slope(law))
+        return slope, np.where(vertical, 0.0, self.in_points(law, "value", self.piece) - slope * v)
+
+    def held(self, nodes: Chains) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
+        rows = np.arange(len(self.segment))
         slope, value = (self.in_points(nodes, name, self.segment) for name in ("slope", "value"))
-        vertical = np.isinf(slope).all(axis=1)
-        steep = np.where(vertical[:, None], 1.0, slope)
-        height = metric.volume[self.spaces.cells] / self.spaces.facet_measure
-        kappa = 1 / np.trace(metric.inverse, axis1=1, axis2=2)[self.spaces.cells] * metric.inverse.shape[1]
-        stiff = ~vertical & (steep.min(axis=1, initial=np.inf) * height > STIFF * kappa)
-        on_line = np.divide(value - self.flux[:, None], steep, out=np.zeros_like(value), where=steep > 0)
+        vertical = np.isinf(self.goal.chains.slope[rows, self.segment])
+        sloped = np.isfinite(slope) & (slope > 0)
+        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
+        stiff = self.steep[rows, self.segment] & ~vertical & sloped.all(axis=1)
         return np.where(vertical[:, None], value, on_line), vertical, stiff
 
     def ends(self, nodes: Chains) -> tuple[Array, Array, Array, Array]:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
-            The least and the largest u that the law allows, and those of the piece where a vertical segment is beside.
+            The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
         """
         shape = len(self.piece), len(nodes.p) // max(len(self.piece), 1)
         low, high = (end.reshape(shape) for end in nodes.extent()[:2])
         rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece.astype(np.int64)
-        vertical = np.hstack(
-            [np.zeros((len(rows), 1), dtype=bool), np.isinf(law.slope), np.zeros((len(rows), 1), dtype=bool)]
-        )
-        left, right = vertical[rows, piece], vertical[rows, piece + 2]
+        steep = np.pad(self.steep, ((0, 0), (1, 1)))
+        left, right = steep[rows, piece], steep[rows, piece + 2]
         corner = nodes.p.reshape(*shape, -1)
         begin = corner[rows, :, np.maximum(piece - 1, 0)]
         end = corner[rows, :, np.minimum(piece, law.corners - 1)]
-        only = vertical[rows, piece + 1]  # no other segment is beside
+        only = np.isinf(law.slope[rows, piece])  # no other segment is beside
         value = self.in_points(nodes, "value", self.piece)
         begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
         soft_low = np.where((left | only)[:, None], begin, -np.inf)
@@ -149,22 +158,18 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     _, at_nodes = goal.at(spaces, quadratic_nodes(facet))
-    values, vertical, stiff = on.held(at_nodes, metric)
+    values, vertical, stiff = on.held(at_nodes)
     for some in (stiff, vertical):
         _set_means(v, nodes[some], values[some])
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
-    low, high, soft_low, soft_high = (_coefficients(end, facet) for end in on.ends(at_nodes))
+    ends = on.ends(at_nodes)
+    feasible = _allows(v, nodes, ends[:2], on_dirichlet)
+    (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
     hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
     soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
-    largest = mesh.comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
-    allowed = (hard[0] <= hard[1] + 1e-12 * largest).all()
-    at_wall = v.x.array[on_dirichlet]
-    allowed &= (at_wall >= hard[0][on_dirichlet] - 1e-12 * largest).all()
-    allowed &= (at_wall <= hard[1][on_dirichlet] + 1e-12 * largest).all()
-    feasible = mesh.comm.allreduce(bool(allowed), MPI.LAND)
     box = Box.of(hard, soft, on_dirichlet)
     box.project(v.x.array)
     points, law = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
@@ -175,6 +180,16 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     load = np.asarray(excess.x.array, dtype=np.float64)
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
     return _with_exact_data(on, data, v, u_D, feasible=feasible)
+
+
+def _allows(v: fem.Function, nodes: Indices, ends: tuple[Array, Array], on_dirichlet: Indices) -> bool:
+    """Whether the laws leave room for a continuous v that is u_D on Γ_D, in the nodes (collective)."""
+    comm = v.function_space.mesh.comm
+    low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
+    rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
+    at_wall = v.x.array[on_dirichlet]
+    within = (low[on_dirichlet] <= at_wall + rounding) & (at_wall <= high[on_dirichlet] + rounding)
+    return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
 
 
 def _edges_of_facet(points: FacetPoints) -> list[list[int]]:

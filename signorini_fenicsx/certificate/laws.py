@@ -11,8 +11,8 @@ infinite where v or η is outside of what the graph allows. On a segment of the 
 *η.* Where the data of a law vary within a facet, y·n is not in the range [s_lo, s_hi] of the graph in all points, and
 on a sloped segment s(v) varies with v. Let η have y·n as its mean on each facet. Then r = η − y·n is a load like f −
 f_h, see `oscillation`: for the problem with −σ·n ∈ ∂φ(u) + r on Γ_S, y and v have the gap above, and the solution of
-this problem differs from u by at most osc. With b = −θβv on sloped segments and b = 0 on others, and c such that the
-mean is y·n,
+this problem differs from u by at most osc. With b = θs(v), but b = 0 on facets of vertical segments, and c such that
+the mean is y·n,
 
     η = b + c, but at least s_lo and at most s_hi.
 
@@ -63,11 +63,13 @@ class Goal:
         parts: Each law and where it holds.
         chains: The law of each facet by means, measured from `Data.psi_h` and `Data.q_Sh`.
         plain: Whether that is the Signorini problem of ψ and q_S.
+        of_penalty: Whether that is the problem of a penalty.
     """
 
     parts: tuple[PartLaw, ...]
     chains: Chains
     plain: bool
+    of_penalty: bool = False
 
     @classmethod
     def of(cls, solution: Solution, *, for_signorini: bool) -> Goal:
@@ -77,7 +79,7 @@ class Goal:
             return cls(laws.of_parts, laws.chains, plain=not laws.listed)
         slopes = penalty.slopes(solution.options.eps)
         parts = tuple(replace(part, law=Penalised(part.law.parts, 0.0, 0.0, *slopes)) for part in laws.of_parts)
-        return cls(parts, solution.law, plain=False)
+        return cls(parts, solution.law, plain=False, of_penalty=True)
 
     def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> tuple[FacetPoints, Chains]:
         """Points in all facets of Γ_S and the law in each, measured from u = 0 and σ·n = 0 (collective)."""
@@ -183,7 +185,7 @@ class LawGap:
         law: Chains,
         v: Array,
         flux: Array,
-        following: Array,
+        piece: tuple[Array, Array],
     ) -> LawGap:
         """Choose η.
 
@@ -194,13 +196,14 @@ class LawGap:
             law: The law in these points.
             v: v there, shape (facets, points).
             flux: y·n per facet.
-            following: β of the segment near which v is, in the points; 0 on flat ones.
+            piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
         """
         shape = points.shape
         constant = facet_constants(metric, points.cells, spaces.facet_measure)
-        theta = 1 / (1 + following.mean(axis=1) * constant**2)
+        slope, wanted = piece
+        theta = 1 / (1 + slope.mean(axis=1) * constant**2)
         low, high = (end.reshape(shape) for end in law.extent()[2:])
-        eta = with_mean(-theta[:, None] * following * v, low, high, flux, points.weights)
+        eta = with_mean(theta[:, None] * wanted, low, high, flux, points.weights)
         density = gap(law, v.ravel(), eta.ravel()).reshape(shape)
         return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(shape[0])))
 

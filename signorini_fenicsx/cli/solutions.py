@@ -18,6 +18,7 @@ from signorini_fenicsx.cli.options import (
     BackendName,
     CaseName,
     Epsilon,
+    ForSignorini,
     Html,
     Json,
     MeshSize,
@@ -51,6 +52,7 @@ def solve(
     rigorous: Annotated[
         bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
     ] = False,
+    for_signorini: ForSignorini = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -73,6 +75,11 @@ def solve(
     from signorini_fenicsx.output.writing import write_solution
     from signorini_fenicsx.rigorous.proof import check_size, proof_of
 
+    def check_provable(case: "Case") -> None:
+        check_size(rough_cells(case))
+        if case.law:
+            raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
+
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
 
     def on_step(row: "Step") -> None:
@@ -82,7 +89,7 @@ def solve(
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = chosen_case(comm, case, settings, **options, predict=None if predict else False)
     if rigorous:
-        on_root(comm, lambda: check_size(rough_cells(problem)))
+        on_root(comm, lambda: check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.heading(problem, comm)
         report.columns(problem)
@@ -90,7 +97,7 @@ def solve(
             start = None if start_from is None else load_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
-        certificate = certify(solution)
+        certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = proof_of(solution, certificate.v) if rigorous else None
         write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
         folder.publish()
@@ -199,6 +206,7 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "Case":
 
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
+    for_signorini: ForSignorini = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -219,7 +227,7 @@ def export(
     solution = load_solution(results, comm)
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
-        certificate = certify(solution) if solution.converged else None
+        certificate = certify(solution, for_signorini=for_signorini) if solution.converged else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=folder.target == Path(os.path.realpath(results)))
         report.results(folder.target)
