@@ -53,6 +53,7 @@ RUN uv sync --no-editable
 COPY scripts scripts
 COPY tests tests
 COPY docs docs
+COPY CONTRIBUTING.md ./
 RUN chown -R 1000:1000 /src
 USER 1000:1000
 ENTRYPOINT ["pytest"]

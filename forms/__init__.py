@@ -5,6 +5,7 @@
 - :mod:`signorini_fenicsx.forms.crouzeix_raviart`: the facet problem with the same solution, and the way back.
 - :mod:`signorini_fenicsx.forms.certificate`: the gap identity, for a guaranteed error bound.
 - :mod:`signorini_fenicsx.forms.primal`: the formulations in conforming P1 that the classical algorithms solve.
+- :mod:`signorini_fenicsx.forms.elasticity`: elastic contact: the hybrid form, the gap identity with proof.
 - :mod:`signorini_fenicsx.forms.norms`: the norms of V, Q and Λ.
 
 The folder stands at the top of the repository; the package holds a link to it and is installed with it.

@@ -348,9 +348,10 @@ def _section(name: str, item: dict[str, Any], shown: str, runs: list[KeptRun]) -
     label = name.replace("table", "Table ").replace("figure", "Figure ")
     caption = item["caption"] + (f" {settings(runs)}." if runs else "")
     seconds = sum(run.seconds for run in runs)
+    count = f"{len(item['runs'])} run" + "s" * (len(item["runs"]) != 1)
     return (
         f'<section id="{name}"><h2>{label}</h2>{shown}<p class="caption"><b>{label}.</b> {as_html(caption)}</p>'
-        f"<p><code>{html.escape(item['command'])}</code> · {len(item['runs'])} runs, {seconds:.0f} s of one rank</p>"
+        f"<p><code>{html.escape(item['command'])}</code> · {count}, {seconds:.0f} s of one rank</p>"
         "</section>"
     )
 

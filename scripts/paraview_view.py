@@ -11,8 +11,8 @@ from pathlib import Path
 
 from paraview import simple
 
-CONTACT = {"0": "sigma.n = 0", "1": "p = 0", "2": "Robin"}
-"""Values of `condition`: in contact are p = 0 (Algorithms 1, 2, 4) and Robin (Algorithm 3)."""
+CONTACT = {"0": "sigma.n = 0", "1": "p = 0", "2": "penalty"}
+"""Values of `condition`: in contact are p = 0 (Algorithms 1, 2, 4) and penalty (Algorithm 3)."""
 
 
 def show(folder: str | Path) -> None:

@@ -12,10 +12,16 @@ Solving it:
 
 - `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
   values at points, fluxes through parts, `plot`, `write`;
+- `Solver(domain, boundary)` is set up once and solves one problem after another on its mesh, several times faster;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
 - `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.
+
+Elastic contact:
+
+- `ElasticBoundary` and `ElasticProblem` say what is given; `solve_elastic` gives an `ElasticSolution`;
+- `certify_elastic` bounds its error, `write_elastic` writes its files.
 
 Algorithms and backends, and how to replace them:
 
@@ -44,6 +50,9 @@ __all__ = [
     "Corners",
     "Data",
     "Domain",
+    "ElasticBoundary",
+    "ElasticProblem",
+    "ElasticSolution",
     "FacetBackend",
     "Friction",
     "Graph",
@@ -61,6 +70,7 @@ __all__ = [
     "Signorini",
     "SiteConditions",
     "Solution",
+    "Solver",
     "Spaces",
     "Step",
     "Task",
@@ -70,6 +80,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "certify_elastic",
     "collect_garbage",
     "compare",
     "domain_of",
@@ -77,6 +88,8 @@ __all__ = [
     "load_solution",
     "solve",
     "solve_case",
+    "solve_elastic",
+    "write_elastic",
     "write_solution",
 ]
 

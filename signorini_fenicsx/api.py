@@ -19,7 +19,7 @@ case file, UFL on the mesh, functions of a finite element space or of points, se
 >>> certify(solution).relative < 0.3
 True
 
-Other laws on the boundary are objects; their parts are not listed in `Boundary`:
+Other laws on the boundary are objects; their parts need not be listed in `Boundary`:
 
 >>> sliding = Problem(f=40 * (x[0] - 0.6), laws=[Friction(["right"], g="0.2*y"), Wall(["bottom"], beta=2)])
 >>> {part: list(segments) for part, segments in solve(domain, Boundary([]), sliding).segments_of_parts().items()}
@@ -57,6 +57,17 @@ True
 Your own discretisation is a `Backend`: an object that solves one linear problem under given conditions on its sites.
 With `FacetBackend` it needs `name`, `dofs`, `solver` and `solve`. Your own method is a `Method`, whose `run` gets a
 `Task` and returns an `Outcome`. All of them are options: `Options(algorithm=…, backend=…)`.
+
+Elastic contact has a problem and a boundary of its own. Here a block that is 0.1 above a foundation is pressed onto it:
+
+>>> parts |= {"top": dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 1))}
+>>> held = ElasticBoundary(contact=["bottom"], neumann=["right"])
+>>> pressed = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1)
+>>> body = solve_elastic(domain_of(mesh, parts), held, pressed)
+>>> body.converged, body.norms()["contact_force"] > 0
+(True, True)
+>>> certify_elastic(body).relative < 0.3
+True
 """
 
 from signorini_fenicsx.backends.contract import Backend, Iterate
@@ -67,9 +78,11 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.laws import (
     Corners,
     Friction,
@@ -89,10 +102,13 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.elastic import write_elastic
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.solver import Solver, solve
 
 __all__ = [
     "METHODS",
@@ -102,6 +118,9 @@ __all__ = [
     "Corners",
     "Data",
     "Domain",
+    "ElasticBoundary",
+    "ElasticProblem",
+    "ElasticSolution",
     "FacetBackend",
     "Friction",
     "Graph",
@@ -119,6 +138,7 @@ __all__ = [
     "Signorini",
     "SiteConditions",
     "Solution",
+    "Solver",
     "Spaces",
     "Step",
     "Task",
@@ -127,6 +147,7 @@ __all__ = [
     "adapt",
     "adapt_case",
     "certify",
+    "certify_elastic",
     "collect_garbage",
     "compare",
     "domain_of",
@@ -134,5 +155,7 @@ __all__ = [
     "load_solution",
     "solve",
     "solve_case",
+    "solve_elastic",
+    "write_elastic",
     "write_solution",
 ]

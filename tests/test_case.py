@@ -7,6 +7,7 @@ import pytest
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.elastic_case import load_any_case
 
 GOOD = """
 title = "Good"
@@ -25,9 +26,11 @@ h = "1/8"
 def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
-    assert case_names() == sorted([*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "lprism"])
+    assert case_names() == sorted(
+        [*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
+    )
     for name in case_names():
-        assert load_case(name).name == name
+        assert load_any_case(name).name == name
 
 
 def test_good_case(tmp_path: Path):

@@ -135,14 +135,14 @@ def test_a_reader_that_goes_away(tmp_path: Path):
 FILLING = """
 import os
 from signorini_fenicsx.cli import main as cli
-from signorini_fenicsx.output import writing as output
+from signorini_fenicsx.output import field_files as output
 
 def fill(folder, sizes):
     room = os.statvfs("disk")
     with open("disk/others", "wb") as file:
         file.write(bytes(room.f_bavail * room.f_frsize - 60000))
 
-output._check_room = fill
+output.check_room = fill
 cli.main()
 """
 A_SMALL_DISK = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=1500k none disk && "$0" "$@"')
@@ -168,8 +168,8 @@ def test_a_full_disk_keeps_the_state(tmp_path: Path, checked: bool):
     script.write_text(
         "import resource\n"
         "from signorini_fenicsx.cli import main as cli\n"
-        "from signorini_fenicsx.output import writing as output\n"
-        + ("" if checked else "output._check_room = lambda *arguments: None\n")
+        "from signorini_fenicsx.output import field_files as output\n"
+        + ("" if checked else "output.check_room = lambda *arguments: None\n")
         + "resource.setrlimit(resource.RLIMIT_FSIZE, (150000, 150000))\n"
         "cli.main()\n"
     )

@@ -96,6 +96,19 @@ def test_readme_is_short_and_its_links_lead_somewhere():
     assert [link for link in re.findall(r"\]\((docs/[^)]+)\)", readme) if not (ROOT / link).is_file()] == []
 
 
+def test_the_paper_cites_what_it_lists():
+    """And the links of CONTRIBUTING.md lead somewhere."""
+    cited = set(re.findall(r"@(\w+)", (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")))
+    entries = re.findall(r"@\w+\{(\w+),", (ROOT / "docs" / "paper.bib").read_text(encoding="utf-8"))
+    assert sorted(entries) == sorted(cited)
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    links = re.findall(r"\]\((?!http)([^)#]+)(?:#([^)]+))?\)", contributing)
+    for path, anchor in links:
+        text = (ROOT / path).read_text(encoding="utf-8")
+        titles = [title.lower().replace("'", "").replace(" ", "-") for title in re.findall(r"(?m)^#+ (.*)$", text)]
+        assert not anchor or anchor in titles, anchor
+
+
 @pytest.mark.parametrize(
     ("file", "text", "found"),
     [

@@ -21,7 +21,7 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
     gather_marks,
 )
-from signorini_fenicsx.output.pictures import scene_of, style, traces
+from signorini_fenicsx.output.pictures import overview, scene_of, style, traces
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.streams import on_grid
@@ -84,6 +84,22 @@ def test_space(tmp_path: Path):
     results, said = draw(tmp_path, "cube", "--h", "0.5")
     assert said == ["0", "True", "True", "True"]
     assert_drawn(results)
+
+
+@pytest.mark.parallel([1])
+@pytest.mark.parametrize("name", ["dam", "example1"])
+def test_nothing_overlaps_in_an_overview(name: str):
+    """Panels with their labels, the title and the legend each have a place of their own, within the figure."""
+    figure = overview(scene(name, **({} if name == "dam" else {"h": 0.25})))
+    panels = [axes.get_tightbbox() for axes in figure.axes]
+    everything = [*panels, figure.legends[0].get_window_extent(), figure._suptitle.get_window_extent()]
+    assert len(figure.legends[0].get_texts()) > 9
+    for number, box in enumerate(everything):
+        assert box.x0 >= 0
+        assert box.y0 >= 0
+        assert box.x1 <= figure.bbox.x1
+        assert box.y1 <= figure.bbox.y1
+        assert not [other for other in everything[:number] if box.overlaps(other)]
 
 
 @pytest.mark.parallel([1])

@@ -117,6 +117,7 @@ def test_it_shows_and_writes_itself(folder: Path):
     figure, page = solution.plot(), solution._repr_html_()
     if COMM.rank == 0:
         assert figure.axes[0].get_title() == "(a) $u_h$"
+        assert figure._repr_png_()[1:4] == b"PNG"
         assert "algorithm" in page
         assert "src='data:image/png;base64,iVBOR" in page
         assert len(page) < 400_000

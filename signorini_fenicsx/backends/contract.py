@@ -6,7 +6,7 @@ facets of Γ_S: a new one adds its name, its number of unknowns, `solver` and `s
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from dolfinx import fem
 from mpi4py import MPI
@@ -91,7 +91,6 @@ class Backend[I: Pairs](Protocol):
         noun: What a site is called, in the singular and in the plural.
         comm: Communicator.
         sites: Number of sites of this rank.
-        chains: The law of each site.
         dofs: Unknowns of the linear system, over all ranks.
     """
 
@@ -99,8 +98,12 @@ class Backend[I: Pairs](Protocol):
     noun: tuple[str, str]
     comm: MPI.Comm
     sites: int
-    chains: Chains
     dofs: int
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site."""
+        ...
 
     @property
     def inexact(self) -> Inexact | None:
@@ -150,6 +153,15 @@ class Backend[I: Pairs](Protocol):
 
     def in_mixed_spaces(self, iterate: I, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """σ_h, u_h, p_h and facet conditions that belong to an iterate and its conditions (collective)."""
+        ...
+
+
+@runtime_checkable
+class Renewable[I: Pairs](Backend[I], Protocol):
+    """A backend that is set up once and then takes the data of one problem after another on its mesh."""
+
+    def renew(self, data: Data) -> bool:
+        """Go on with other data, with the results of a new backend; False if a new one is needed (collective)."""
         ...
 
 

@@ -3,9 +3,11 @@
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
+from ufl import Form
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -13,7 +15,8 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
+from signorini_fenicsx.discrete.kept_forms import Coefficient
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
 from signorini_fenicsx.forms.mixed import load, trace_term
 
@@ -43,31 +46,41 @@ class FacetSystem:
             data: The data and their means over cells and facets.
             tuning: Has the size from which it is large.
         """
-        self.spaces, self._data = spaces, data
-        self.space = data.u_lift.function_space
+        self.spaces = spaces
+        self.space = spaces.crouzeix_raviart
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
+        self._operator = ConstrainedMatrix(spaces.kept(_stiffness, data.kappa_h), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
-        given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-        self._load = fem.assemble_vector(
-            fem.form(load(data.f_h, v, ufl.dx) + given_flux - stiffness(data.u_lift, v, ufl.dx, data.kappa_h))
-        )
-        self._load.scatter_reverse(la.InsertMode.add)
+        self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)
+        self._flux = fem.Function(spaces.V)  # only this one is interpolated: DOLFINx makes a cycle with it each time
+        self._take(data)
+
+    def _take(self, data: Data) -> None:
+        """Assemble the right side (collective)."""
+        self._data = data
+        self._load = assembled(self.spaces.kept(_load, data.kappa_h, data.f_h, data.sigma_lift, data.u_lift))
         self.x.set(0.0)
-        self._recovery = _Recovery(spaces, data)
+
+    def renew(self, data: Data) -> None:
+        """Go on with other data; the matrix and its factorisation stay if κ does (collective)."""
+        if not data.same_conductivity(self._data, self.spaces):
+            self._operator.renew(self.spaces.kept(_stiffness, data.kappa_h))
+            self._imposed = None
+        self._take(data)
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
         zero_trace, robin = conditions.kind == Condition.ZERO_TRACE, conditions.kind == Condition.ROBIN
         essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
         added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
-        self._operator.impose(essential, self.trace_dofs[robin], added)
-        self.b.array_w[:] = self._load.array[: self.b.getLocalSize()]
+        if not conditions.same(self._imposed, self.spaces.mesh.comm):
+            self._operator.impose(essential, self.trace_dofs[robin], added)
+            self._imposed = conditions
+        self.b.array_w[:] = self._load[: self.b.getLocalSize()]
         if conditions.has_values:
             self._add_values(conditions, zero_trace)
         given = np.zeros(len(essential))
@@ -92,7 +105,12 @@ class FacetSystem:
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
         spaces = self.spaces
-        sigma, u = self._recovery.fields(self.x)
+        sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
+        recovery = self._recovery(self.x)
+        self._flux.interpolate(spaces.kept_expression(_recovered_flux, spaces.V, *recovery))
+        sigma.x.array[:] = self._flux.x.array
+        sigma.x.scatter_forward()
+        u.x.array[:] = assembled(spaces.kept(_recovered_scalar, *recovery)) / spaces.cell_measures
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
         p, flux = conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.conductance)
         sigma.x.array[spaces.flux_dofs] = (flux + self._data.q_Sh) * spaces.facet_measure / spaces.basis_flux
@@ -102,43 +120,37 @@ class FacetSystem:
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """Trace and flux per Γ_S facet as `recover` gives them, for an x that need not be a solution (collective)."""
-        flux = self._recovery.normal_flux(x) - self._data.q_Sh
+        recovered = self.spaces.kept_expression(_recovered_flux, self.spaces.V, *self._recovery(x))
+        self._flux.interpolate(recovered, cells0=self.spaces.cells)  # the cells behind Γ_S alone
+        flux = self.spaces.normal_flux(self._flux) - self._data.q_Sh
         return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.conductance)
 
-
-class _Recovery:
-    """σ_h and u_h from u_CR, with the forms compiled once."""
-
-    def __init__(self, spaces: Spaces, data: Data):
-        self._spaces = spaces
-        mesh, f_h, kappa = spaces.mesh, data.f_h, data.kappa_h
-        self._lift = data.u_lift
-        self._u_cr, self._at_contact = fem.Function(data.u_lift.function_space), fem.Function(spaces.V)
-        x = ufl.SpatialCoordinate(mesh)
-        centroid = spaces.centroids
-        flux = recovered_flux(self._u_cr, f_h, centroid, x, kappa)
-        self._flux = fem.Expression(flux, spaces.V.element.interpolation_points)
-        scalar = recovered_scalar(self._u_cr, f_h, centroid, x, kappa)
-        self._scalar = fem.form(scalar * ufl.TestFunction(spaces.Q) * ufl.dx)
-        self._measures = spaces.cell_measures
-
-    def fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
-        """σ_h and u_h. A facet between two cells gets the flux of one of them; both agree up to the linear residual."""
-        self._set(x)
-        sigma, u = fem.Function(self._spaces.V, name="sigma"), fem.Function(self._spaces.Q, name="u")
-        sigma.interpolate(self._flux)
-        sigma.x.scatter_forward()
-        u.x.array[:] = fem.assemble_vector(self._scalar).array / self._measures
-        return sigma, u
-
-    def normal_flux(self, x: PETSc.Vec) -> Array:
-        """σ_h·n per Γ_S facet, from the cells behind these facets alone."""
-        self._set(x)
-        self._at_contact.interpolate(self._flux, cells0=self._spaces.cells)
-        return self._spaces.normal_flux(self._at_contact)
-
-    def _set(self, x: PETSc.Vec) -> None:
+    def _recovery(self, x: PETSc.Vec) -> tuple[Coefficient, ...]:
+        """κ_h, f_h, u_CR and the centroids, from which σ_h and u_h are recovered (collective)."""
         owned: Array = x.array_r
-        self._u_cr.x.array[: len(owned)] = owned
-        self._u_cr.x.scatter_forward()
-        self._u_cr.x.array[:] += self._lift.x.array
+        u_cr = fem.Function(self.space)
+        u_cr.x.array[: len(owned)] = owned
+        u_cr.x.scatter_forward()
+        u_cr.x.array[:] += self._data.u_lift.x.array
+        return self._data.kappa_h, self._data.f_h, u_cr, self.spaces.centroids
+
+
+def _stiffness(spaces: Spaces, kappa: Expr) -> Form:
+    space = spaces.crouzeix_raviart
+    return stiffness(ufl.TrialFunction(space), ufl.TestFunction(space), ufl.dx, kappa)
+
+
+def _load(spaces: Spaces, kappa: Expr, f_h: Expr, sigma_lift: Expr, u_lift: Expr) -> Form:
+    v = ufl.TestFunction(spaces.crouzeix_raviart)
+    given_flux = trace_term(v, sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
+    return load(f_h, v, ufl.dx) + given_flux - stiffness(u_lift, v, ufl.dx, kappa)
+
+
+def _recovered_flux(spaces: Spaces, kappa: Expr, f_h: Expr, u_cr: Expr, centroid: Expr) -> Expr:
+    """On a facet between two cells the fluxes of both agree up to the linear residual."""
+    return recovered_flux(u_cr, f_h, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
+
+
+def _recovered_scalar(spaces: Spaces, kappa: Expr, f_h: Expr, u_cr: Expr, centroid: Expr) -> Form:
+    u = recovered_scalar(u_cr, f_h, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
+    return u * ufl.TestFunction(spaces.Q) * ufl.dx

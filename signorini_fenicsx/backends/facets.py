@@ -7,14 +7,17 @@ from functools import cached_property
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
+from ufl import Form
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.forms.norms import l2, v_norm
 
@@ -22,10 +25,10 @@ from signorini_fenicsx.forms.norms import l2, v_norm
 class FieldChange:
     """‖σ − σ'‖_V and ‖u − u'‖_Q, with the forms compiled once."""
 
-    def __init__(self, spaces: Spaces):
-        """Compile (collective)."""
-        self._comm = spaces.mesh.comm
-        self._sigma, self._u = fem.Function(spaces.V), fem.Function(spaces.Q)
+    def __init__(self, V: fem.FunctionSpace, Q: fem.FunctionSpace):
+        """Compile for σ in V and u in Q (collective)."""
+        self._comm = Q.mesh.comm
+        self._sigma, self._u = fem.Function(V), fem.Function(Q)
         self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
 
     def __call__(self, iterate: Iterate, before: Iterate) -> tuple[float, float]:
@@ -55,7 +58,11 @@ class FacetBackend(ABC):
         self.spaces, self.data = spaces, data
         self.comm: MPI.Comm = spaces.mesh.comm
         self.sites = len(spaces.facets)
-        self.chains = data.laws.chains
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each facet."""
+        return self.data.laws.chains
 
     @property
     def inexact(self) -> Inexact | None:
@@ -73,7 +80,7 @@ class FacetBackend(ABC):
     @cached_property
     def change(self) -> FieldChange:
         """Norms of what changed, see `Backend.change`."""
-        return FieldChange(self.spaces)
+        return FieldChange(self.spaces.V, self.spaces.Q)
 
     def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
         """The iterate with σ·n = q_S on some facets, and the trace that belongs to it by (37) (collective).
@@ -82,21 +89,14 @@ class FacetBackend(ABC):
         τ_h is the basis function of that Γ_S facet.
         """
         spaces = self.spaces
-        change, moved_by = self._trace_of_flux
-        change.x.array[:] = 0.0
+        change = fem.Function(spaces.V)
         added = -iterate.flux * spaces.facet_measure / spaces.basis_flux
         change.x.array[spaces.flux_dofs[where]] = added[where]
         sigma = iterate.sigma.copy()
         sigma.x.array[:] += change.x.array
-        moved = fem.assemble_vector(moved_by)
-        moved.scatter_reverse(la.InsertMode.add)
-        p = iterate.p + moved.array[spaces.flux_dofs] / spaces.basis_flux
+        moved = assembled(spaces.kept(_trace_of_flux, self.data.kappa_h, change))
+        p = iterate.p + moved[spaces.flux_dofs] / spaces.basis_flux
         return replace(iterate, sigma=sigma, p=p, flux=np.where(where, 0.0, iterate.flux))
-
-    @cached_property
-    def _trace_of_flux(self) -> tuple[fem.Function, fem.Form]:
-        change = fem.Function(self.spaces.V)
-        return change, fem.form(flux_product(change, ufl.TestFunction(self.spaces.V), ufl.dx, self.data.kappa_h))
 
     def scales(self, iterate: Iterate) -> tuple[Array, Array]:
         """Sizes of p and σ·n per facet (collective).
@@ -127,3 +127,7 @@ class FacetBackend(ABC):
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """Both unchanged: they are in the mixed spaces already."""
         return iterate, conditions
+
+
+def _trace_of_flux(spaces: Spaces, kappa: Expr, sigma: Expr) -> Form:
+    return flux_product(sigma, ufl.TestFunction(spaces.V), ufl.dx, kappa)

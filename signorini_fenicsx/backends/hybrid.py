@@ -60,10 +60,22 @@ class HybridBackend(FacetBackend):
         self._early_stop = _EarlyStop()
         if self.inexact is not None:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
-        elif self._ksp.getPC().getType() in ("cholesky", "lu"):
-            self.precise = partial(MixedBackend, spaces, data)
         self._applied: SiteConditions | None = None
         self._iterations = 0
+        self._offer_precise()
+
+    def renew(self, data: Data) -> bool:
+        """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ (collective)."""
+        if self.inexact is not None and not data.same_conductivity(self.data, self.spaces):
+            return False
+        self._system.renew(data)
+        self.data, self._applied = data, None
+        self._offer_precise()
+        return True
+
+    def _offer_precise(self) -> None:
+        if self.inexact is None and self._ksp.getPC().getType() in ("cholesky", "lu"):
+            self.precise = partial(MixedBackend, self.spaces, self.data)
 
     @property
     def inexact(self) -> Inexact | None:
@@ -133,7 +145,7 @@ class HybridBackend(FacetBackend):
         ksp, pc = self._ksp, self._ksp.getPC()
         if multigrid:
             ksp.setType("cg")
-            ksp.setTolerances(rtol=LINEAR)
+            ksp.setTolerances(rtol=LINEAR / 10)  # LINEAR often costs the certificate one more solve
             ksp.setInitialGuessNonzero(True)
             pc.setType("mg")
         else:

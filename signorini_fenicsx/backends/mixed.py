@@ -5,6 +5,8 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
+from ufl import Form
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
@@ -13,6 +15,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.kept_forms import Coefficient
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 
@@ -49,15 +52,30 @@ class MixedBackend(FacetBackend):
         super().__init__(spaces, data)
         V, Q = spaces.V, spaces.Q
         self._stabilisation = stabilisation
-        self._system = _matrix(spaces, data, stabilisation)
+        W = [V, Q]
+        self._system = ConstrainedMatrix(spaces.kept(_saddle_point, *self._coefficients()), PETSc.Mat.Option.SYMMETRIC)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
         self._cells = spaces.cell_measures[: Q.dofmap.index_map.size_local]
         self._load = self._right_side()
         self.before = fem.Function(Q)
-        self._b, self._x, self._residual = (create_vector([V, Q]) for _ in range(3))
+        self._b, self._x, self._residual = (create_vector(W) for _ in range(3))
         self._solver = direct_solver(self._system.matrix, "lu", "mixed_")
         self._imposed: SiteConditions | None = None
+
+    def renew(self, data: Data) -> bool:
+        """Go on with other data, see `Renewable` (collective)."""
+        same = data.same_conductivity(self.data, self.spaces)
+        self.data = data
+        if not same:
+            self._system.renew(self.spaces.kept(_saddle_point, *self._coefficients()))
+            self._imposed = None
+        self._load = self._right_side()
+        self.before.x.array[:] = 0.0
+        return True
+
+    def _coefficients(self) -> tuple[Coefficient, Coefficient]:
+        return self.data.kappa_h, fem.Constant(self.spaces.mesh, self._stabilisation)
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -135,15 +153,13 @@ class MixedBackend(FacetBackend):
     def _right_side(self) -> Array:
         """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""
         spaces, data, size = self.spaces, self.data, self._flux_size
-        tau, v = ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
         lift, right = (create_vector([spaces.V, spaces.Q]) for _ in range(2))
         lift.set(0.0)
         lift.array_w[:size] = data.sigma_lift.x.array[:size]
         self._system.natural.mult(lift, right)
         right.scale(-1.0)
-        traces = trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
-        right.array_w[:size] += assembled(traces)[:size]
-        right.array_w[size:] -= assembled(load(data.f_h, v, ufl.dx))  # no ghost cells
+        right.array_w[:size] += assembled(spaces.kept(_traces, data.u_lift))[:size]
+        right.array_w[size:] -= assembled(spaces.kept(_load, data.f_h))  # no ghost cells
         return right.array_r.copy()
 
     def _fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
@@ -155,11 +171,19 @@ class MixedBackend(FacetBackend):
         return sigma, u
 
 
-def _matrix(spaces: Spaces, data: Data, stabilisation: float) -> ConstrainedMatrix:
-    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −ε(u, v)] (collective)."""
+def _saddle_point(spaces: Spaces, kappa: Expr, stabilisation: Expr) -> list[list[Form]]:
+    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −ε(u, v)]."""
     W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
     (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
-    block = fem.Constant(spaces.mesh, -stabilisation) * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
-    saddle_point = flux_equation(sigma, u, tau, ufl.dx, data.kappa_h) + mass_balance(sigma, v, ufl.dx)  # (11b), (11c)
-    blocks = ufl.extract_blocks(saddle_point + block)
-    return ConstrainedMatrix(fem.form(blocks), PETSc.Mat.Option.SYMMETRIC)
+    block = -stabilisation * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
+    blocks = flux_equation(sigma, u, tau, ufl.dx, kappa) + mass_balance(sigma, v, ufl.dx) + block  # (11b), (11c)
+    extracted: list[list[Form]] = ufl.extract_blocks(blocks)
+    return extracted
+
+
+def _traces(spaces: Spaces, u_lift: Expr) -> Form:
+    return trace_term(u_lift, ufl.TestFunction(spaces.V), spaces.n, spaces.ds_dirichlet + spaces.ds)
+
+
+def _load(spaces: Spaces, f_h: Expr) -> Form:
+    return load(f_h, ufl.TestFunction(spaces.Q), ufl.dx)

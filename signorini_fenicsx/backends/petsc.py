@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 
 MUMPS_WORKSPACE = {"mat_mumps_icntl_14": "100"}
@@ -81,6 +82,8 @@ class LinearSolver:
             InputError: If PETSc refuses an option.
         """
         take_options(self.ksp, self.prefix)
+        if self.ksp.getType() != "preonly":  # it would compute a norm for it
+            self.ksp.setMonitor(lambda ksp, number, norm: progress.detail("linear iterations", number))
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve, and raise if the solver failed (collective).

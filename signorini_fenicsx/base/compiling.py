@@ -28,6 +28,7 @@ import ffcx.naming
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.progress import COMPILING, doing
 
 LOCK = "signorini.lock"
 QUIET = 30.0
@@ -93,7 +94,8 @@ def clear_if_left(form: Path) -> bool:
 def _kept(signature: str, work: Callable[[], Any]) -> Any:
     """The form that this process keeps under this signature, or the result of `work`, which is then kept."""
     if signature not in LOADED:
-        LOADED[signature] = work()
+        with doing(COMPILING):  # or loading, which is short
+            LOADED[signature] = work()
     return LOADED[signature]
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.progress import doing
 
 FORWARDING = 0.5
 """Seconds in which mpirun can forward the last message of a rank; it loses the message when the rank aborts at once."""
@@ -49,6 +50,11 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
 
 LAUNCHED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables in which launchers give the number of ranks; the first one that is set is the innermost launcher's."""
+
+
+def is_launched() -> bool:
+    """Whether a launcher such as mpirun has started this process."""
+    return any(os.environ.get(name) for name in LAUNCHED)
 
 
 def refuse_lone_copies(comm: MPI.Comm) -> None:
@@ -112,7 +118,8 @@ class Stopwatch:
         self._within = 0.0
         stage.push()
         try:
-            yield
+            with doing(name):
+                yield
         finally:
             stage.pop()
             seconds = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""Rows of arrays that are spread over the ranks: fetched by their number, and looked up by their content.
+"""Rows of distributed arrays: fetched by their number, or looked up by their content.
 
 No rank ever holds more than its share. (`parallel.gather_rows` brings all rows to rank 0.)
 """
@@ -17,8 +17,11 @@ def fetch_rows(comm: MPI.Comm, wanted: Indices, rows: npt.NDArray | None) -> npt
 
     Args:
         comm: Communicator.
-        wanted: Numbers of rows, counted from rank to rank.
-        rows: Those of this rank; None for none, but not on all ranks.
+        wanted: Numbers of the wanted rows; the numbers continue from rank to rank.
+        rows: Rows of this rank; None for none, but not on all ranks.
+
+    Returns:
+        The wanted rows.
     """
     about = comm.allgather(None if rows is None else (len(rows), rows.shape[1:], rows.dtype))
     ends = np.cumsum([0 if one is None else one[0] for one in about])
@@ -36,17 +39,17 @@ def fetch_rows(comm: MPI.Comm, wanted: Indices, rows: npt.NDArray | None) -> npt
 
 
 def marked_rows(comm: MPI.Comm, rows: Indices, marked: Sequence[Indices]) -> Mask:
-    """Look rows of numbers up in sets to which any rank may have contributed (collective).
+    """Look up rows of numbers in sets whose rows come from all ranks (collective).
 
-    Each row is looked up on a rank that its numbers choose.
+    The numbers of a row determine the rank that looks it up.
 
     Args:
         comm: Communicator.
-        rows: Shape (n, k).
-        marked: For each set the rows that this rank contributes, shape (m, k); as many sets on all ranks.
+        rows: Rows of this rank, shape (n, k).
+        marked: For each set its rows from this rank, shape (m, k); the same number of sets on all ranks.
 
     Returns:
-        Which row is in which set, shape (n, sets).
+        Mask of the rows in each set, shape (n, sets).
     """
 
     def sent(table: Indices) -> list[Indices]:
@@ -64,6 +67,6 @@ def marked_rows(comm: MPI.Comm, rows: Indices, marked: Sequence[Indices]) -> Mas
 
 
 def _is_in(rows: Indices, table: Indices) -> Mask:
-    """Which rows are among those of a table."""
+    """Mask of the rows that are in a table."""
     _, number = np.unique(np.concatenate([rows, table]), axis=0, return_inverse=True)
     return np.isin(number[: len(rows)], number[len(rows) :])

@@ -1,25 +1,24 @@
 """Cases: the problem, its domain and its algorithm, read from TOML and validated before anything runs."""
 
 import os
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import ufl
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
 from signorini_fenicsx.discrete.given import Given
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
-from signorini_fenicsx.meshes.checks import key_of
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
@@ -27,11 +26,7 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Geometry(_Section):
+class Geometry(Section):
     """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
 
     shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
@@ -61,38 +56,7 @@ class Geometry(_Section):
         return self.shape or Path(self.file or "").name
 
 
-class Boundary(_Section):
-    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
-
-    Parts with a `[[law]]` belong to Γ_S and are not listed here.
-    """
-
-    signorini: list[str] = []
-    neumann: list[str] = []
-    dirichlet: list[str] | None = None
-
-    @model_validator(mode="after")
-    def _no_repetition(self) -> Self:
-        refuse_repetition(self.listed())
-        return self
-
-    def listed(self) -> list[str]:
-        """All parts that the section names."""
-        return [*self.signorini, *self.neumann, *(self.dirichlet or [])]
-
-
-def refuse_repetition(parts: list[str]) -> None:
-    """Refuse a part that is listed twice.
-
-    Raises:
-        ValueError: If there is one.
-    """
-    repeated = sorted(part for part, times in Counter(parts).items() if times > 1)
-    if repeated:
-        raise ValueError(f"'{repeated[0]}' is listed twice")
-
-
-class ProblemTexts(_Section):
+class ProblemTexts(Section):
     """`[problem]`: the data of a `Problem` as text in x, y, z; κ as text, as a matrix, or as one of them per region."""
 
     f: Expression
@@ -134,13 +98,13 @@ class ProblemTexts(_Section):
         return Problem(f=f, kappa=kappa, u_D=u_D, g_N=g_N, psi=psi, q_S=q_S)
 
 
-class Exact(_Section):
+class Exact(Section):
     """`[exact]`: the exact solution u, if it is known, as text in x, y, z."""
 
     u: Expression | None = None
 
 
-class Solve(_Section):
+class Solve(Section):
     """`[solve]`: the algorithm and its parameters; with `predict` large problems start from the sets of a coarser mesh.
 
     If rho or max_iterations is missing, the default of the algorithm is used.
@@ -155,8 +119,8 @@ class Solve(_Section):
     predict: bool = True
 
 
-class Case(_Section):
-    """One Signorini problem, its discretisation and its algorithm.
+class CaseFile(Section):
+    """What all case files have.
 
     Attributes:
         name: Short name, used for the default output folder; not a key of the file.
@@ -165,17 +129,19 @@ class Case(_Section):
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry
-    boundary: Boundary
-    law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
-    problem: ProblemTexts
-    exact: Exact = Exact()
     solve: Solve = Solve()
+
+    @property
+    def parts(self) -> Parts:
+        """The section `[boundary]`."""
+        raise NotImplementedError
+
+    def texts(self) -> list[tuple[str, str, str]]:
+        """Each expression with its section and its key."""
+        raise NotImplementedError
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        refuse_repetition([*self.boundary.listed(), *self.law_parts])
-        if not self.boundary.signorini and not self.law:
-            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
         if self.geometry.shape is not None:
             self._check_shape(SHAPES[self.geometry.shape])
         elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
@@ -183,17 +149,6 @@ class Case(_Section):
         else:
             self._check_expressions(3)  # the mesh file has not been read yet
         return self
-
-    @property
-    def law_parts(self) -> list[str]:
-        """The parts that have a `[[law]]`."""
-        return [part for law in self.law for part in law.parts]
-
-    @property
-    def parts(self) -> dict[str, list[str]]:
-        """The parts with each kind of condition; those of "dirichlet" only if they are listed."""
-        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law)}
-        return self.boundary.model_dump(exclude_none=True) | laws
 
     @property
     def file_h(self) -> float | None:
@@ -211,15 +166,6 @@ class Case(_Section):
         """The method that solves it."""
         return METHODS[self.solve.algorithm]
 
-    def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension, with the exact u if it is given.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
-        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
-
     def check_dimension(self, dim: int) -> None:
         """Refuse coordinates that a mesh read from a file does not have.
 
@@ -232,15 +178,7 @@ class Case(_Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        known = list(shape.parts)
-        for section, parts in self.parts.items():
-            for part in parts:
-                if part not in known:
-                    about = f"{self.geometry.name}; its parts are {', '.join(known)}"
-                    raise ValueError(f"{key_of(section)}: unknown part '{part}' of {about}")
-        left = [part for part in known if part not in [*self.boundary.listed(), *self.law_parts]]
-        if self.boundary.dirichlet is not None and left:
-            raise ValueError(f"[boundary] '{left[0]}' is in none of signorini, neumann and dirichlet")
+        self.parts.check(list(shape.parts), self.geometry.name)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -249,13 +187,11 @@ class Case(_Section):
 
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
-        texts = [(f"[problem] {name}", text) for name, text in self.problem.texts()]
-        texts += [("[exact] u", self.exact.u or "0")]
-        texts += [(f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
-        for place, text in texts:
+        for section, name, text in self.texts():
             try:
                 parse_expression(text, x)
             except InputError as error:
+                place = f"[{section}] {name}" if section else name
                 raise ValueError(f"{place}: {error}") from None
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
@@ -273,7 +209,49 @@ class Case(_Section):
             if not isinstance(branch, dict):
                 raise InputError(f"{key}: no such key in a case")
             branch[last] = value
-        return _validated(type(self), tree, self.name, "case " + self.name)
+        return validated(type(self), tree, self.name, "case " + self.name)
+
+
+class Case(CaseFile):
+    """One Signorini problem, its discretisation and its algorithm."""
+
+    boundary: Boundary
+    law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
+    problem: ProblemTexts
+    exact: Exact = Exact()
+
+    @model_validator(mode="after")
+    def _has_gamma_s(self) -> Self:
+        self.parts.refuse_repetition()
+        if not self.boundary.signorini and not self.law:
+            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
+        return self
+
+    @property
+    def law_parts(self) -> list[str]:
+        """The parts that have a `[[law]]`."""
+        return [part for law in self.law for part in law.parts]
+
+    @property
+    def parts(self) -> PartsWithLaws:
+        """The section `[boundary]`, and the parts with a `[[law]]`."""
+        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law)}
+        return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
+
+    def texts(self) -> list[tuple[str, str, str]]:
+        """Each expression with its section and its key."""
+        laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
+        problem = [("problem", *entry) for entry in self.problem.texts()]
+        return [*problem, ("exact", "u", self.exact.u or "0"), *laws]
+
+    def data(self, dim: int) -> Problem:
+        """The data as trees, in this dimension, with the exact u if it is given.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
+        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
 
 
 def _below(branch: Any, section: str, key: str) -> Any:
@@ -298,18 +276,35 @@ def load_case(name_or_path: str | Path) -> Case:
     Raises:
         InputError: If there is no such case, or it is malformed; the message names file, key and reason.
     """
+    tree, path = read_case_file(name_or_path)
+    if "physics" in tree:
+        raise InputError(f"{path}: this is for scalar problems, not for physics = {tree['physics']!r}")
+    return validated(Case, tree, path.stem, str(path))
+
+
+def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
+    """The keys of a case file, with the path of its mesh as seen from here, and its place.
+
+    Raises:
+        InputError: If there is no such case, or it is no TOML.
+    """
     path = file_of("case", name_or_path)
     tree = read_toml(path)
     geometry = tree.get("geometry")
     if isinstance(geometry, dict) and isinstance(file := geometry.get("file"), str):
         geometry["file"] = os.path.normpath(path.parent / file)
-    return _validated(Case, tree, path.stem, str(path))
+    return tree, path
 
 
-def _validated[C: Case](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
+def validated[C: CaseFile](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:
+    """A case from its keys.
+
+    Raises:
+        InputError: If they are not valid; the message names source, key and reason.
+    """
     if "name" in tree:
-        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(keys_of(Case))}")
+        raise InputError(f"{source}: unknown key 'name'; known are {', '.join(keys_of(model))}")
     try:
         return model.model_validate(tree | {"name": name})
     except ValidationError as error:
-        raise InputError(f"{source}: {complaint(error, Case)}") from None
+        raise InputError(f"{source}: {complaint(error, model)}") from None

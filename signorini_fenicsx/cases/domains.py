@@ -2,12 +2,12 @@
 
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, expected_cells, own_domain
 
 
-def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
+def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
     """Mesh the domain of a case, or read its mesh (collective).
 
     Raises:
@@ -16,7 +16,7 @@ def mesh_case(case: Case, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    domain = own_domain(comm, geometry.file or "", case.file_h, case.parts)
+    domain = own_domain(comm, geometry.file or "", case.file_h, case.parts.named)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 

@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.discrete.data import project_data
@@ -112,9 +113,11 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
     Raises:
         InputError: If a run of the case would fail here.
     """
-    domain = mesh_case(case, comm)
-    spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
-    check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
+    with doing("mesh"):
+        domain = mesh_case(case, comm)
+    with doing("assembly"):
+        spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
+        check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -126,7 +129,7 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
 
 def _usable(case: Case, mesh: FileMesh) -> FileMesh:
     try:
-        check_boundary(mesh, case.parts)
+        check_boundary(mesh, case.parts.named)
         case.check_dimension(mesh.dim)
     except InputError as error:
         raise InputError(f"mesh {case.geometry.file}: {error}") from None

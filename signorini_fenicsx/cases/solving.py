@@ -15,7 +15,7 @@ from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.methods.history import OnStep
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.solver import Solver
 
 
 @collector_off()
@@ -23,7 +23,7 @@ def solve_case(
     case: Case,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    domain: Domain | None = None,
+    domain: Domain | Solver | None = None,
     start: Solution | None = None,
     tuning: Tuning | None = None,
     on_step: OnStep = lambda step: None,
@@ -33,7 +33,8 @@ def solve_case(
     Args:
         case: The problem, its discretisation and algorithm.
         comm: Communicator, used if there is no mesh yet.
-        domain: Mesh to solve on; None for the mesh of the case. With a mesh given, no coarser mesh predicts the sets.
+        domain: Mesh to solve on, or a solver set up on it with the boundary of this case; None for the mesh of the
+            case. With a mesh given, no coarser mesh predicts the sets.
         start: Solution whose contact set is the first one.
         tuning: Sizes from which the program works differently; None for the defaults.
         on_step: Called on all ranks after each iteration.
@@ -43,17 +44,17 @@ def solve_case(
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
     watch = Stopwatch()
-
     with watch.phase("mesh"):
-        fine = domain or mesh_case(case, comm)
+        place = domain or mesh_case(case, comm)
+    with watch.phase("assembly"):
+        solver = place if isinstance(place, Solver) else Solver(place, boundary_of(case))
 
     def coarser(factor: float) -> Domain:
-        return fine.ancestor(factor) or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
+        mesh = solver.spaces.domain.ancestor(factor)
+        return mesh or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
 
-    return solve(
-        fine,
-        boundary_of(case),
-        case.data(fine.mesh.geometry.dim),
+    return solver.solve(
+        case.data(solver.spaces.mesh.geometry.dim),
         options_of(case, tuning),
         start=start,
         remesh=coarser if domain is None else None,

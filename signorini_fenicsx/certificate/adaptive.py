@@ -9,12 +9,15 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certify import Certificate, certify
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
-type SolveOn = Callable[[Domain, Solution | None], Solution]
+type SolveOn[S: (Solution, ElasticSolution)] = Callable[[Domain, S | None], S]
 
 FIRST_MESH = 8.0
 """By default h of the first mesh is at most the diameter of the domain divided by this."""
@@ -32,7 +35,7 @@ class AdaptRow:
         cells: Number of cells.
         unknowns: Unknowns of the linear system.
         h: Largest cell diameter.
-        contact_facets: Number of facets in contact.
+        contact_facets: Number of facets in contact; in elasticity, of their vertices.
         contact_measure: Their measure.
         iterations: Iterations of the algorithm, which starts from the sets of the mesh before.
         bound: Bound of the energy error.
@@ -58,15 +61,15 @@ class AdaptRow:
 
 
 @collector_off()
-def adapt(
+def adapt[S: (Solution, ElasticSolution)](
     domain: Domain,
-    solve_on: SolveOn,
+    solve_on: SolveOn[S],
     *,
     target: float | None = None,
     max_cells: int = DEFAULT_MAX_CELLS,
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
-) -> tuple[Solution, Certificate]:
+) -> tuple[S, Certificate]:
     """Refine a mesh where the certificate of its solution finds the error (collective).
 
     If the algorithm works on sets, each later mesh starts from the contact set of the mesh before.
@@ -91,18 +94,19 @@ def adapt(
     cells = _cells(domain)
     if cells > max_cells:
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells} cells, more than the {max_cells} allowed")
-    start: Solution | None = None
+    start: S | None = None
     mesh = 0
     while True:
         solution = solve_on(domain, start)
         start = solution if solution.method.starts_from_sets else None
-        certificate = certify(solution)
+        certificate = certify_elastic(solution) if isinstance(solution, ElasticSolution) else certify(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:
             return solution, certificate
-        marked = dorfler(certificate.indicator.x.array, theta, comm)
-        domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
+        with doing("refining the mesh"):
+            marked = dorfler(certificate.indicator.x.array, theta, comm)
+            domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
         if _cells(domain) > max_cells:
             return solution, certificate
         mesh += 1
@@ -113,7 +117,9 @@ def _cells(domain: Domain) -> int:
     return domain.mesh.topology.index_map(domain.mesh.topology.dim).size_global
 
 
-def _row(refinement: str, mesh: int, solution: Solution, certificate: Certificate, seconds: float) -> AdaptRow:
+def _row(
+    refinement: str, mesh: int, solution: Solution | ElasticSolution, certificate: Certificate, seconds: float
+) -> AdaptRow:
     facets, measure = solution.contact()
     return AdaptRow(
         refinement=refinement,

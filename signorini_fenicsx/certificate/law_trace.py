@@ -25,20 +25,18 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import ROOM, SAMPLES, Indices, Trace, averaged, facet_nodes
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import (
     FacetPoints,
-    Points,
-    cut_off,
     facet_lattice,
     facet_type,
-    larger,
     quadratic_nodes,
 )
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -46,8 +44,6 @@ from signorini_fenicsx.solving.solution import Solution
 
 STIFF = 1.0
 """A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
-SAFE = 2.0
-"""Factor of what ℓ needs in sampled points."""
 
 
 @dataclass(frozen=True)
@@ -230,68 +226,6 @@ def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest
     return np.asarray(sign * found.x.array, dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Bound:
-    """A bound of u on some facets of Γ_S.
-
-    Attributes:
-        datum: The bound.
-        sign: 1 for a lower bound, −1 for an upper one.
-        near: 1 in the vertices of the facets and 0 in the others, linear.
-        depth: ℓ is so many times 1 − near.
-    """
-
-    datum: Datum
-    sign: float
-    near: fem.Function
-    depth: float
-
-    def apply(self, points: Points, jet: Array, *, gradient: bool) -> Array:
-        """The jet of a function, bounded (collective)."""
-        near = points.linear(self.near, gradient=gradient)
-        apart = near.copy()
-        apart[:, :, 0] -= 1.0
-        touched = self.near.x.array[self.near.function_space.dofmap.list[points.cells]].any(axis=1)
-        with np.errstate(invalid="ignore", over="ignore"):
-            bound = self.sign * self.datum.jet(points, gradient=gradient) + self.depth * apart
-            limited = self.sign * larger(self.sign * jet, bound)
-        return np.where(touched[:, None, None], limited, jet)
-
-
-@dataclass(frozen=True)
-class LawTrace:
-    """The function of the module by its parts, as jets in points, see `discrete.points`.
-
-    Attributes:
-        u_D: The datum, and I_hu_D.
-        v: v_2.
-        near_dirichlet: χ_D.
-        moved: v_1.
-        bounds: Those of all parts.
-    """
-
-    u_D: tuple[Datum, fem.Function]
-    v: fem.Function
-    near_dirichlet: fem.Function
-    moved: fem.Function
-    bounds: list[Bound]
-
-    def jet(self, points: Points, *, gradient: bool = False, bounded: bool = True) -> Array:
-        """Its jet (collective)."""
-        datum, interpolant = self.u_D
-        found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
-        if datum.number is None:
-            missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
-            found = found + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed)
-        for bound in self.bounds if bounded else []:
-            found = bound.apply(points, found, gradient=gradient)
-        return found
-
-    def gradient(self, points: Points) -> Array:
-        """Its gradient (collective)."""
-        return self.jet(points, gradient=True)[:, :, 1:]
-
-
 def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
     """The trace with u_D and the bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
@@ -324,7 +258,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
                 0.0,
             )
             moved.x.array[on_dirichlet] = 0.0
-            trace.bounds.append(Bound(datum, sign, here, _depth(trace, datum, sign, here, spaces)))
+            trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             near += here.x.array
             known.append(datum)
     cells, at_dirichlet = (
@@ -343,25 +277,3 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
         feasible=feasible,
         degree=degree,
     )
-
-
-def _depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:
-    """How steep ℓ has to be: away from the facets, and on Γ_D, the bound must not change v (collective)."""
-    mesh = spaces.mesh
-    dofs = near.function_space.dofmap.list
-    cells = np.flatnonzero(near.x.array[dofs].any(axis=1)).astype(np.int32)
-    bound = datum.at_nodes(trace.v.function_space, quadratic_nodes(mesh.basix_cell())).x.array
-    there = trace.v.function_space.dofmap.list[cells]
-    with np.errstate(invalid="ignore", over="ignore"):
-        over = sign * (
-            bound[there].max(axis=1, initial=-np.inf) if sign > 0 else bound[there].min(axis=1, initial=np.inf)
-        )
-        coefficients = trace.v.x.array[there]
-        under = coefficients.min(axis=1, initial=np.inf) if sign > 0 else -coefficients.max(axis=1, initial=-np.inf)
-        needed = float((over - under).max(initial=0.0))
-        on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
-        on_wall = on_wall.among(near.x.array[dofs].any(axis=1))
-        room = 1 - on_wall.linear(near)[:, :, 0]
-        above = sign * (datum.values(on_wall) - trace.jet(on_wall)[:, :, 0])
-        steep = np.where((room > 0) & (above > 0), above / np.where(room > 0, room, 1.0), 0.0).max(initial=0.0)
-    return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)

@@ -32,7 +32,7 @@ from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.conditions import Kinds
-from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.laws import Graph, Signorini, Values
 from signorini_fenicsx.discrete.points import FacetPoints, in_facets
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -214,4 +214,5 @@ class LawGap:
 
 def not_polynomial(goal: Goal) -> set[str]:
     """The data of the laws whose integrals are by quadrature only."""
-    return {part.key(name) for part in goal.parts for name, datum in part.data.items() if not datum.is_polynomial}
+    data = {part.key(name): datum for part in goal.parts for name, datum in part.data.items()}
+    return {name for name, datum in data.items() if datum.polynomial is None or 2 * datum.polynomial > DEGREES[1]}

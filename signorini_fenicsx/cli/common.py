@@ -1,9 +1,9 @@
 """Functions shared by commands: the case with its new values, the place of results, the state of a failed run."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -14,10 +14,19 @@ from signorini_fenicsx.cli.options import overrides
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.cases.elastic_case import ElasticCase
 
 
 def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case":
-    """The case of a command, with its new values (collective).
+    """The case of a command for scalar problems, see `any_case` (collective)."""
+    from signorini_fenicsx.cases.case import load_case
+
+    values = overrides(settings, **options)
+    return on_root(comm, lambda: load_case(name).with_values(values))
+
+
+def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case | ElasticCase":
+    """The case of a command, of any physics, with its new values (collective).
 
     Args:
         comm: Communicator; rank 0 reads the case.
@@ -28,10 +37,10 @@ def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options
     Raises:
         InputError: If there is no such case, or it is not valid with these values.
     """
-    from signorini_fenicsx.cases.case import load_case
+    from signorini_fenicsx.cases.elastic_case import load_any_case
 
     values = overrides(settings, **options)
-    return on_root(comm, lambda: load_case(name).with_values(values))
+    return on_root(comm, lambda: load_any_case(name).with_values(values))
 
 
 def results_place(output: Path | None, name: str) -> Path:
@@ -40,18 +49,20 @@ def results_place(output: Path | None, name: str) -> Path:
 
 
 @contextlib.contextmanager
-def failure_kept(folder: ResultsFolder, *, plot: bool, html: bool) -> Iterator[None]:
+def failure_kept(folder: ResultsFolder, write: Callable[[Any], None]) -> Iterator[None]:
     """If the run in this context fails, write its last state and add its place to the message (collective).
+
+    Args:
+        folder: Where.
+        write: Writes the solution that a failure holds (collective).
 
     Raises:
         NumericalFailure: The failure of the run.
     """
-    from signorini_fenicsx.output.writing import write_solution
-
     try:
         yield
     except NumericalFailure as failure:
         if failure.solution is not None:
-            write_solution(failure.solution, folder.path, plot=plot, html=html)
+            write(failure.solution)
             failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
         raise

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.comparing.comparison import Comparison
@@ -30,11 +29,6 @@ class ComparisonReport(Report):
 
 class ConvergenceReport(CaseReport):
     """What `signorini convergence` prints."""
-
-    def about_to_solve(self, case: Case) -> None:
-        """Print which problem is being solved; its row later replaces this line."""
-        if self.console.is_terminal:
-            self.console.print(f"solving {case.fineness}, {case.solve.algorithm} …", end="\r", markup=False)
 
     def columns(self) -> None:
         """Print the names of the columns of a convergence study."""

@@ -95,9 +95,7 @@ def convergence(
     with ResultsFolder(comm, results_place(output, f"{problem.name}-convergence")) as folder:
         report.heading(problem, comm)
         report.columns()
-        rows = convergence_study(
-            problem, way, steps, reference, comm, on_start=report.about_to_solve, on_row=report.row
-        )
+        rows = convergence_study(problem, way, steps, reference, comm, on_row=report.row)
         write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()
         report.slopes(fitted_slopes(rows, way), way, problem.method)

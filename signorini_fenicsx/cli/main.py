@@ -16,6 +16,7 @@ import typer
 from mpi4py import MPI
 from rich.console import Console
 
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import FORWARDING, abort_all_on_exception, end_all, refuse_lone_copies
 from signorini_fenicsx.base.signals import Interruption, listen_again, listening, outlive_readers
@@ -100,6 +101,7 @@ def main() -> None:
 
     with listening(), np.errstate(all="ignore"):  # values that are not finite are reported in a sentence
         status = _run(run)
+    progress.follow(None)
     sys.exit(status)
 
 

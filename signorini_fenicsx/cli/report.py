@@ -8,11 +8,20 @@ from typing import Any
 from mpi4py import MPI
 from rich.console import Console
 
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.text import json_text
+from signorini_fenicsx.cli.live import Live
 
 
 class Report:
-    """The output of one command; subclasses add the texts of the commands."""
+    """The output of one command; subclasses add the texts of the commands.
+
+    Attributes:
+        console: Where it is printed.
+        follows: Whether it shows what is being done.
+    """
+
+    follows = True
 
     def __init__(self, *, quiet: bool = False, as_json: bool = False):
         """Decide what is printed.
@@ -23,14 +32,19 @@ class Report:
         """
         self.console = Console(highlight=False, soft_wrap=True, emoji=False, quiet=quiet or as_json)
         self._as_json = as_json
+        self._live = Live(self.console)
+        if self.follows and not self.console.quiet and MPI.COMM_WORLD.rank == 0:
+            progress.follow(self._live)
 
     def title(self, text: str) -> None:
         """Print a title."""
-        self.console.print(text, style="bold", markup=False)
+        with self._live.above():
+            self.console.print(text, style="bold", markup=False)
 
     def line(self, text: str) -> None:
         """Print a line."""
-        self.console.print(text, markup=False)
+        with self._live.above():
+            self.console.print(text, markup=False)
 
     def entry(self, name: str, text: str, *, width: int = 10) -> None:
         """Print a name, in a column of this width, and a text."""

@@ -1,17 +1,24 @@
 """The report of a run: its iterations, its solution, the bound of its error."""
 
+from __future__ import annotations
+
 import math
 from decimal import ROUND_CEILING, Context, Decimal
+from typing import TYPE_CHECKING
 
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.methods.history import Step
-from signorini_fenicsx.rigorous.proof import Proof
-from signorini_fenicsx.rigorous.theorem import Proven
 from signorini_fenicsx.solving.solution import Solution
 
+if TYPE_CHECKING:  # SciPy takes a second to load
+    from signorini_fenicsx.rigorous.proof import Proof
+    from signorini_fenicsx.rigorous.theorem import Proven
+
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
+PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}
+"""What a bound is made of."""
 DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
 
 
@@ -22,14 +29,17 @@ class SolutionReport(CaseReport):
         """Print the problem of the run, and the names of the columns of the iterations."""
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
-        counts = "".join(f"{name:>9}" for name in ("σ·n = 0", "p = 0", "Robin", "changed", "clipped"))
+        self._penalised = case.method.penalty is not None
+        names = ("σ·n = 0", "p = 0", *(("penalty", "clipped") if self._penalised else ()), "changed")
+        counts = "".join(f"{name:>9}" for name in names)
         self.line(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
     def step(self, row: Step) -> None:
         """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
         if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
-        counts = "".join(f"{n:9d}" for n in (row.no_flux, row.zero_trace, row.robin, row.changed, row.clipped))
+        penalty = (row.robin, row.clipped) if self._penalised else ()
+        counts = "".join(f"{number:9d}" for number in (row.no_flux, row.zero_trace, *penalty, row.changed))
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
         self.line(f"{row.iteration:4d}{counts} {changes}")
 
@@ -61,8 +71,7 @@ class SolutionReport(CaseReport):
         if proof is not None and proof.proven is not None:
             lines["proved"] = proved(proof.proven, proof.seconds)
         lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
-        memory = summary["peak_memory"]
-        lines["memory"] = f"{memory / 2**20:.0f} MiB at most, {memory / summary['dofs']:.0f} bytes per unknown"
+        lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
 
 
@@ -71,7 +80,7 @@ def bound(certificate: Certificate) -> str:
     if not math.isfinite(certificate.bound):
         reasons = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
         return f"no error bound: {reasons}{_reservation(certificate)}"
-    parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
+    parts = ", ".join(f"{words} {getattr(certificate, name):.1e}" for name, words in PARTS.items())
     of = " to the exact solution of the penalty problem" if certificate.of_penalty else ""
     return (
         f"energy error{of} ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
@@ -91,7 +100,7 @@ def _reservation(certificate: Certificate) -> str:
 
 def proved(bounds: Proven, seconds: float) -> str:
     """The proven error bound in words; all numbers are rounded up."""
-    parts = ", ".join(f"{name} {above(getattr(bounds, name), 2)}" for name in ("gap", "oscillation", "remainder"))
+    parts = ", ".join(f"{words} {above(getattr(bounds, name), 2)}" for name, words in PARTS.items())
     return (
         f"energy error ≤ {above(bounds.bound, 5)}; ‖σ − σ_h‖ ≤ {above(bounds.sigma_bound, 5)} "
         f"({parts}; {seconds:.1f} s)"

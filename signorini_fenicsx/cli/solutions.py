@@ -12,7 +12,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
-from signorini_fenicsx.cli.common import chosen_case, failure_kept, results_place
+from signorini_fenicsx.cli.common import any_case, failure_kept, results_place
 from signorini_fenicsx.cli.options import (
     AlgorithmName,
     BackendName,
@@ -67,18 +67,13 @@ def solve(
       signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
     """
-    from signorini_fenicsx.cases.domains import rough_cells
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.certify import certify
+    from signorini_fenicsx.cli.elastic import ElasticCase, solve_elastic_run
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
-    from signorini_fenicsx.rigorous.proof import check_size, proof_of
-
-    def check_provable(case: "Case") -> None:
-        check_size(rough_cells(case))
-        if case.law:
-            raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
+    from signorini_fenicsx.rigorous.proof import proof_of
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
 
@@ -87,13 +82,17 @@ def solve(
         end_if_told(comm)
 
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
-    problem = chosen_case(comm, case, settings, **options, predict=None if predict else False)
+    problem = any_case(comm, case, settings, **options, predict=None if predict else False)
+    if isinstance(problem, ElasticCase):
+        refused = {"--rigorous": rigorous, "--html": html, "--start-from": start_from}
+        solve_elastic_run(problem, comm, output, refused, plot=plot, quiet=quiet, as_json=as_json)
+        return
     if rigorous:
-        on_root(comm, lambda: check_provable(problem))
+        on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.heading(problem, comm)
         report.columns(problem)
-        with failure_kept(folder, plot=plot, html=html):
+        with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
             start = None if start_from is None else load_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
@@ -106,6 +105,20 @@ def solve(
         report.summary(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def _check_provable(case: "Case") -> None:
+    """Refuse a case whose bound cannot be proved (rank 0).
+
+    Raises:
+        InputError: If its mesh is too large, or it has other laws than Signorini's.
+    """
+    from signorini_fenicsx.cases.domains import rough_cells
+    from signorini_fenicsx.rigorous.proof import check_size
+
+    check_size(rough_cells(case))
+    if case.law:
+        raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
 
 
 def adapt(
@@ -157,7 +170,7 @@ def adapt(
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
         report.columns(wanted, most)
-        with failure_kept(folder, plot=plot, html=html):
+        with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
             solution, certificate = refined(theta=part)
             if uniform:
                 refined(theta=1.0)

@@ -16,6 +16,8 @@ from signorini_fenicsx.studies.study import Run, Study
 class StudyReport(Report):
     """What `signorini study` prints."""
 
+    follows = False  # there is a live view of all runs
+
     def heading(self, study: Study, runs: Sequence[Run], comm: MPI.Comm) -> None:
         """Print the number of runs and the groups of ranks."""
         size = min(study.ranks_per_run, comm.size)

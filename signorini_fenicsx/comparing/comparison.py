@@ -7,6 +7,7 @@ from typing import Any
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.comparing.convergence import Differences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.solving.solution import Solution
@@ -37,6 +38,7 @@ class Comparison:
 
 
 @collector_off()
+@doing("comparing")
 def compare(one: Solution, other: Solution) -> Comparison:
     """Compare two solutions on one communicator (collective; symmetric except for the order of `contact`).
 

@@ -15,14 +15,16 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import Solver
 
 ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
 ASYMPTOTIC_EPS = 1e-2
@@ -177,7 +179,6 @@ def convergence_study(
     reference: int,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    on_start: Callable[[Case], None] = lambda case: None,
     on_row: Callable[[ErrorRow], None] = lambda row: None,
 ) -> list[ErrorRow]:
     """Solve for several h or ε and measure errors against a reference (collective).
@@ -191,7 +192,6 @@ def convergence_study(
         levels: h ≤ 2^-level, or ε = 10^-level.
         reference: Level of the reference, finer than all levels; unused if ε varies.
         comm: Communicator.
-        on_start: Called on all ranks with each case before it is solved.
         on_row: Called on all ranks with each finished row.
 
     Raises:
@@ -201,15 +201,15 @@ def convergence_study(
     if vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
-    domain = mesh_case(case, comm) if vary is Vary.EPS else None
+    solver = Solver(mesh_case(case, comm), boundary_of(case)) if vary is Vary.EPS else None
     cases = [case.with_values(level_values(vary, level)) for level in levels]
     best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
-    if domain is None:
+    if solver is None:
         best = best.with_values({"solve.h": 2.0**-reference})
 
     def solved(problem: Case) -> Solution:
-        on_start(problem)
-        return solve_case(problem, comm, domain=domain)
+        with doing(f"{problem.fineness}, {problem.solve.algorithm}"):
+            return solve_case(problem, comm, domain=solver)
 
     fine = solved(best)
     slides = slides_errors(case.name, case.solve.algorithm) if vary is Vary.H else {}
@@ -243,7 +243,8 @@ def _row(
     vary: Vary,
     slides: tuple[float, float] | None,
 ) -> ErrorRow:
-    error = differences(coarse, fine)
+    with doing("comparing"):
+        error = differences(coarse, fine)
     topology = coarse.spaces.mesh.topology
     cells = topology.index_map(topology.dim).size_global
     options = coarse.options

@@ -92,7 +92,7 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
     Raises:
         InputError: If data are not what their law allows; the message says where.
     """
-    listed = {part for law in problem.laws for part in law.parts}
+    listed = _listed(spaces, problem)
     plain = [part for part in spaces.part_names if part not in listed]
     laws: list[tuple[str, Law, Mapping[str, Datum]]] = []
     if plain:
@@ -112,6 +112,24 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
         chains.append((rows, chains_of(graph, len(rows))))
         of_parts.append(part)
     return BoundaryLaws(tuple(of_parts), joined(chains, number)), psi_h, q_Sh
+
+
+def _listed(spaces: Spaces, problem: Problem) -> set[str]:
+    """The parts of all laws.
+
+    Raises:
+        InputError: If one is not of Γ_S, or is listed twice.
+    """
+    listed: set[str] = set()
+    for i, law in enumerate(problem.laws):
+        for part in law.parts:
+            if part not in spaces.part_names:
+                known = ", ".join(spaces.part_names)
+                raise InputError(f"law.{i}.parts: '{part}' is not a part of Γ_S, whose parts are {known}")
+            if part in listed:
+                raise InputError(f"law.{i}.parts: '{part}' is listed twice")
+            listed.add(part)
+    return listed
 
 
 def chains_of(graph: Graph, number: int) -> Chains:
@@ -135,7 +153,7 @@ def _data(spaces: Spaces, law: Law, name: str) -> dict[str, Datum]:
     found: dict[str, Datum] = {}
     for key, given in law.data().items():
         try:
-            tree: Any = parsed(given, spaces.mesh.geometry.dim)
+            tree: Any = parsed(given, "xyz"[: spaces.mesh.geometry.dim])
         except InputError as error:
             raise InputError(f"{name}.{key}: {error}") from None
         found[key] = datum_of(spaces, f"{name}.{key}", tree)

@@ -15,18 +15,24 @@ class ConstrainedMatrix:
         matrix: The matrix under the conditions last imposed.
     """
 
-    def __init__(self, form: fem.Form, kind: PETSc.Mat.Option):
+    def __init__(self, form: fem.Form | PETSc.Mat, kind: PETSc.Mat.Option):
         """Assemble (collective).
 
         Args:
-            form: Bilinear form, or blocks of them.
+            form: Bilinear form, or blocks of them; or a matrix that is assembled.
             kind: A property on which PETSc may rely: SYMMETRIC or SPD.
         """
-        self.natural = assemble_matrix(form)
+        self.natural = form if isinstance(form, PETSc.Mat) else assemble_matrix(form)
         self.natural.assemble()
         self.matrix = self.natural.duplicate(copy=True)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(kind, True)
+
+    def renew(self, form: fem.Form) -> None:
+        """Assemble again, a form with the same sparsity pattern (collective)."""
+        self.natural.zeroEntries()
+        assemble_matrix(self.natural, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
+        self.natural.assemble()
 
     def impose(self, essential: npt.NDArray[np.int32], robin: npt.NDArray[np.int32], added: npt.ArrayLike) -> None:
         """Start again from `natural`, add to its diagonal and fix unknowns (collective).

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
@@ -60,9 +60,16 @@ class FacetSegments:
     spaces: Spaces
     segment: Kinds
 
-    def function(self) -> fem.Function:
-        """The numbers in P0(Γ_S) (collective)."""
-        return self.spaces.multiplier(self.segment, "segment")
+    def on(self, spaces: Spaces) -> Kinds:
+        """Those of the facets of another mesh of the domain: that at the midpoint of each (collective)."""
+        numbers = self.spaces.multiplier(self.segment, "segment")
+        (sample,) = sampled([numbers], spaces.Lambda.mesh, self.spaces.domain, degree=0)
+        return np.rint(sample.x.array[: len(spaces.facets)]).astype(np.int8)
+
+
+def transferred(contact: FacetSet, spaces: Spaces) -> Mask:
+    """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
+    return FacetSegments(contact.spaces, contact.inside.astype(np.int8)).on(spaces) > 0
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

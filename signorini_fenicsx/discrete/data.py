@@ -77,6 +77,11 @@ class Data:
         """Mean eigenvalue of κ_h on each owned cell."""
         return _mean_eigenvalues(spaces, self.kappa, self.kappa_h)
 
+    def same_conductivity(self, other: Data, spaces: Spaces) -> bool:
+        """Whether κ_h is that of other data on this mesh (collective)."""
+        same = self.kappa.shape == other.kappa.shape and np.array_equal(self.matrices(spaces), other.matrices(spaces))
+        return bool(spaces.mesh.comm.allreduce(same, MPI.LAND))
+
     def matrices(self, spaces: Spaces) -> Array:
         """κ_h as a matrix on each owned cell, shape (cells, dim, dim), or (1, dim, dim) if κ is a number."""
         identity = np.eye(spaces.mesh.geometry.dim)

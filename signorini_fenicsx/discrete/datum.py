@@ -47,11 +47,6 @@ class Datum:
         return float(self.ufl) if is_number else None
 
     @property
-    def is_polynomial(self) -> bool:
-        """Whether it is known to be a polynomial whose square a quadrature integrates exactly."""
-        return self.number is not None
-
-    @property
     def shape(self) -> tuple[int, ...]:
         """() or (dim, dim)."""
         shape: tuple[int, ...] = self.ufl.ufl_shape
@@ -61,6 +56,11 @@ class Datum:
     def degree(self) -> int:
         """The polynomial degree that UFL estimates."""
         return int(ufl.algorithms.estimate_total_polynomial_degree(apply_algebra_lowering(self.ufl)))
+
+    @property
+    def polynomial(self) -> int | None:
+        """The degree of the polynomial that it is known to be, or None."""
+        return None if self.number is None else 0
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""
@@ -103,10 +103,9 @@ class _Text(Datum):
     trees: Tree | list[list[Tree]]
 
     @property
-    def is_polynomial(self) -> bool:
-        """Whether it is known to be a polynomial whose square a quadrature integrates exactly."""
-        degree = None if isinstance(self.trees, list) else polynomial_degree(self.trees)
-        return self.number is not None or (degree is not None and 2 * degree <= DEGREES[1])
+    def polynomial(self) -> int | None:
+        """The degree of the polynomial that it is, or None."""
+        return None if isinstance(self.trees, list) else polynomial_degree(self.trees)
 
     def _values(self, points: Points) -> Array:
         x = _named(points)
@@ -200,24 +199,29 @@ def datum_of(spaces: Spaces, name: str, given: Given, *, continuous: bool = True
 
 
 def conductivity_of(spaces: Spaces, given: Given | Mapping[str, Given]) -> Datum:
-    """κ, which may have a value for each region (collective).
+    """κ, see `regional_datum` (collective)."""
+    return regional_datum(spaces, "kappa", given, matrix=True)
+
+
+def regional_datum(spaces: Spaces, key: str, given: Given | Mapping[str, Given], *, matrix: bool = False) -> Datum:
+    """A datum that may have a value for each region (collective).
 
     Raises:
         InputError: If it has the wrong shape, or not one value in each cell.
     """
     if not isinstance(given, Mapping):
-        return datum_of(spaces, "kappa", given, continuous=False, matrix=True)
+        return datum_of(spaces, key, given, continuous=False, matrix=matrix)
     regions = spaces.domain.regions
     for name in given:
         if name not in regions:
             known = f"its regions are {', '.join(regions)}" if regions else "it has none"
-            raise InputError(f"[problem] kappa: unknown region '{name}' of the mesh; {known}")
+            raise InputError(f"[problem] {key}: unknown region '{name}' of the mesh; {known}")
     number = spaces.Q.dofmap.index_map.size_local
     parts, terms, values_given = [], [], np.zeros(number, dtype=np.int64)
     for name, value in given.items():
         inside = fem.Function(spaces.Q, name=name)
         inside.x.array[regions[name]] = 1.0
-        datum = datum_of(spaces, f"kappa.{name}", value, continuous=False, matrix=True)
+        datum = datum_of(spaces, f"{key}.{name}", value, continuous=False, matrix=matrix)
         parts.append((inside.x.array > 0, datum))
         terms.append((inside, datum.ufl))
         values_given[regions[name]] += 1
@@ -226,9 +230,9 @@ def conductivity_of(spaces: Spaces, given: Given | Mapping[str, Given]) -> Datum
     ).tolist()
     if without > 0 or not parts:
         missing = [name for name in regions if name not in given]
-        raise InputError(f"[problem] kappa: {without} cells have no value; regions without one: {', '.join(missing)}")
+        raise InputError(f"[problem] {key}: {without} cells have no value; regions without one: {', '.join(missing)}")
     if several > 0:
-        raise InputError(f"[problem] kappa: {several} cells are in more than one of {', '.join(given)}")
+        raise InputError(f"[problem] {key}: {several} cells are in more than one of {', '.join(given)}")
     identity = ufl.Identity(spaces.mesh.geometry.dim)
     if any(datum.shape for _, datum in parts):
         terms = [(inside, value if value.ufl_shape else value * identity) for inside, value in terms]

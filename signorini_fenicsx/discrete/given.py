@@ -16,16 +16,16 @@ type Given = float | str | Tree | Entries | Expr | Callable[[Array], npt.ArrayLi
 a `fem.Function`; or a function of points of shape (3, n)."""
 
 
-def parsed(given: Any, dim: int) -> Any:
-    """The same with numbers and texts as trees, in tables and matrices too.
+def parsed(given: Any, names: str) -> Any:
+    """What was given, with numbers and texts read as trees in these coordinates.
 
     Raises:
         InputError: If a text cannot be read.
     """
     if isinstance(given, Mapping):
-        return {name: parsed(value, dim) for name, value in given.items()}
+        return {name: parsed(value, names) for name, value in given.items()}
     if isinstance(given, tuple | list):
-        return [parsed(entry, dim) for entry in given]
+        return [parsed(entry, names) for entry in given]
     if isinstance(given, str):
-        return read(given, "xyz"[:dim])
+        return read(given, names)
     return exactly(given) if isinstance(given, int | float) else given

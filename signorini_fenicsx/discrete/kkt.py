@@ -1,7 +1,7 @@
 """Residuals of the discrete Signorini problem that do not depend on units."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
@@ -23,8 +23,17 @@ CONSTANT = 1e-10
 """If the energy of u is below this share of ‖√k u‖/L, u counts as constant, and its σ as an error of linear solvers."""
 
 
+class Residuals:
+    """Residuals of a discrete problem, free of scale: the fields of a dataclass."""
+
+    def violation(self) -> str | None:
+        """Those above the tolerance in words, or None."""
+        bad = [f"{name} {value:.1e}" for name, value in vars(self).items() if not value <= KKT]
+        return f"KKT residuals above {KKT:g}: {', '.join(bad)}" if bad else None
+
+
 @dataclass(frozen=True)
-class KKTResiduals:
+class KKTResiduals(Residuals):
     """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
 
     Each residual is measured twice, as a gradient and as a flux, and the larger value counts: where κ jumps, a wrong
@@ -57,11 +66,6 @@ class KKTResiduals:
     complementarity: float
     stationarity: float
     mass_balance: float
-
-    def violation(self) -> str | None:
-        """The residuals above the tolerance in words, or None."""
-        bad = [f"{field.name} {value:.1e}" for field in fields(self) if not (value := getattr(self, field.name)) <= KKT]
-        return f"KKT residuals above {KKT:g}: {', '.join(bad)}" if bad else None
 
 
 def kkt_residuals(

@@ -21,7 +21,7 @@ class Problem:
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
         exact: The exact u, where it is known.
-        laws: Other laws on Γ_S. Their parts belong to Γ_S and are not listed in `Boundary`.
+        laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
     """
 
     f: Given
@@ -39,5 +39,6 @@ class Problem:
         Raises:
             InputError: If a text cannot be read.
         """
+        names = "xyz"[:dim]
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
-        return replace(self, **{name: parsed(given, dim) for name, given in data.items()})
+        return replace(self, **{name: parsed(given, names) for name, given in data.items()})

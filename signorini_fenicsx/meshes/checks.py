@@ -28,7 +28,7 @@ class Contents:
         points: Shape (points, 2 or 3).
         blocks: Kind of the elements, with meshio's name, and the points of each element.
         groups: Name, dimension, and elements by block and row.
-        straight: Whether the elements are those of a geometry that is known to have straight edges and plane faces.
+        straight: Whether the geometry is known to have straight edges and plane faces.
     """
 
     points: Array

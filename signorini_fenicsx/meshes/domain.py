@@ -71,7 +71,7 @@ class Domain:
         return first.made + (f", refined uniformly {levels} time{'s' * (levels > 1)}" if levels else "")
 
     def ancestor(self, factor: float) -> "Domain | None":
-        """The mesh coarser by about this factor of which this one is a uniform refinement, if there is one."""
+        """The mesh, coarser by about this factor, from which this one was refined uniformly; None if there is none."""
         found = self.coarser
         while found is not None and found.h < 0.75 * factor * self.h:
             found = found.coarser
@@ -107,8 +107,8 @@ class Marks:
 
     Attributes:
         facets: For each part its facets as ascending vertices in the original numbering of the mesh, shape (n, dim).
-        cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank gave when the
-            mesh was made; None if it gave none.
+        cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank passed when
+            the mesh was made; None if it passed none.
         regions: Names of the regions.
     """
 

@@ -14,7 +14,7 @@ type Simplices = tuple[Array, Indices]
 
 @dataclass(frozen=True)
 class Share:
-    """Which share of a grid a rank makes. Together the ranks number the points in the order of the ranks."""
+    """The share of a grid that a rank makes. Points are numbered in the order of the ranks."""
 
     rank: int = 0
     ranks: int = 1
@@ -59,7 +59,7 @@ class _Rows:
 
 
 def _places(rows: Indices, lengths: Indices) -> tuple[Indices, Indices]:
-    """For each entry of some rows of these lengths its row and its place in it."""
+    """For each entry of some rows of these lengths, its row and its place in the row."""
     ends = np.cumsum(lengths)
     return np.repeat(rows, lengths), np.arange(lengths.sum()) - np.repeat(ends - lengths, lengths)
 

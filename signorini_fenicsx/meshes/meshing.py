@@ -35,9 +35,10 @@ CURVATURE = 1.0
 """`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
 from its circle."""
 REFINED_FROM = 60_000
-"""From this number of facets on, meshes are refined uniformly, in parallel; Gmsh makes smaller ones in seconds."""
+"""Meshes with at least this many facets are made by uniform refinement, in parallel; Gmsh makes smaller ones in
+seconds."""
 COARSEST = 5_000
-"""Least number of cells of a mesh that is refined uniformly; it shows the shape well, and Gmsh makes it at once."""
+"""Smallest number of cells of a mesh that is refined uniformly; it resolves the shape well, and Gmsh makes it fast."""
 OWN_CURVATURE = 8.0
 """`Domain.curvature` of a domain of size 1 from a file, on the assumption that radii are at least 1/64."""
 
@@ -82,7 +83,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
 
 
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
-    """Mesh with Gmsh on rank 0 so coarsely that some uniform refinements give cells of diameter at most h."""
+    """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
     dim, asked = SHAPES[shape_name].dim, h * 2**levels
     simplices = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
     domain = label_parts(distribute(comm, *simplices, dim), shape_name, made="Gmsh")
@@ -94,7 +95,7 @@ def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain
 
 
 def refinements(cells: float, dim: int) -> int:
-    """How often the mesh of Gmsh is refined uniformly for a mesh of about so many cells."""
+    """How often the mesh of Gmsh is refined uniformly for a mesh of about this number of cells."""
     facets = (dim + 1) / 2 * cells
     return 0 if facets < REFINED_FROM else max(1, math.floor(math.log2(cells / COARSEST) / dim))
 
@@ -161,7 +162,7 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
 
 
 def _file_refinements(path: str, h: float | None) -> int:
-    """How often the mesh of a `.geo` file is refined uniformly; never where it is curved (rank 0)."""
+    """How often the mesh of a `.geo` file is refined uniformly; 0 if the geometry is curved (rank 0)."""
     if h is None or not is_geometry(path):
         return 0
     own = _own_size(path)
@@ -169,7 +170,7 @@ def _file_refinements(path: str, h: float | None) -> int:
 
 
 def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
-    """The mesh whose uniform refinements have cells of diameter at most h (rank 0)."""
+    """A mesh whose uniform refinement has cells of diameter at most h (rank 0)."""
     asked = None if h is None else h * 2**levels
     mesh = read_mesh_file(path, asked)
     while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
@@ -184,7 +185,7 @@ def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
 
 @dataclass(frozen=True)
 class _Own:
-    """What the mesh of a file is like, as the file has it."""
+    """Properties of the mesh of a file with the file's own sizes."""
 
     dim: int
     cells: int
@@ -219,10 +220,10 @@ def _longest_axis(points: Array) -> int:
 
 
 def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
-    """Mesh with Gmsh, shrinking its size parameter until no cell is larger than h (rank 0 only).
+    """Mesh with Gmsh and reduce its size parameter until no cell is larger than h (rank 0 only).
 
-    Before a uniform refinement, "no cell" means those of the next mesh, times 2: a tetrahedron has children that are
-    longer than half of it, but these have none.
+    If the mesh will be refined uniformly, twice the diameters of the cells of the next mesh count instead: children of
+    a tetrahedron may be longer than half of it, but this happens only in the first refinement.
     """
     shape = SHAPES[shape_name]
     gmsh.initialize(readConfigFiles=False, interruptible=False)

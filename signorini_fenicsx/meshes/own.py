@@ -1,6 +1,7 @@
 """Domains from DOLFINx meshes of the user."""
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 
 import dolfinx.mesh
 import numpy as np
@@ -11,7 +12,6 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import (
     AXES,
-    Boundary,
     Domain,
     axis_part,
     bounding_box,
@@ -127,20 +127,24 @@ def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:
     return AXES[int(np.argmax(high - low))]
 
 
-def check_parts(domain: Domain, boundary: Boundary) -> None:
+def check_parts(domain: Domain, named: Mapping[str, Sequence[str]]) -> None:
     """Refuse parts that do not exist, are empty, overlap or lie inside the domain (collective).
+
+    Args:
+        domain: The mesh with its parts.
+        named: By its kind the parts that each kind of boundary consists of.
 
     Raises:
         InputError: If there is such a part.
     """
-    for key, names in vars(boundary).items():
+    for key, names in named.items():
         unknown = [part for part in names if part not in domain.parts]
         if unknown:
             raise InputError(f"{key}: unknown part '{unknown[0]}'; there are {', '.join(domain.parts)}")
     topology, comm = domain.mesh.topology, domain.mesh.comm
     free = np.zeros(topology.index_map(topology.dim - 1).size_local, dtype=bool)
     free[dolfinx.mesh.exterior_facet_indices(topology)] = True
-    for name in [*boundary.signorini, *boundary.neumann]:
+    for name in itertools.chain.from_iterable(named.values()):
         facets = domain.facets[name]
         count, wrong = comm.allreduce(np.array([len(facets), np.count_nonzero(~free[facets])]))
         if count == 0:

@@ -1,8 +1,8 @@
-"""Uniform refinement: each triangle gives four and each tetrahedron eight, on the rank where it lives.
+"""Uniform refinement: each triangle is cut into four and each tetrahedron into eight, on the rank that owns it.
 
-A triangle is cut along the lines between the midpoints of its edges, so its children are similar to it. A tetrahedron
-loses its four corners, and the octahedron that is left is cut along its shortest diagonal (J. Bey, Tetrahedral grid
-refinement, Computing 55, 1995): the children of all generations belong to few classes of similar tetrahedra.
+A triangle is cut along the lines between the midpoints of its edges, so its children are similar to it. Four corners
+are cut off a tetrahedron, and the octahedron that is left is cut along its shortest diagonal (J. Bey, Tetrahedral grid
+refinement, Computing 55, 1995). The children of all generations belong to a few classes of similar tetrahedra.
 """
 
 import itertools
@@ -22,11 +22,11 @@ EDGES = {2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2)
 AROUND = {(0, 5): (1, 2, 4, 3), (1, 4): (0, 2, 5, 3), (2, 3): (0, 1, 5, 4)}
 """For each diagonal of the octahedron, between midpoints of opposite edges, the other four edges in a circle."""
 TIE = 1e-6
-"""Diagonals that differ by less than this, relatively, count as equal: rounding must not choose between them."""
+"""Diagonals that differ relatively by less than this count as equal, so that rounding does not choose."""
 
 
 def _children(dim: int) -> Indices:
-    """Corners of the children without an octahedron, as vertices 0 … dim and midpoints dim + 1 + edge."""
+    """Corners of the children outside the octahedron: numbers 0 … dim are vertices, dim + 1 + edge are midpoints."""
     midpoint = {edge: dim + 1 + number for number, edge in enumerate(EDGES[dim])}
     corners = range(dim + 1)
     rows = [[a if a == b else midpoint[min(a, b), max(a, b)] for b in corners] for a in corners]
@@ -34,7 +34,7 @@ def _children(dim: int) -> Indices:
 
 
 def _children_of_facet(dim: int, facet: int) -> Indices:
-    """Corners of the children of a facet, numbered likewise; facet i is opposite to vertex i."""
+    """Corners of the children of a facet, with the numbers of `_children`; facet i is opposite to vertex i."""
     midpoint = {edge: dim + 1 + number for number, edge in enumerate(EDGES[dim])}
     corners = [vertex for vertex in range(dim + 1) if vertex != facet]
     rows = [[a if a == b else midpoint[min(a, b), max(a, b)] for b in corners] for a in corners]
@@ -81,7 +81,7 @@ def refined_uniformly(domain: Domain) -> Domain:
 
 
 def _numbers(comm: MPI.Comm, *maps: IndexMap) -> list[Indices]:
-    """New numbers of the entities of several kinds on this rank: a rank's own follow each other, kind by kind."""
+    """New numbers of the entities of several kinds on this rank; those of one rank are consecutive, kind by kind."""
     sizes = np.array(comm.allgather([index_map.size_local for index_map in maps]), dtype=np.int64)
     first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).reshape(sizes.shape)  # the new numbers, by rank and kind
     before = np.cumsum(sizes, axis=0) - sizes  # the old ones

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.facets import FieldChange
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.kkt import KKTResiduals
@@ -129,6 +130,7 @@ class History:
         )
         self.steps.append(step)
         self._last_conditions, self._began = conditions, now
+        progress.detail("iteration", step.iteration)
         self._on_step(step)
 
 
@@ -144,7 +146,7 @@ class Recorder(History):
             conditions: Its facet conditions.
             on_step: Called on all ranks with each step.
         """
-        self._last, self._change = iterate, FieldChange(spaces)
+        self._last, self._change = iterate, FieldChange(spaces.V, spaces.Q)
         super().__init__(spaces.mesh.comm, conditions, on_step)
 
     def add(self, iterate: Iterate, conditions: SiteConditions) -> None:

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Inexact
 from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
@@ -19,7 +20,6 @@ from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSegments
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.methods.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Coarser
 
@@ -115,6 +115,7 @@ class Prediction:
             watch = _Watch(self, law, conditions, comm)
             wanted = self.wanted(law, conditions, *backend.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
+            progress.detail("set update", len(changed))
             if changed[-1] == 0:
                 return conditions, len(changed) - 1
             conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
@@ -125,9 +126,7 @@ class Prediction:
 
         A facet is on the segment of the other mesh's facet at its midpoint.
         """
-        (sample,) = sampled([earlier.function()], spaces.Lambda.mesh, earlier.spaces.domain, degree=0)
-        segment = np.rint(sample.x.array[: len(spaces.facets)])
-        return law.conditions(np.clip(segment, 0, law.count).astype(np.int8))
+        return law.conditions(np.minimum(earlier.on(spaces), law.count))
 
     def _settled_nearby(
         self, backend: Inexact, spaces: Spaces, law: Chains, conditions: SiteConditions, wanted: SiteConditions

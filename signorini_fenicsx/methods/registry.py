@@ -77,7 +77,7 @@ class Method:
 
 
 LAGRANGE = "Wang, Hu, Zhou: J. Comput. Appl. Math. (2024)"
-PENALTY = "Hu, Wang, Zhou: The mixed penalty method for the Signorini problem (2024)"
+PENALTY = "Hu, Wang, Zhou: ESAIM M2AN (2024)"
 GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (1984)"
 
 

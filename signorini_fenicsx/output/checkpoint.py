@@ -20,6 +20,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import collector_off, on_root
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
@@ -131,6 +132,7 @@ def _storable(given: object) -> bool:
 
 
 @collector_off()
+@doing("reading the solution")
 def load_solution(
     folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
 ) -> Solution:
@@ -166,7 +168,8 @@ def load_solution(
     mesh = distribute(comm, points, cells, dim)
     marks, is_shape = _marks(about, arrays, dim), found.shape is not None
     domain = marked_domain(mesh, _parts(found), marks, curvature=about.bend, name=found.domain, is_shape=is_shape)
-    spaces = build_spaces(domain, gamma_s(boundary, problem), boundary.neumann)
+    boundary = gamma_s(boundary, problem)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)
     sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux

@@ -154,7 +154,8 @@ class Checkpoint:
         assert self.about.given is not None
         if "laws" in self.about.given.missing:
             return self.about.part_names
-        return [*self.about.given.signorini, *(part for law in self.about.given.laws for part in law["parts"])]
+        laws = [part for law in self.about.given.laws for part in law["parts"]]
+        return list(dict.fromkeys([*self.about.given.signorini, *laws]))
 
     @property
     def title(self) -> str:

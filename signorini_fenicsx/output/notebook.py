@@ -2,19 +2,14 @@
 
 import base64
 import html as text
-import io
-
-from matplotlib.figure import Figure
 
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields, gather_marks
+from signorini_fenicsx.output.pictures.style import Page
 from signorini_fenicsx.solving.solution import Solution
 
-DPI = 75
-"""Resolution of the picture below the table."""
 
-
-def figure(solution: Solution, certificate: Certificate | None = None) -> Figure | None:
+def figure(solution: Solution, certificate: Certificate | None = None) -> Page | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
     table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)
@@ -44,7 +39,5 @@ def html(solution: Solution) -> str | None:
         f"<td style='text-align:left'>{text.escape(value)}</td></tr>"
         for name, value in rows.items()
     )
-    png = io.BytesIO()
-    picture.savefig(png, format="png", dpi=DPI)
-    image = f"<img alt='overview' src='data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}'>"
+    image = f"<img alt='overview' src='data:image/png;base64,{base64.b64encode(picture._repr_png_()).decode()}'>"
     return f"<table><caption>{text.escape(solution.title or solution.name)}</caption>{cells}</table>{image}"

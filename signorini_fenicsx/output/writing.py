@@ -1,21 +1,21 @@
 """Writes a solution: summary and tables as text, fields for ParaView."""
 
+from __future__ import annotations
+
 import csv
-import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Any
 
 import ufl
 from dolfinx import fem, io
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_table
 from signorini_fenicsx.base.versions import versions
@@ -26,6 +26,7 @@ from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slope
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
+from signorini_fenicsx.output.field_files import interpolated, write_files, write_vtx
 from signorini_fenicsx.output.gather import (
     FacetTable,
     centroid_flux,
@@ -34,10 +35,10 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
     gather_marks,
 )
-from signorini_fenicsx.rigorous.proof import Proof
 from signorini_fenicsx.solving.solution import Solution
 
-XINCLUDE = "http://www.w3.org/2001/XInclude"
+if TYPE_CHECKING:  # SciPy takes a second to load
+    from signorini_fenicsx.rigorous.proof import Proof
 
 
 def write_results(
@@ -99,11 +100,12 @@ def write_solution(
                 if boundary is not None:
                     from signorini_fenicsx.output import pictures  # takes a second to import
 
-                    scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
-                    if plot:
-                        pictures.draw_all(folder, scene)
-                    if html:
-                        pictures.write_page(folder / "solution.html", scene)
+                    with doing("drawing"):
+                        scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+                        if plot:
+                            pictures.draw_all(folder, scene)
+                        if html:
+                            pictures.write_page(folder / "solution.html", scene)
             write_table(folder / "history.csv", Step, solution.outcome.history)
 
         comm = solution.spaces.mesh.comm
@@ -185,14 +187,9 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    comm = solution.spaces.mesh.comm
-    sizes = _sizes(solution)
-    on_root(comm, lambda: _check_room(folder, sizes))
-    try:
-        _write_fields(solution, folder, certificate)
-    except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
-        raise WriteFailure("the fields for ParaView cannot be written") from error
-    on_root(comm, lambda: _join_grids(folder / "solution.xdmf"))
+    write_files(
+        solution.spaces.mesh.comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate)
+    )
 
 
 def _sizes(solution: Solution) -> dict[str, int]:
@@ -212,26 +209,6 @@ def _sizes(solution: Solution) -> dict[str, int]:
     }
 
 
-def _check_room(folder: Path, sizes: Mapping[str, int]) -> None:
-    """Make sure that there is disk space for the files, because ADIOS2 and HDF5 abort on a full disk (rank 0).
-
-    The space is allocated and freed again.
-
-    Raises:
-        OSError: If the disk is full.
-    """
-    places = {folder / f"{name}.room": size for name, size in sizes.items()}
-    try:
-        for place, size in places.items():
-            with place.open("wb") as file:
-                os.posix_fallocate(file.fileno(), 0, size)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(folder)) from None
-    finally:
-        for place in places:
-            place.unlink(missing_ok=True)
-
-
 def _write_fields(solution: Solution, folder: Path, certificate: Certificate | None) -> None:
     spaces = solution.spaces
     mesh = spaces.mesh
@@ -242,58 +219,20 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     sigma.interpolate(solution.sigma)
     u = fem.Function(linear, name="u")
     u.interpolate(solution.u)
-    magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
-    _write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
+    magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
+    write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
     segments = []
     if solution.data.laws.listed:
         segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
-    _write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
+    write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
 
     sigma = centroid_flux(solution)
-    magnitude = _interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
+    magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
     file.write_mesh(mesh)
     for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
         file.write_function(function)
     file.close()
-
-
-def _write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file (collective). After a failure it is not closed: closing would wait for other ranks, or abort.
-
-    The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
-    """
-    file = io.VTXWriter(comm, path, functions, engine="BP4")
-    file.write(0.0)
-    file.close()
-
-
-def _join_grids(path: Path) -> None:
-    """Make one grid of the mesh and all functions, with a time, so that all readers can read the file (rank 0).
-
-    DOLFINx writes one grid for each function, which meshio cannot read. PyVista needs a time in the grid, where meshio
-    refuses it. So the grid refers VTK to a copy with a time, inside an element whose children meshio skips.
-    """
-    tree = ElementTree.parse(path)
-    domain = tree.getroot()[0]
-    mesh, *functions = list(domain)
-    for grid in functions:
-        mesh.extend(grid.iter("Attribute"))
-        domain.remove(grid)
-    mesh.set("Reference", "/Xdmf/Domain/Grid/Information/Grid")
-    parts = " or ".join(f"self::{kind}" for kind in ("Topology", "Geometry", "Attribute"))
-    information = ElementTree.SubElement(mesh, "Information", Name="with a time", Value="0")
-    information.text = "<none/>"  # meshio needs XML here
-    timed = ElementTree.SubElement(information, "Grid", Name="mesh", GridType="Uniform")
-    ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
-    ElementTree.SubElement(timed, "Time", Value="0")
-    tree.write(path, encoding="utf-8", xml_declaration=True)
-
-
-def _interpolated(expression: ufl.core.expr.Expr, space: fem.FunctionSpace, name: str) -> fem.Function:
-    function = fem.Function(space, name=name)
-    function.interpolate(fem.Expression(expression, space.element.interpolation_points))
-    return function

@@ -1,14 +1,17 @@
 """From a domain, a boundary and a problem to the solution: spaces, data, method, KKT check."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.contract import Backend, Iterate, Renewable
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.laws import LAWS
@@ -26,6 +29,118 @@ from signorini_fenicsx.solving.solution import Solution
 type Remesh = Callable[[float], Domain]
 """Maps a factor > 1 to a mesh of the domain that is coarser by this factor (collective). Raises InputError if there is
 no such mesh."""
+
+
+class Solver:
+    """A domain with its boundary conditions, set up once and solved on for one problem after another.
+
+    Spaces, forms, matrices and, as long as κ stays, factorisations are kept. The results are those of `solve`.
+
+    >>> from mpi4py import MPI
+    >>> from signorini_fenicsx.meshes.meshing import build_domain
+    >>> solver = Solver(build_domain(MPI.COMM_WORLD, "square", 0.1, mesh="structured"), Boundary(signorini=["bottom"]))
+    >>> for load in (-1, -2, -3):
+    ...     print(solver.solve(Problem(f=load, psi=-0.1)).contact()[0])
+    3
+    9
+    11
+
+    Attributes:
+        spaces: The discrete spaces; `spaces.mesh` is the mesh, which must not move.
+    """
+
+    @collector_off()
+    def __init__(self, domain: Domain, boundary: Boundary):
+        """Set up the spaces (collective).
+
+        Args:
+            domain: The mesh with its parts.
+            boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
+
+        Raises:
+            InputError: If a part is unknown, empty or not on the boundary.
+        """
+        check_parts(domain, vars(boundary))
+        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+        self._boundary = boundary
+        self._backend: Backend[Iterate] | None = None
+        self._made_for: tuple[object, Tuning] | None = None
+
+    @collector_off()
+    def solve(
+        self,
+        problem: Problem,
+        options: Options | None = None,
+        *,
+        start: Solution | None = None,
+        remesh: Remesh | None = None,
+        name: str = "problem",
+        title: str = "",
+        source: object = None,
+        watch: Stopwatch | None = None,
+        on_step: OnStep = lambda step: None,
+    ) -> Solution:
+        """Solve a problem with these boundary conditions (collective). The arguments are those of `solve`.
+
+        Raises:
+            InputError: If the problem cannot be discretised as asked.
+            NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last
+                state.
+        """
+        options, watch, spaces = options or Options(), watch or Stopwatch(), self.spaces
+        method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
+        with watch.phase("assembly"):
+            data = project_data(spaces, problem)
+            _check(options, spaces, data, start)
+            # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
+            constant = 0.0 if method.stabilised else data.common_constant(spaces)
+            task = Task(
+                spaces=spaces,
+                data=data.less(spaces, constant),
+                rho=options.rho,
+                eps=options.eps,
+                max_iterations=options.max_iterations or method.max_iterations,
+                on_step=on_step,
+                backend=partial(self._kept_backend, options),
+                start=None if start is None else start.segments(),
+                predict=options.predict,
+                coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
+                tuning=options.tuning,
+                watch=watch,
+            )
+        with watch.phase("solve"):
+            outcome = _run(task, options)
+        with watch.phase("kkt"):
+            kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
+            outcome.iterate.u.x.array[:] += constant
+            PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
+        solution = Solution(
+            name=name,
+            title=title,
+            source=source,
+            boundary=boundary,
+            problem=problem,
+            options=options,
+            spaces=spaces,
+            data=data,
+            p=spaces.multiplier(outcome.iterate.p + data.psi_h),
+            outcome=outcome.ended(_failure(outcome, kkt)),
+            kkt=kkt,
+            timings=watch.longest(comm),
+            peak_memory=peak_memory(comm),
+        )
+        if not solution.converged:
+            self._backend = None
+            raise NumericalFailure(solution.outcome.reason, solution)
+        return solution
+
+    def _kept_backend(self, options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
+        """The backend of the last solve with these data, or a new one (collective)."""
+        wanted, kept, self._backend = (options.backend, options.tuning), self._backend, None
+        renewed = wanted == self._made_for and isinstance(kept, Renewable) and kept.renew(data)
+        backend = kept if kept is not None and renewed else options.make_backend(spaces, data)
+        self._backend, self._made_for = backend, wanted
+        return backend
 
 
 @collector_off()
@@ -47,7 +162,7 @@ def solve(
 
     Args:
         domain: The mesh with its parts.
-        boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
+        boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D. Parts with a law of the problem belong to Γ_S.
         problem: The data.
         options: Algorithm, backend and their parameters; None for the defaults.
         start: Solution on any mesh of the domain; its contact set is the first one.
@@ -62,52 +177,20 @@ def solve(
         InputError: If the problem cannot be discretised as asked.
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
-    options, watch, comm = options or Options(), watch or Stopwatch(), domain.mesh.comm
-    method = options.method
+    watch = watch or Stopwatch()
     with watch.phase("assembly"):
-        check_parts(domain, Boundary(gamma_s(boundary, problem), boundary.neumann))
-        spaces, data = _discretised(domain, boundary, problem)
-        _check(options, spaces, data, start)
-        # The unknown is u − constant: ∇u would be lost in rounding otherwise. In stabilised methods −εu depends on it.
-        constant = 0.0 if method.stabilised else data.common_constant(spaces)
-        task = Task(
-            spaces=spaces,
-            data=data.less(spaces, constant),
-            rho=options.rho,
-            eps=options.eps,
-            max_iterations=options.max_iterations or method.max_iterations,
-            on_step=on_step,
-            backend=options.make_backend,
-            start=None if start is None else start.segments(),
-            predict=options.predict,
-            coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
-            tuning=options.tuning,
-            watch=watch,
-        )
-    with watch.phase("solve"):
-        outcome = _run(task, options)
-    with watch.phase("kkt"):
-        kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
-        outcome.iterate.u.x.array[:] += constant
-        PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
-    solution = Solution(
+        solver = Solver(domain, gamma_s(boundary, problem))
+    return solver.solve(
+        problem,
+        options,
+        start=start,
+        remesh=remesh,
         name=name,
         title=title,
         source=source,
-        boundary=boundary,
-        problem=problem,
-        options=options,
-        spaces=spaces,
-        data=data,
-        p=spaces.multiplier(outcome.iterate.p + data.psi_h),
-        outcome=outcome.ended(_failure(outcome, kkt)),
-        kkt=kkt,
-        timings=watch.longest(comm),
-        peak_memory=peak_memory(comm),
+        watch=watch,
+        on_step=on_step,
     )
-    if not solution.converged:
-        raise NumericalFailure(solution.outcome.reason, solution)
-    return solution
 
 
 def _run(task: Task, options: Options) -> Outcome:
@@ -139,13 +222,21 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
 
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
-    spaces = build_spaces(domain, gamma_s(boundary, problem), boundary.neumann)
+    boundary = gamma_s(boundary, problem)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     return spaces, project_data(spaces, problem)
 
 
-def gamma_s(boundary: Boundary, problem: Problem) -> list[str]:
-    """The parts of Γ_S: those that are listed, then those of the laws."""
-    return [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
+def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
+    """The boundary with the parts of all laws in Γ_S.
+
+    Raises:
+        InputError: If there is none.
+    """
+    parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
+    if not parts:
+        raise InputError("signorini: lists no part, and the problem has no laws")
+    return Boundary(list(dict.fromkeys(parts)), boundary.neumann)
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 from types import ModuleType
 
 import matplotlib as mpl
-from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.case import Case
@@ -75,11 +74,9 @@ def draw_all(folder: Path, scene: Scene) -> None:
 
 
 @mpl.rc_context(style.STYLE)
-def overview(scene: Scene) -> Figure:
+def overview(scene: Scene) -> style.Page:
     """The overview as a figure, which a notebook shows (rank 0)."""
-    import matplotlib.pyplot  # noqa: F401 - with it imported, notebooks show figures
-
-    figure: Figure = _files_of(scene).overview(scene)
+    figure: style.Page = _files_of(scene).overview(scene)
     figure.draw_without_rendering()  # ticks are made here, in this style
     return figure
 

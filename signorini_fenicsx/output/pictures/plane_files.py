@@ -25,7 +25,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     style.save(_overview(plane), folder / "overview.png")
 
 
-def overview(scene: Scene) -> Figure:
+def overview(scene: Scene) -> style.Page:
     """The overview of a solution in the plane."""
     return _overview(Plane(scene))
 
@@ -85,13 +85,13 @@ def _draw_part(scene: Scene, row: list[Axes], part: int, number: int) -> None:
         number += 1
 
 
-def _overview(plane: Plane) -> Figure:
+def _overview(plane: Plane) -> style.Page:
     """Maps above, traces and iterations below; a wide domain has two maps in a row."""
     scene = plane.scene
     parts = range(min(len(scene.labels), OVERVIEW_PARTS))
     columns, maps = (2, 2) if plane.wide else (3, 1)
     height = 11 / columns * 0.85 / max(plane.aspect, 0.6) + 0.5
-    figure = Figure(figsize=(12.5, 1.2 + maps * height + 2.2 * len(parts)), layout="constrained")
+    figure = style.Page(figsize=(12.5, 1.2 + maps * height + 2.2 * len(parts)), layout="constrained")
     grid = figure.add_gridspec(maps + len(parts), columns, height_ratios=[height] * maps + [2.2] * len(parts))
     slots = [grid[row, column] for row in range(maps) for column in range(columns)]
     plane.draw_u(figure, figure.add_subplot(slots[0]), "(a) $H = -u_h$" if plane.water else "(a) $u_h$")
@@ -108,7 +108,7 @@ def _overview(plane: Plane) -> Figure:
         _draw_part(scene, row, part, first + 2 * part)
     axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2])
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, [*plane.handles(), *traces.handles(scene)], 6)
+    style.legend_below(figure, [*plane.handles(), *traces.handles(scene), *axes.get_legend_handles_labels()[0]], 6)
+    figure.get_layout_engine().execute(figure)  # twice: the ticks it makes room for are those of the size before
     return figure

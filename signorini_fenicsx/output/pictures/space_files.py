@@ -41,7 +41,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     style.save(_overview(space), folder / "overview.png")
 
 
-def overview(scene: Scene) -> Figure:
+def overview(scene: Scene) -> style.Page:
     """The overview of a solution in space."""
     return _overview(Space(scene))
 
@@ -68,9 +68,9 @@ def _finish(figure: Figure, space: Space, path: Path) -> None:
     style.save(figure, path)
 
 
-def _overview(space: Space) -> Figure:
+def _overview(space: Space) -> style.Page:
     scene = space.scene
-    figure = Figure(figsize=(12.5, 9), layout="constrained")
+    figure = style.Page(figsize=(12.5, 9), layout="constrained")
     panels = figure.subplots(2, 3).ravel()
     space.draw_half(figure, panels[0], "(a) $u_h$ on half of the domain")
     space.draw_streamlines(figure, panels[1], r"(b) streamlines of $\sigma_h$")
@@ -81,7 +81,6 @@ def _overview(space: Space) -> Figure:
     space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
     space.draw_trace(figure, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
     draw_steps(panels[5], scene.history, "(f) iteration errors")
-    panels[5].legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, space.handles())
+    style.legend_below(figure, [*space.handles(), *panels[5].get_legend_handles_labels()[0]])
     return figure

@@ -5,11 +5,14 @@ from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.output.gather import Fields
+from signorini_fenicsx.output.pictures import style
 
 GRID = 110
 """Points of the grid along the longer side of the domain."""
 ARROW = 0.022
 """Length of the arrow heads, relative to this side."""
+STILL = 1e-3
+"""A flux smaller than this, relative to the usual one, has no meaningful direction."""
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
@@ -23,8 +26,10 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
     size = float((high - low).max())
     x, y = (np.linspace(a, b, max(round(GRID * (b - a) / size), 8)) for a, b in zip(low, high, strict=True))
     sigma = _spread(on_grid(fields, x, y))
-    if not np.nanmax(np.abs(sigma), initial=0.0) > 0:
+    norm = np.linalg.norm(sigma, axis=0)
+    if not np.nanmax(norm, initial=0.0) > 0:
         return [], np.empty((0, 3, 2))
+    sigma[:, norm < STILL * np.nanquantile(norm, style.QUANTILE)] = np.nan
     found = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
     lines = [line for line in found.lines.get_segments() if len(line) > 2]
     return lines, np.array([_head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)

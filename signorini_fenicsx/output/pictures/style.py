@@ -1,5 +1,6 @@
 """The common style of all pictures: fonts, colours, colour limits, numbers in mathematical type."""
 
+import io
 import math
 from pathlib import Path
 
@@ -32,8 +33,19 @@ OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
+NOTEBOOK_DPI = 75
+"""A figure that is as wide as a page is as wide as the column of a notebook then."""
 QUANTILE = 0.99
 """The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
+
+
+class Page(Figure):
+    """A figure that notebooks show whether pyplot is there or not."""
+
+    def _repr_png_(self) -> bytes:
+        png = io.BytesIO()
+        self.savefig(png, format="png", dpi=NOTEBOOK_DPI)
+        return png.getvalue()
 
 
 def power(value: float) -> str:

@@ -106,7 +106,9 @@ def shaded(scene: Scene) -> list[Group]:
 
 def handles(scene: Scene) -> list:
     """The entries of the legend of these panels."""
-    lines = [Line2D([], [], label=label, **look) for panel in PANELS.values() for label, look in panel.values()]
+    columns = {name: column for panel in PANELS.values() for name, column in panel.items()}
+    columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])  # they look alike, each in its panel
+    lines = [Line2D([], [], label=label, **look) for label, look in columns.values()]
     return [*lines, *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in shaded(scene))]
 
 

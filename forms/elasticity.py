@@ -1,0 +1,87 @@
+"""Elastic contact: the Hellinger-Reissner problem, its hybrid form, and the gap identity.
+
+Strong form: σ = ℂε(u) = 2μ ε(u) + λ tr ε(u) I, ∇·σ + f = 0 in Ω, u = u_D on Γ_D, σn = g_N on Γ_N, and without friction
+on Γ_C, where u_n = u·n, σ_nn = n·σn and g is the gap along n,
+
+    u_n ≤ g,   σ_nn ≤ 0,   (u_n − g) σ_nn = 0,   σn − σ_nn n = 0.
+
+With p = g − u_n and the pressure −σ_nn in the place of σ·n this is the Signorini condition of the scalar problem. The
+compliance 𝔸 = ℂ⁻¹ is 𝔸σ = (σ − θ tr σ I)/2μ, θ = λ/(2μ + dλ). By Young's modulus E and Poisson's ratio ν it is 2μ =
+E/(1 + ν), and θ = ν for plane strain, ν/(1 + ν) for plane stress and in space.
+
+*The element* (Johnson and Mercier 1978; Křížek 1982). A simplex T is split at its centroid into d + 1 subcells. The
+stresses are symmetric and linear on each subcell, and σn is continuous in T. The displacements are linear on all of T.
+∇·σ is a constant on each subcell, as many numbers as a linear displacement has; its moments against these determine it.
+So f_h is the field of this kind with the moments of f, and −∇·σ_h = f_h holds pointwise.
+
+*The hybrid form.* The traces û are linear on each facet and not continuous. On each T, for all stresses τ and
+displacements v of it,
+
+    (𝔸σ, τ)_T + (u, ∇·τ)_T = ⟨û, τn⟩_∂T,   (∇·σ, v)_T = −(f, v)_T,
+
+and for all traces q that vanish where û is given, Σ_T ⟨σn, q⟩_∂T = ⟨g_N, q⟩. The last equation says that σn is the same
+from both sides of a facet, since σn is linear there.
+
+*What is solved.* With F the derivative of the affine map from a reference simplex T̂ to T, τ = Fτ̂Fᵀ/|det F| is
+symmetric, τn dS = F τ̂n̂ dŜ and (v, ∇·τ)_T = (Fᵀv, ∇·τ̂)_T̂. So the split, the continuity of σn and zero divergence carry
+over, and one basis on T̂ serves all cells: Z of the self-balanced stresses, whose number is that of all facet tractions
+less the rigid motions, and one stress for each moment of the divergence. On T, σ = Z a + (what balances f), and a
+minimises ½(𝔸σ, σ) − ⟨û, σn⟩: one small SPD system for each T. What remains is one SPD system for û, whose matrix is on
+each T the G_Z A_ZZ⁻¹ G_Zᵀ of the tractions G_Z of Z.
+
+*The gap identity.* For v with v = u_D on Γ_D and v_n ≤ g on Γ_C, and symmetric y with −∇·y = f, yn = g_N on Γ_N, and
+y_nn ≤ 0, yn = y_nn n on Γ_C,
+
+    ½|v − u|² + ½‖y − σ‖² + ⟨−σ_nn, g − v_n⟩ + ⟨−y_nn, g − u_n⟩ = ½‖ℂε(v) − y‖² + ⟨−y_nn, g − v_n⟩ =: gap(v, y)
+
+with |w|² = (ℂε(w), ε(w)), ‖τ‖² = (𝔸τ, τ), and ⟨·,·⟩ on Γ_C. No constant of Korn is in it.
+
+Proof: ½‖ℂε(v) − y‖² = ½|v − u|² + ½‖σ − y‖² + (ε(v − u), σ − y). As ∇·(σ − y) = 0 and σ − y is symmetric, the last term
+is ⟨v − u, (σ − y)n⟩, which is on Γ_C alone and there ⟨v_n − u_n, σ_nn − y_nn⟩ = ⟨−σ_nn, g − v_n⟩ − ⟨−y_nn, g − v_n⟩ +
+⟨−y_nn, g − u_n⟩, because (g − u_n)σ_nn = 0. All terms on the left are ≥ 0.
+"""
+
+from ufl import Form, Identity, Measure, div, dot, grad, inner, sym, tr
+from ufl.core.expr import Expr
+
+
+def strain(u: Expr) -> Expr:
+    """ε(u)."""
+    return sym(grad(u))
+
+
+def stress(strain: Expr, mu2: Expr, theta: Expr) -> Expr:
+    """ℂε = 2μ (ε + θ/(1 − dθ) tr ε I); `mu2` is 2μ."""
+    dim = strain.ufl_shape[0]
+    return mu2 * (strain + theta / (1 - dim * theta) * tr(strain) * Identity(dim))
+
+
+def compliance(sigma: Expr, mu2: Expr, theta: Expr) -> Expr:
+    """𝔸σ = (σ − θ tr σ I)/2μ; `mu2` is 2μ."""
+    return (sigma - theta * tr(sigma) * Identity(sigma.ufl_shape[0])) / mu2
+
+
+def stress_product(sigma: Expr, tau: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
+    """(𝔸σ, τ)."""
+    return inner(compliance(sigma, mu2, theta), tau) * dx
+
+
+def hellinger_reissner(sigma: Expr, u: Expr, tau: Expr, v: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
+    """(𝔸σ, τ) + (u, ∇·τ) + (∇·σ, v): on a cell the left sides of the hybrid form."""
+    return stress_product(sigma, tau, mu2, theta, dx) + inner(u, div(tau)) * dx + inner(div(sigma), v) * dx
+
+
+def traction_work(u: Expr, sigma: Expr, n: Expr, ds: Measure) -> Form:
+    """⟨u, σn⟩."""
+    return inner(u, dot(sigma, n)) * ds
+
+
+def strain_energy(u: Expr, v: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
+    """(ℂε(u), ε(v)), for conforming displacements."""
+    return inner(stress(strain(u), mu2, theta), strain(v)) * dx
+
+
+def stress_gap(v: Expr, y: Expr, mu2: Expr, theta: Expr, q: Expr, dx: Measure) -> Form:
+    """‖ℂε(v) − y‖² in the norm of 𝔸, weighted by q: with the indicator of T what T contributes to 2 gap(v, y)."""
+    difference = strain(v) - compliance(y, mu2, theta)
+    return q * inner(stress(difference, mu2, theta), difference) * dx

@@ -1,0 +1,236 @@
+"""The conforming displacement nearest to a stress: quadratics on the split mesh that stay off the foundation.
+
+It minimises the gap of `forms/elasticity.py` for given y, which is a problem of its own with one condition per node of
+Γ_C: contact or free. So the loop over the sets solves it, as it solves the problem itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from itertools import combinations
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem.petsc import assemble_matrix
+from petsc4py import PETSc
+
+from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
+from signorini_fenicsx.backends.facets import FieldChange
+from signorini_fenicsx.backends.petsc import direct_solver
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.boundary_nodes import (
+    boundary_nodes,
+    direction_of_contact,
+    excess,
+    facet_coefficients,
+)
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
+from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+from signorini_fenicsx.discrete.johnson_mercier import split_vertices
+from signorini_fenicsx.forms.elasticity import strain, strain_energy
+
+
+class BestDisplacement:
+    """A backend whose sites are the nodes of Γ_C.
+
+    Attributes:
+        moduli: 2μ and θ on the split mesh.
+        dx: The measure that goes with them.
+        ds: That of Γ_C.
+    """
+
+    name = "conforming P2"
+    noun = ("node", "nodes")
+    inexact: Inexact | None = None
+    precise: Callable[[], Backend[Iterate]] | None = None
+
+    def __init__(self, spaces: ElasticSpaces, data: ElasticData, sigma: fem.Function):
+        """Assemble (collective).
+
+        Args:
+            spaces: The spaces.
+            data: The data.
+            sigma: y.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self.spaces, self._data, self._sigma = spaces, data, sigma
+        self.comm, mesh, dim = spaces.mesh.comm, spaces.split.mesh, spaces.dim
+        element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
+        self.space = fem.functionspace(mesh, element)
+        self.moduli, self.dx = moduli_on_split(spaces, data)
+        entities = np.column_stack([spaces.split_cells(spaces.contact), np.full(len(spaces.contact.facets), dim)])
+        domain = entities[np.argsort(entities[:, 0])].astype(np.int32).ravel()
+        self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(1, domain)])(1)
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        n = ufl.FacetNormal(mesh)
+        pull = ufl.inner(sigma, strain(v)) * self.dx - ufl.dot(n, sigma * n) * ufl.dot(v, n) * self.ds
+        load = fem.assemble_vector(fem.form(pull))
+        load.scatter_reverse(la.InsertMode.add)
+        natural = assemble_matrix(fem.form(strain_energy(u, v, *self.moduli, self.dx)))
+        natural.assemble()
+
+        self.nodes = boundary_nodes(spaces, data, self.space)
+        self._size = self.space.dofmap.index_map.size_local
+        turn = self._turn(natural)
+        self._operator = ConstrainedMatrix(natural.ptap(turn), PETSc.Mat.Option.SPD)
+        self._lift, self._x = self._operator.matrix.createVecs()
+        lift = self.nodes.values.copy()
+        touching = np.flatnonzero(self.nodes.touching)
+        lift[touching, self.nodes.given[touching]] = self.nodes.bound[touching]
+        self._lift.array_w[:] = lift[: self._size].ravel()
+        self._load = self._lift.duplicate()
+        self._operator.natural.mult(self._lift, self._load)
+        turned = np.einsum("nij,ni->nj", self.nodes.frames, load.array.reshape(-1, dim))
+        self._load.array_w[:] = turned[: self._size].ravel() - self._load.array_r
+        owned = np.arange(self._size, dtype=np.int32)
+        self._given = (owned[:, None] * dim + np.arange(dim, dtype=np.int32))[
+            np.arange(dim) < self.nodes.given[: self._size, None]
+        ]
+        self._touching = owned[self.nodes.touching[: self._size]]
+        self._sites = self._touching * dim + self.nodes.given[self._touching].astype(np.int32)
+        self.sites, self.dofs = len(self._sites), self._operator.matrix.getSize()[0]
+        self.chains = Chains.at_corner(self.sites)
+        self._diagonal = float(self._operator.natural.getDiagonal().norm(PETSc.NormType.INFINITY))
+        self._solver = direct_solver(self._operator.matrix, "cholesky", "facet_")
+        self._contact = facet_coefficients(spaces, self.space, spaces.contact)
+
+    def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
+        """From coefficients in the frames of the nodes to those in coordinates."""
+        dim, frames = self.spaces.dim, self.nodes.frames[: self._size]
+        turn = PETSc.Mat().create(self.comm)
+        turn.setSizes(natural.getSizes(), bsize=dim)
+        turn.setType("aij")
+        begin = natural.getOwnershipRange()[0]
+        number = begin + np.arange(self._size * dim, dtype=PETSc.IntType).reshape(-1, dim)
+        shape = frames.shape
+        rows, columns = np.broadcast_to(number[:, :, None], shape), np.broadcast_to(number[:, None, :], shape)
+        turn.setPreallocationCOO(rows.ravel(), columns.ravel())
+        turn.setValuesCOO(frames.ravel(), PETSc.InsertMode.INSERT_VALUES)
+        return turn
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return self._solver.name()
+
+    def solve(self, conditions: SiteConditions) -> Iterate:
+        """Solve as `Backend.solve` says (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        essential = np.concatenate([self._given, self._sites[conditions.kind == Condition.ZERO_TRACE]])
+        none = np.empty(0, dtype=np.int32)
+        self._operator.impose(essential, none, none)
+        b, reaction = self._load.copy(), self._load.copy()
+        b.array_w[essential] = 0.0
+        self._solver.solve(b, self._x)
+        self._operator.natural.mult(self._x, reaction)
+        reaction.aypx(-1.0, self._load)
+        p, flux = conditions.clean(-self._x.array_r[self._sites], reaction.array_r[self._sites], 1.0)
+        u = self._conforming(self._x.array_r + self._lift.array_r)
+        iterations = self._solver.ksp.getIterationNumber()
+        return Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=self._sigma, u=u)
+
+    def _conforming(self, turned: Array) -> fem.Function:
+        dim = self.spaces.dim
+        v = fem.Function(self.space, name="v")
+        v.x.array[: len(turned)] = np.einsum(
+            "nij,nj->ni", self.nodes.frames[: self._size], turned.reshape(-1, dim)
+        ).ravel()
+        v.x.scatter_forward()
+        return v
+
+    def admissible(self, v: fem.Function) -> bool:
+        """Push v back where it passes the foundation; whether it then stays off it everywhere (collective)."""
+        back, helps = excess(self.spaces, self._data, self.nodes, self._contact, v)
+        v.x.array.reshape(-1, self.spaces.dim)[:] -= back[:, None] * direction_of_contact(self.nodes)
+        return helps
+
+    def moments_on_contact(self, v: fem.Function) -> Array:
+        """∫ v φ_a over the facets of Γ_C, shape (facets, d, d): exact for quadratics."""
+        dim, facets = self.spaces.dim, self._contact.facets
+        points, weights = facet_rule(dim, 3)
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        pairs = list(combinations(range(dim), 2))
+        quadratics = np.column_stack([hats**2, *[2 * hats[:, i] * hats[:, j] for i, j in pairs]])
+        moments = np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, quadratics)
+        coefficients = v.x.array.reshape(-1, dim)[self._contact.nodes]
+        return np.einsum("n,ak,nki->nai", facets.measure, moments, coefficients)
+
+    def near(self, touching: Mask) -> SiteConditions:
+        """Contact at the nodes all of whose facets, or all but their ends, are in contact (collective).
+
+        Args:
+            touching: Vertices of the facets of Γ_C in contact, shape (facets, d).
+        """
+        sums = la.vector(self.space.dofmap.index_map, 2)
+        inside = touching.all(axis=1).astype(np.float64)
+        values = np.stack([inside, np.ones_like(inside)], axis=1)[:, None]
+        np.add.at(sums.array.reshape(-1, 2), self._contact.nodes, values)
+        sums.scatter_reverse(la.InsertMode.add)
+        share = sums.array.reshape(-1, 2)[self._touching]
+        kind = np.where(share[:, 0] >= share[:, 1] - 0.5, Condition.ZERO_TRACE, Condition.NO_FLUX)
+        return SiteConditions(kind.astype(np.int8))
+
+    def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
+        """Refused: there is no clip without a penalty.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("there is no penalty here")
+
+    def scales(self, iterate: Iterate) -> tuple[Array, Array]:
+        """The largest coefficient, and that times the largest of the matrix, see `Backend.scales`."""
+        largest = max(self.comm.allgather(float(np.abs(iterate.u.x.array).max(initial=0.0))))
+        return np.full(self.sites, largest), np.full(self.sites, largest * self._diagonal)
+
+    @cached_property
+    def change(self) -> FieldChange:
+        """Norms of what changed, see `Backend.change`."""
+        return FieldChange(self.spaces.split.stresses, self.space)
+
+    def places(self) -> Array:
+        """Where the nodes are, rounded; coefficients of Bernstein's basis have the places of Lagrange's."""
+        lagrange = fem.functionspace(self.space.mesh, ("P", 2))
+        places = lagrange.tabulate_dof_coordinates()
+        mine = np.empty((self._size + self.space.dofmap.index_map.num_ghosts, 3))
+        mine[self.space.dofmap.list] = places[lagrange.dofmap.list]
+        return mine[self._touching]
+
+    def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
+        """As they are."""
+        return iterate, conditions
+
+
+def moduli_on_split(spaces: ElasticSpaces, data: ElasticData) -> tuple[tuple[fem.Function, fem.Function], ufl.Measure]:
+    """2μ and θ in the points of the data's quadrature, and the measure that takes them there (collective)."""
+    mesh, dim, rule = spaces.split.mesh, spaces.dim, data.quadrature
+    element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=rule.degree, scheme="default")
+    space = fem.functionspace(mesh, element)
+    mu2, theta = fem.Function(space), fem.Function(space)
+    for cells in blocks_of_cells(spaces):
+        shape = len(cells), dim + 1, len(rule.weights)
+        order = spaces.order[cells]
+        points = data.points(spaces, cells)
+        there = points.x.reshape(*shape, dim)
+        there = np.take_along_axis(there, order[:, :, None, None], axis=1)
+        here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
+        nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
+        dofs = space.dofmap.list[spaces.split.cells[cells]]
+        for function, values in zip((mu2, theta), data.moduli(points), strict=True):
+            by_subcell = np.take_along_axis(values.reshape(shape), order[:, :, None], axis=1)
+            function.x.array[dofs] = np.take_along_axis(by_subcell, nearest, axis=2)
+    mu2.x.array[:] = 1 / mu2.x.array
+    metadata = {"quadrature_degree": rule.degree, "quadrature_scheme": "default"}
+    return (mu2, theta), ufl.Measure("dx", domain=mesh, metadata=metadata)

@@ -1,0 +1,144 @@
+"""A bound of the energy error of an elastic solution, computed from that solution alone.
+
+In the gap identity of `forms/elasticity.py` y = σ_h is admissible for the load f_h, by its own construction: in
+balance on each cell, its tractions those of the data as far as these are linear on facets, σ_nn ≤ 0 and no shear on
+Γ_C. v is the best quadratic displacement on the split mesh that has the displacements given and stays off the
+foundation, see `best_displacement`. Let ũ be the solution for the load f_h. Then
+
+    gap = ½‖ℂε(v) − σ_h‖² + ⟨−σ_h,nn, g − v_n⟩   bounds   ½|v − ũ|² + ½‖σ_h − ℂε(ũ)‖².
+
+f − f_h is orthogonal to the rigid motions of each cell T, as f_h has its moments. With r the rigid motion nearest to w,
+|(f − f_h, w)_T| = |(f − f_h, w − r)_T| ≤ C_T ‖f − f_h‖_T |w|_T, where C_T = c_T/√min(2μ, 2μ + dλ) and ‖w − r‖_T ≤ c_T
+‖ε(w)‖_T. So |u − ũ| ≤ osc = (Σ C_T² ‖f − f_h‖²_T)^½, as in `certify`, and
+
+    |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
+
+By the map ŵ = Fᵀw∘F from a reference simplex c_T ≤ ‖F‖² ‖F⁻¹‖ ĉ. That ĉ, of the regular simplex with edges of length
+1, is known by computation only. So the bound is guaranteed if f is constant, E and ν are numbers, g_N is linear, u_D
+and g are quadratic, and these are given as numbers or texts; otherwise it is said which are not. The remainder is what
+the linear solver leaves of the jumps of σ_h n.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.certificate.best_displacement import BestDisplacement
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, split_vertices
+from signorini_fenicsx.forms.elasticity import stress_gap
+from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.methods.set_rules import ALGORITHM_1
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+
+KORN = {2: 0.381, 3: 0.357}
+"""ĉ of the module, by computation."""
+UPDATES = 30
+"""Set updates of v at most; each v is admissible."""
+
+
+def certify_elastic(solution: ElasticSolution) -> Certificate:
+    """Bound the energy error of a converged solution (collective).
+
+    Costs some linear solves for quadratic displacements on the split mesh.
+    """
+    watch = Stopwatch()
+    with watch.phase("certificate"):
+        certificate = _certificate(solution)
+    return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
+
+
+def _certificate(solution: ElasticSolution) -> Certificate:
+    spaces, data = solution.spaces, solution.data
+    comm = spaces.mesh.comm
+    problem = BestDisplacement(spaces, data, solution.sigma)
+    start = problem.near(solution.touching)
+    outcome = iterate_sets(problem, ALGORITHM_1, Parameters(max_iterations=UPDATES), start=start)
+    v = outcome.iterate.u
+    feasible = problem.admissible(v)
+
+    weight = ufl.TestFunction(fem.functionspace(spaces.split.mesh, ("DG", 0)))
+    mismatch = fem.assemble_vector(fem.form(stress_gap(v, solution.sigma, *problem.moduli, weight, problem.dx))).array
+    of_cells = mismatch[spaces.split.cells].sum(axis=1)
+    np.add.at(of_cells, spaces.contact.cells, 2 * _contact_term(solution, problem, v))
+    oscillation = _oscillation(solution)
+    sums = comm.allreduce(np.array([of_cells.sum() / 2, (oscillation**2).sum()]))
+    gap, osc = max(float(sums[0]), 0.0), float(np.sqrt(sums[1]))
+    energy = solution.norms()["energy"]
+    remainder = solution.kkt.tractions * energy
+    bound = np.sqrt(2 * gap) + osc + remainder if feasible else np.inf
+    sigma_bound = np.sqrt(2 * gap + osc**2) + remainder if feasible else np.inf
+    indicator = fem.Function(spaces.scalar.Q, name="indicator")
+    indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
+    missing = _not_in_the_spaces(data)
+    return Certificate(
+        bound=float(bound),
+        sigma_bound=float(sigma_bound),
+        gap=gap,
+        oscillation=osc,
+        remainder=remainder,
+        relative=float(bound / energy) if energy > 0 else (0.0 if bound == 0 else np.inf),
+        guaranteed=feasible and not missing,
+        by_quadrature=missing,
+        unresolved=(),
+        coarse=np.zeros(len(spaces.order), dtype=bool),
+        indicator=indicator,
+        v=v,
+    )
+
+
+def _contact_term(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function) -> Array:
+    """∫ (−σ_nn)(g − v_n) per facet of Γ_C (collective)."""
+    spaces = solution.spaces
+    facets = spaces.contact
+    moments = facet_moments(spaces, "gap", solution.data.gap, facets, "on Γ_C")
+    moments = moments - np.einsum("nai,ni->na", problem.moments_on_contact(v), facets.normals)
+    return np.einsum("na,na->n", solution.pressure, moments)
+
+
+def _oscillation(solution: ElasticSolution) -> Array:
+    """C_T ‖f − f_h‖_T of the owned cells."""
+    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
+    found = np.zeros(len(spaces.order))
+    if data.f.polynomial == 0:
+        return found
+    rule = data.quadrature
+    regular = _regular(dim)
+    for numbers in blocks_of_cells(spaces):
+        cells = Cells(spaces.vertices[numbers])
+        volume = cells.measure / (dim + 1)
+        inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
+        inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
+        divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
+        points = data.points(spaces, numbers)
+        load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
+        load = np.take_along_axis(load, spaces.order[numbers][:, :, None, None], axis=1)
+        left = np.einsum("q,nsqi->n", rule.weights, (load + divergence[:, :, None]) ** 2) * volume
+        inverse, theta = data.moduli(points)
+        soft = np.minimum(1.0, 1 / np.maximum(1 - dim * theta, 1e-300)).min(axis=1) / inverse.max(axis=1)
+        F = cells.derivative @ np.linalg.inv(regular)
+        stretch = np.linalg.norm(F, 2, axis=(1, 2)) ** 2 * np.linalg.norm(np.linalg.inv(F), 2, axis=(1, 2))
+        found[numbers] = KORN[dim] * stretch * np.sqrt(left / soft)
+    return found
+
+
+def _regular(dim: int) -> Array:
+    """Edges of the regular simplex, from one vertex, as columns."""
+    if dim == 2:
+        return np.array([[1, 0.5], [0, np.sqrt(3) / 2]])
+    return np.array([[1, 0.5, 0.5], [0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0, 0, np.sqrt(2 / 3)]])
+
+
+def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
+    """Data that the discrete problem does not hold exactly."""
+    found = [("f", data.f.polynomial, 0), ("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
+    found += [(each.name, each.polynomial, 1) for each in data.g_N.values()]
+    names = [name for name, degree, most in found if degree is None or degree > most]
+    return tuple(names) if data.uniform else (*names, "young and poisson")

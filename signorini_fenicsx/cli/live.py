@@ -1,0 +1,80 @@
+"""Shows what is under way: a line that changes on a terminal, elsewhere a line for what took long."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+from rich.console import Console
+
+from signorini_fenicsx.base.parallel import is_launched
+from signorini_fenicsx.base.progress import COMPILING, Activity
+
+LONG = 2.0
+"""Seconds from which on a log mentions something."""
+PAUSE = 0.1
+"""Seconds between two details on a terminal."""
+WORDS = {
+    COMPILING: "compiling forms (kept for later runs)",
+    "mesh": "making the mesh",
+    "assembly": "assembling the equations",
+    "prediction": "predicting the contact set",
+    "solve": "solving",
+    "kkt": "checking the solution",
+    "certificate": "bounding the error",
+    "proof": "proving the bound",
+    "output": "writing the results",
+}
+"""Of the phases; other activities are called what they are."""
+
+
+class Live:
+    """A `progress.Follower` on rank 0's console."""
+
+    def __init__(self, console: Console):
+        """Show it there."""
+        self._console = console
+        # Not in a log with colours. Ranks of Open MPI see a terminal even if mpirun writes into a log.
+        self._alive = console.is_interactive and console.file.isatty() and not is_launched()
+        self._text, self._drawn = "", 0.0
+        self._compiling = 0.0
+
+    def moved(self, under_way: list[Activity], *, only_detail: bool) -> None:
+        """Show it on a terminal."""
+        if not self._alive:
+            return
+        self._text = " · ".join(map(_described, under_way)) + " …" * bool(under_way)
+        if not only_detail or time.monotonic() - self._drawn >= PAUSE:
+            self._draw(self._text)
+
+    def ended(self, name: str, seconds: float) -> None:
+        """Mention in a log what took long; what was compiled meanwhile before it."""
+        if self._alive:
+            return
+        if name == COMPILING:  # many short times
+            self._compiling += seconds
+            return
+        for what, spent in ((COMPILING, self._compiling), (name, seconds)):
+            if spent > LONG:
+                self._console.print(f"{WORDS.get(what, what)} took {spent:.1f} s", markup=False)
+        self._compiling = 0.0
+
+    @contextlib.contextmanager
+    def above(self) -> Iterator[None]:
+        """Make room for a line that stays."""
+        if self._text:
+            self._draw("")
+        yield
+        if self._text:
+            self._draw(self._text)
+
+    def _draw(self, text: str) -> None:
+        """Replace the line, and go back to where it begins: whatever is printed next covers it."""
+        self._console.file.write(f"\r\x1b[2K{text[: self._console.width - 1]}\r")
+        self._console.file.flush()
+        self._drawn = time.monotonic()
+
+
+def _described(activity: Activity) -> str:
+    details = ", ".join(f"{name} {value}" for name, value in activity.details.items())
+    words = WORDS.get(activity.name, activity.name)
+    return f"{words}: {details}" if details else words

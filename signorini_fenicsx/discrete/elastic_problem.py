@@ -1,0 +1,88 @@
+"""The data of an elastic contact problem as the user gives them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy.typing as npt
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.problem import Given
+from signorini_fenicsx.meshes.domain import AXES
+
+type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
+"""A number, text or UFL expression for each component; a UFL vector on the mesh; or a function of points of shape
+(3, n) with values of shape (d, n)."""
+
+NORMAL = "n"
+
+
+class Plane(StrEnum):
+    """What a problem in the plane is a section of."""
+
+    STRAIN = "strain"
+    STRESS = "stress"
+
+
+@dataclass(frozen=True)
+class ElasticProblem:
+    """−∇·σ = f, σ = ℂε(u), u = u_D on Γ_D, σn = g_N on Γ_N; u_n ≤ g, σ_nn ≤ 0, one of them equal, σ_t = 0 on Γ_C.
+
+    Attributes:
+        f: Force per volume; None for none.
+        young: E, or one for each region of the mesh.
+        poisson: ν likewise.
+        u_D: Displacement on Γ_D and, in the fixed components, on parts that are fixed in some; None for 0.
+        g_N: Traction on Γ_N and, in the free components, on parts that are fixed in some; or one for each of these
+            parts, 0 on the others; None for 0.
+        gap: g, the distance to the foundation along the outer normal.
+        plane: Plane strain or plane stress, in two dimensions.
+        exact: u itself, where it is known.
+    """
+
+    young: Given | Mapping[str, Given]
+    poisson: Given | Mapping[str, Given]
+    f: GivenVector | None = None
+    u_D: GivenVector | None = None
+    g_N: GivenVector | Mapping[str, GivenVector] | None = None
+    gap: Given = 0.0
+    plane: str = Plane.STRAIN
+    exact: GivenVector | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is neither strain nor stress."""
+        if self.plane not in list(Plane):
+            raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
+
+
+@dataclass(frozen=True)
+class ElasticBoundary:
+    """Which parts of the boundary are Γ_C and Γ_N, and which are fixed in some components; the rest is Γ_D.
+
+    Attributes:
+        contact: Names of the parts of Γ_C, at least one.
+        neumann: Names of the parts of Γ_N.
+        fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one: a plane
+            of symmetry is fixed in "n". In the others σn is given.
+    """
+
+    contact: Sequence[str]
+    neumann: Sequence[str] = ()
+    fixed: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse strings in the place of lists, and unknown components."""
+        for key in ("contact", "neumann"):
+            if isinstance(getattr(self, key), str):
+                raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
+        for part, components in self.fixed.items():
+            known = components == NORMAL or (set(components) <= set(AXES) and len(set(components)) == len(components))
+            if not known or not components:
+                raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
+
+    @property
+    def named(self) -> dict[str, Sequence[str]]:
+        """The parts of each kind."""
+        return {"contact": self.contact, "neumann": self.neumann, "fixed": list(self.fixed)}

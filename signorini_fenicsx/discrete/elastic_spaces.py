@@ -1,0 +1,329 @@
+"""The spaces of the hybrid elastic problem: traces linear on each facet, in frames that suit the conditions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticBoundary
+from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, opposite
+from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, cells_and_dofs
+from signorini_fenicsx.meshes.domain import AXES, Domain, distribute
+
+
+@dataclass(frozen=True)
+class BoundaryFacets:
+    """Some boundary facets of this rank, all owned. Their vertices are in the order of their global numbers.
+
+    Attributes:
+        facets: Their numbers.
+        cells: The cell behind each.
+        local: Which vertex of that cell is opposite, in the order of `ElasticSpaces.order`.
+        entities: Cell and facet as DOLFINx numbers it in the cell, shape (facets, 2).
+        ranking: Where the vertices are among those that DOLFINx gives the facet, shape (facets, d).
+        blocks: Block of unknowns of each.
+        vertices: Shape (facets, d, d).
+        normals: Outer unit normals.
+        measure: |e|.
+    """
+
+    facets: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int32]
+    local: Indices
+    entities: npt.NDArray[np.int32]
+    ranking: Indices
+    blocks: npt.NDArray[np.int32]
+    vertices: Array
+    normals: Array
+    measure: Array
+
+    def moments(self, values: Array, points: Array, weights: Array) -> Array:
+        """∫ value φ_a over each facet, shape (facets, d, …), from values in points of the reference facet."""
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        by_dolfinx = np.einsum("q,qa,nq...->na...", weights / weights.sum(), hats, values)
+        order = self.ranking.reshape(*self.ranking.shape, *[1] * (values.ndim - 2))
+        scale = self.measure.reshape(-1, *[1] * (values.ndim - 1))
+        return scale * np.take_along_axis(by_dolfinx, order, axis=1)
+
+
+def linear_values(moments: Array, measure: Array) -> Array:
+    """Values at the vertices of the linear functions with these moments ∫ φ_a, the vertices being axis 1."""
+    size = moments.shape[1]
+    dual = (size + 1) * np.eye(size) - 1
+    scale = (size / measure).reshape(-1, *[1] * (moments.ndim - 1))
+    return scale * np.einsum("ab,nb...->na...", dual, moments)
+
+
+@dataclass(frozen=True)
+class ElasticSpaces:
+    """Spaces on one domain, with the cells' vertices in the order of their global numbers on any rank.
+
+    Unknown (a, k) of a facet is at its vertex a. On Γ_C and on parts that are fixed in the normal component k = 0 is
+    that along n, in other places k is a coordinate. On Γ_C the normal part is in the basis dual to the hats φ_a, so
+    that its coefficient is the φ_a-weighted mean of u_n, and the residual that belongs to it |e|/d times σ_nn at the
+    vertex a.
+
+    Attributes:
+        scalar: The spaces of the scalar problem with Γ_C for Γ_S; Γ_N is all that is neither that nor fixed in all
+            components.
+        boundary: The parts.
+        traces: A block of d² unknowns per facet.
+        displacements: Linear on each cell.
+        order: Vertices of the owned cells in the order of their global numbers.
+        dofs: Blocks of the facets opposite to them, shape (cells, d + 1).
+        contact: The facets of Γ_C, in the order of `scalar.facets`.
+    """
+
+    scalar: Spaces
+    boundary: ElasticBoundary
+    traces: fem.FunctionSpace
+    displacements: fem.FunctionSpace
+    order: Indices
+    dofs: npt.NDArray[np.int32]
+    contact: BoundaryFacets
+
+    @property
+    def domain(self) -> Domain:
+        """The mesh and its parts."""
+        return self.scalar.domain
+
+    @property
+    def mesh(self) -> dolfinx.mesh.Mesh:
+        """The mesh."""
+        return self.scalar.mesh
+
+    @property
+    def dim(self) -> int:
+        """D."""
+        return self.mesh.topology.dim
+
+    @cached_property
+    def vertices(self) -> Array:
+        """Vertices of the owned cells, shape (cells, d + 1, d)."""
+        nodes = np.take_along_axis(self.mesh.geometry.dofmaps[0][: len(self.order)], self.order, axis=1)
+        return self.mesh.geometry.x[nodes, : self.dim]
+
+    def as_dolfinx(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Indices, Indices]:
+        """Where subcell vertices in this order are in DOLFINx's order of the cell's vertices.
+
+        With `found = values_of_dolfinx[spaces.as_dolfinx(cells)]` values at (cell, subcell, vertex) change their order.
+        """
+        order, dim = self.order[cells], self.dim
+        of_subcell = order[:, opposite(dim)]
+        place = np.empty((*of_subcell.shape[:2], dim + 1), dtype=np.int64)
+        place[:, :, :dim] = of_subcell - (of_subcell > order[:, :, None])
+        place[:, :, dim] = dim  # the centroid
+        return np.arange(len(cells))[:, None, None], order[:, :, None], place
+
+    def facets(self, numbers: npt.NDArray[np.int32]) -> BoundaryFacets:
+        """Boundary facets by their numbers."""
+        return _boundary_facets(self.traces, self.order, numbers)
+
+    def part(self, name: str) -> BoundaryFacets:
+        """The facets of a part."""
+        return self.facets(self.domain.facets[name])
+
+    @cached_property
+    def neumann(self) -> BoundaryFacets:
+        """All facets on which some component of σn is given."""
+        return self.facets(self.scalar.neumann_facets)
+
+    @cached_property
+    def dirichlet(self) -> BoundaryFacets:
+        """The facets of Γ_D."""
+        return self.facets(self.scalar.dirichlet_facets)
+
+    @cached_property
+    def frames(self) -> list[tuple[BoundaryFacets, Array]]:
+        """Facets whose unknowns are no coordinates, and the values at the vertices that the unknowns stand for.
+
+        These are matrices from unknowns (a, k) to values (vertex, component), shape (facets, d², d²).
+        """
+        dual = (self.dim + 1) * np.eye(self.dim) - 1
+        found = [(self.contact, _frame_matrices(self.contact.normals, dual))]
+        for name, components in self.boundary.fixed.items():
+            if components == NORMAL:
+                part = self.part(name)
+                found.append((part, _frame_matrices(part.normals, np.eye(self.dim))))
+        return found
+
+    def unknowns(self, facets: BoundaryFacets, k: int) -> npt.NDArray[np.int32]:
+        """The unknowns (a, k) of facets, shape (facets, d)."""
+        dim = self.dim
+        return facets.blocks[:, None] * dim**2 + np.arange(dim, dtype=np.int32) * dim + k
+
+    @cached_property
+    def fixed(self) -> list[tuple[BoundaryFacets, int, str]]:
+        """Facets and the component k in which u is given, and what that is: a letter of "xyz", or "n"."""
+        found = [(self.dirichlet, k, AXES[k]) for k in range(self.dim)]
+        for name, components in self.boundary.fixed.items():
+            part = self.part(name)
+            found += [(part, 0 if letter == NORMAL else AXES.index(letter), letter) for letter in components]
+        return found
+
+    @cached_property
+    def sites(self) -> npt.NDArray[np.int32]:
+        """The unknown of each site: the normal ones of Γ_C, facet by facet."""
+        return self.unknowns(self.contact, 0).ravel()
+
+    @cached_property
+    def site_measure(self) -> Array:
+        """|e|/d of each site."""
+        return np.repeat(self.contact.measure / self.dim, self.dim)
+
+    def split_cells(self, facets: BoundaryFacets) -> Indices:
+        """The cell of the split mesh behind each facet, which is opposite to its last vertex."""
+        return self.split.cells[facets.cells, facets.local]
+
+    def displacement(self, values: Array, name: str = "u") -> fem.Function:
+        """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d)."""
+        function = fem.Function(self.displacements, name=name)
+        nodes = np.take_along_axis(self.displacements.dofmap.list[: len(self.order)], self.order, axis=1)
+        function.x.array.reshape(-1, self.dim)[nodes] = values
+        return function
+
+    def displacement_values(self, function: fem.Function) -> Array:
+        """Its values at the vertices of the owned cells."""
+        nodes = np.take_along_axis(self.displacements.dofmap.list[: len(self.order)], self.order, axis=1)
+        return function.x.array.reshape(-1, self.dim)[nodes]
+
+    def tractions(self, facets: BoundaryFacets, stresses: Array) -> Array:
+        """σn at the vertices of boundary facets, shape (facets, d, d), of values as in `SplitMesh.values`."""
+        at_vertices = stresses[facets.cells, facets.local, : self.dim]
+        return np.einsum("naij,nj->nai", at_vertices, facets.normals)
+
+    def normal_stress(self, stresses: Array) -> Array:
+        """σ_nn at the sites."""
+        return np.einsum("nai,ni->na", self.tractions(self.contact, stresses), self.contact.normals).ravel()
+
+    @cached_property
+    def split(self) -> SplitMesh:
+        """The mesh of the subcells (collective)."""
+        return split_mesh(self)
+
+
+def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary) -> ElasticSpaces:
+    """Create the spaces (collective)."""
+    scalar = build_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed])
+    mesh = domain.mesh
+    dim = mesh.topology.dim
+    traces = fem.functionspace(mesh, ("CR", 1, (dim, dim)))
+    size = mesh.topology.index_map(dim).size_local
+    order = np.argsort(mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0][:size]], axis=1)
+    dofs = np.take_along_axis(traces.dofmap.list[:size], order, axis=1)
+    displacements = fem.functionspace(mesh, ("DG", 1, (dim,)))
+    contact = _boundary_facets(traces, order, scalar.facets)
+    return ElasticSpaces(scalar, boundary, traces, displacements, order, dofs, contact)
+
+
+def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDArray[np.int32]) -> BoundaryFacets:
+    mesh = traces.mesh
+    dim = mesh.topology.dim
+    cells, blocks = cells_and_dofs(traces, facets)
+    own = np.argmax(traces.dofmap.list[cells] == blocks[:, None], axis=1)  # the facet in DOLFINx's order of the cell
+    local = np.argmax(order[cells] == own[:, None], axis=1)
+    among = np.take_along_axis(order[cells], opposite(dim)[local], axis=1)  # DOLFINx's numbers of the facet's vertices
+    ranking = among - (among > own[:, None])
+    nodes = np.take_along_axis(mesh.geometry.dofmaps[0][cells], order[cells], axis=1)
+    vertices = mesh.geometry.x[nodes, :dim]
+    areas = facet_normals(vertices)[np.arange(len(cells)), local]
+    measure = np.linalg.norm(areas, axis=1)
+    return BoundaryFacets(
+        facets=facets,
+        cells=cells,
+        local=local,
+        entities=np.column_stack([cells, own]).astype(np.int32),
+        ranking=ranking,
+        blocks=blocks,
+        vertices=np.take_along_axis(vertices, opposite(dim)[local][:, :, None], axis=1),
+        normals=areas / measure[:, None],
+        measure=measure,
+    )
+
+
+def _frame_matrices(normals: Array, dual: Array) -> Array:
+    """From unknowns (a, k) to values (vertex, component): n times the functions of `dual` for k = 0, hats beside it."""
+    number, dim = normals.shape
+    frames = _frames(normals)
+    matrices = np.zeros((number, dim, dim, dim, dim))
+    matrices[:, :, :, :, 0] = np.einsum("ba,ni->nbia", dual, normals)
+    for k in range(1, dim):
+        matrices[:, :, :, :, k] = np.einsum("ba,ni->nbia", np.eye(dim), frames[:, k])
+    return matrices.reshape(number, dim**2, dim**2)
+
+
+def _frames(normals: Array) -> Array:
+    """Orthonormal bases whose first vector is n, shape (n, d, d)."""
+    if normals.shape[1] == 2:
+        return np.stack([normals, np.stack([-normals[:, 1], normals[:, 0]], axis=1)], axis=1)
+    least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = np.cross(normals, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([normals, first, np.cross(normals, first)], axis=1)
+
+
+@dataclass(frozen=True)
+class SplitMesh:
+    """The mesh of the subcells, on the ranks of their cells.
+
+    Attributes:
+        mesh: The mesh.
+        subcells: For each of its cells the number of the subcell: the cell's, times d + 1, plus the subcell's.
+        stresses: Discontinuous linear matrices on it.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    subcells: Indices
+    stresses: fem.FunctionSpace
+
+    @cached_property
+    def cells(self) -> Indices:
+        """Its cell of each subcell, shape (cells, d + 1)."""
+        found = np.empty_like(self.subcells)
+        found[self.subcells] = np.arange(len(found))
+        return found.reshape(-1, self.mesh.geometry.dim + 1)
+
+    def stress(self, values: Array, name: str = "sigma") -> fem.Function:
+        """The stress with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""
+        return self.function(self.stresses, values, name)
+
+    def function(self, space: fem.FunctionSpace, values: Array, name: str) -> fem.Function:
+        """The same in another space of discontinuous linear functions on it, shape (cells, d + 1, d + 1, …)."""
+        function = fem.Function(space, name=name)
+        by_node = function.x.array.reshape(-1, *space.value_shape)
+        by_node[space.dofmap.list] = values.reshape(-1, *values.shape[2:])[self.subcells]
+        return function
+
+    def values(self, function: fem.Function) -> Array:
+        """Values at the vertices, shape (cells, d + 1, d + 1, …), of a discontinuous linear function on it."""
+        shape = function.function_space.value_shape
+        by_node = function.x.array.reshape(-1, *shape)[function.function_space.dofmap.list]
+        found = np.empty_like(by_node)
+        found[self.subcells] = by_node
+        size = self.mesh.geometry.dim + 1
+        return found.reshape(-1, size, size, *shape)
+
+
+def split_mesh(spaces: ElasticSpaces) -> SplitMesh:
+    """Split all cells at their centroids (collective)."""
+    mesh, comm, dim = spaces.mesh, spaces.mesh.comm, spaces.dim
+    nodes, size = mesh.geometry.index_map(), len(spaces.order)
+    begins = np.array(comm.allgather((nodes.local_range[0], size)))
+    centroids_before = np.concatenate([[0], np.cumsum(begins[:, 1])])
+    local = np.take_along_axis(mesh.geometry.dofmaps[0][:size], spaces.order, axis=1)
+    numbers = nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
+    numbers += centroids_before[np.searchsorted(begins[:, 0], numbers, side="right") - 1]
+    first = nodes.local_range[1] + centroids_before[comm.rank]
+    centroid = np.broadcast_to((first + np.arange(size))[:, None, None], (size, dim + 1, 1))
+    cells = np.concatenate([numbers[:, opposite(dim)], centroid], axis=2).reshape(-1, dim + 1)
+    points = np.concatenate([mesh.geometry.x[: nodes.size_local, :dim], Cells(spaces.vertices).vertices.mean(axis=1)])
+    split = distribute(comm, points, cells, dim, stay=True)
+    begin = split.topology.index_map(dim).local_range[0]
+    subcells = split.topology.original_cell_index[: len(cells)] - begin
+    return SplitMesh(split, subcells, fem.functionspace(split, ("DG", 1, (dim, dim))))

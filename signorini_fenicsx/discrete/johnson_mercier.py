@@ -1,0 +1,238 @@
+"""The Johnson-Mercier element on a reference simplex, and its cells in batches; see `forms/elasticity.py`.
+
+Vertices of a cell are in the order of their global numbers, on any rank; facet i is opposite to vertex i and its
+vertices are in the same order, so that no facet needs an orientation. Subcell i has the vertices of facet i and, as its
+last one, the centroid. A stress has values at the vertices of each subcell: shape (cells, subcells, vertices,
+entries), d + 1 subcells with d + 1 vertices each. Entries of a symmetric matrix are weighted by √2 off the diagonal, so
+that inner products of matrices are those of their entries.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import combinations
+from math import factorial
+
+import basix
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices
+
+SIMPLEX = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What all cells share.
+
+    Attributes:
+        dim: d.
+        stresses: Values of the basis, those of divergence zero first, then one for each moment of the divergence
+            against a hat function of a vertex and a component: shape ((d + 1)², entries, basis).
+        free: Number of stresses of divergence zero.
+        tractions: ⟨φ_a e_r, τ̂n̂⟩ over each facet, φ_a the hat of its vertex a: shape ((d + 1) d², basis).
+    """
+
+    dim: int
+    stresses: Array
+    free: int
+    tractions: Array
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Row and column of each entry."""
+        return entries(self.dim)
+
+
+@lru_cache
+def reference(dim: int) -> Reference:
+    """The element in this dimension."""
+    vertices = np.vstack([np.zeros(dim), np.eye(dim)])
+    normals = facet_normals(vertices[None])[0]
+    split = split_vertices(vertices[None])[0]
+    size, pairs = dim + 1, entries(dim)
+    unit = np.eye(size * size * len(pairs)).reshape(size, size, len(pairs), -1)
+    matrices = _matrices(unit, dim)  # subcell, vertex, row, column, basis
+
+    jumps = []
+    for i, j in combinations(range(size), 2):
+        edge = [k for k in range(size) if k not in (i, j)]
+        normal = _normal(np.vstack([vertices[edge], split[0, -1]]))
+        for k in edge:
+            jumps.append(np.einsum("rcb,c->rb", matrices[i, _of(i, k)] - matrices[j, _of(j, k)], normal))
+        jumps.append(np.einsum("rcb,c->rb", matrices[i, -1] - matrices[j, -1], normal))
+    continuous = _null_space(np.concatenate(jumps))
+
+    volume = 1 / factorial(dim) / size
+    gradients = -facet_normals(split) / (dim * volume)  # of the hats of each subcell; barycentric
+    divergence = np.einsum("svrcb,svc->srb", matrices, gradients)
+    moments = np.einsum("vs,srb->vrb", volume * hats_in_subcells(dim), divergence).reshape(size * dim, -1) @ continuous
+    balanced = _null_space(moments)
+    basis = continuous @ np.hstack([balanced, np.linalg.pinv(moments)])
+    basis[np.abs(basis) < 1e-15] = 0.0
+
+    mass = (1 + np.eye(dim)) / (dim * (dim + 1))
+    pulls = np.einsum("svrcb,sc->svrb", matrices[:, :dim], normals)  # outer vertices are the first ones of a subcell
+    tractions = np.einsum("av,svrb->sarb", mass, pulls).reshape(size * dim * dim, -1) @ basis
+    return Reference(dim, basis.reshape(size * size, len(pairs), -1), balanced.shape[1], tractions)
+
+
+def entries(dim: int) -> list[tuple[int, int]]:
+    """Row and column of the entries of a symmetric matrix: the diagonal, then above it."""
+    return [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
+
+
+def to_matrices(values: Array) -> Array:
+    """Symmetric matrices, shape (…, d, d), from their entries, shape (…, entries)."""
+    dim = {3: 2, 6: 3}[values.shape[-1]]
+    return np.moveaxis(_matrices(values[..., None], dim)[..., 0], (-2, -1), (-2, -1))
+
+
+def _matrices(values: Array, dim: int) -> Array:
+    """The same with a last axis of basis functions behind the entries."""
+    matrices = np.zeros((*values.shape[:-2], dim, dim, values.shape[-1]))
+    for index, (i, j) in enumerate(entries(dim)):
+        value = values[..., index, :] / (1 if i == j else np.sqrt(2))
+        matrices[..., i, j, :] = matrices[..., j, i, :] = value
+    return matrices
+
+
+def hats_in_subcells(dim: int) -> Array:
+    """Means over the subcells of the hat functions of the vertices of a cell, shape (d + 1, d + 1)."""
+    size = dim + 1
+    return np.full((size, size), 1 / size) + 1 / size**2 - np.eye(size) / size
+
+
+def split_vertices(vertices: Array) -> Array:
+    """Vertices of the subcells, shape (cells, d + 1, d + 1, d), of cells with these vertices."""
+    size = vertices.shape[1]
+    centroid = np.broadcast_to(vertices.mean(axis=1)[:, None, None], (len(vertices), size, 1, vertices.shape[2]))
+    return np.concatenate([vertices[:, opposite(size - 1)], centroid], axis=2)
+
+
+def opposite(dim: int) -> Indices:
+    """Vertices of each facet of a simplex, ascending: shape (d + 1, d)."""
+    return np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
+
+
+def facet_normals(vertices: Array) -> Array:
+    """|e| n for the facet opposite to each vertex, n pointing outwards, shape (cells, d + 1, d)."""
+    dim = vertices.shape[2]
+    edges = vertices[:, 1:] - vertices[:, :1]
+    gradients = np.linalg.inv(edges).transpose(0, 2, 1)
+    gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
+    measures = np.abs(np.linalg.det(edges)) / factorial(dim)
+    return -dim * measures[:, None, None] * gradients
+
+
+def _null_space(matrix: Array) -> Array:
+    """An orthonormal basis of the vectors that a matrix maps to 0, as columns; as SciPy's, which is slow to load."""
+    _, sizes, vectors = np.linalg.svd(matrix)
+    rank = int(np.count_nonzero(sizes > 1e-10 * sizes.max(initial=0.0)))
+    found: Array = vectors[rank:].T
+    return found
+
+
+def _normal(simplex: Array) -> Array:
+    """A normal of d points in R^d."""
+    return _null_space(simplex[1:] - simplex[:1])[:, 0]
+
+
+def _of(subcell: int, vertex: int) -> int:
+    """Where a subcell has a vertex of the cell."""
+    return vertex - (vertex > subcell)
+
+
+@dataclass(frozen=True)
+class SplitQuadrature:
+    """Points in the subcells of the reference simplex.
+
+    Attributes:
+        points: Shape ((d + 1) q, d), by subcell.
+        hats: The hats of the cell's vertices in the points of each subcell, shape (d + 1, q, d + 1).
+        local: The hats of a subcell's own vertices in its points, shape (q, d + 1).
+        weights: Of the q points of a subcell, their sum is 1.
+        degree: Up to which it is exact on each subcell.
+    """
+
+    points: Array
+    hats: Array
+    local: Array
+    weights: Array
+    degree: int
+
+    @classmethod
+    def of_degree(cls, dim: int, degree: int) -> "SplitQuadrature":
+        """Exact for polynomials of this degree on each subcell."""
+        points, weights = basix.make_quadrature(SIMPLEX[dim], degree)
+        local = np.column_stack([1 - points.sum(axis=1), points])
+        vertices = np.vstack([np.zeros(dim), np.eye(dim)])
+        inside = np.einsum("qv,svx->sqx", local, split_vertices(vertices[None])[0])
+        hats = np.concatenate([1 - inside.sum(axis=2, keepdims=True), inside], axis=2)
+        return cls(inside.reshape(-1, dim), hats, local, weights / weights.sum(), degree)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Some cells by their vertices.
+
+    Attributes:
+        vertices: Shape (cells, d + 1, d).
+    """
+
+    vertices: Array
+
+    @property
+    def dim(self) -> int:
+        """D."""
+        return int(self.vertices.shape[2])
+
+    @cached_property
+    def derivative(self) -> Array:
+        """F, shape (cells, d, d)."""
+        return (self.vertices[:, 1:] - self.vertices[:, :1]).transpose(0, 2, 1)
+
+    @cached_property
+    def determinant(self) -> Array:
+        """|det F|."""
+        return np.abs(np.linalg.det(self.derivative))
+
+    @cached_property
+    def measure(self) -> Array:
+        """|T|."""
+        return self.determinant / factorial(self.dim)
+
+    def stresses(self, basis: Array) -> Array:
+        """τ = Fτ̂Fᵀ/|det F| of stresses on the reference simplex, shape (cells, (d + 1)², entries, basis)."""
+        dim, F = self.dim, self.derivative
+        scaled = F / np.sqrt(self.determinant)[:, None, None]
+        matrices = _matrices(basis, dim)
+        mapped = np.einsum("nij,vjkb,nlk->nvilb", scaled, matrices, scaled, optimize=True)
+        weight = [1 if i == j else np.sqrt(2) for i, j in entries(dim)]
+        return np.stack([w * mapped[:, :, i, j] for w, (i, j) in zip(weight, entries(dim), strict=True)], axis=2)
+
+    def tractions(self, basis: Array) -> Array:
+        """⟨φ_a e_r, τn⟩ = F ⟨φ_a, τ̂n̂⟩, shape (cells, (d + 1) d², basis), from those on the reference simplex."""
+        dim = self.dim
+        rows = basis.reshape(-1, dim, basis.shape[-1])
+        mapped = np.einsum("nij,fjb->nfib", self.derivative, rows, optimize=True)
+        return mapped.reshape(len(self.vertices), *basis.shape)
+
+
+def compliance_product(stresses: Array, masses: Array, of_traces: Array) -> Array:
+    """(𝔸τ, τ') for all pairs of stresses of each cell, shape (cells, basis, basis).
+
+    Args:
+        stresses: Shape (cells, (d + 1)², entries, basis).
+        masses: ∫ φ_a φ_b/2μ over each subcell, shape (cells, d + 1, d + 1, d + 1).
+        of_traces: ∫ θ φ_a φ_b/2μ likewise.
+    """
+    number, size, basis = len(masses), masses.shape[1], stresses.shape[-1]
+    values = stresses.reshape(number, size, size, -1, basis)
+    trace = values[:, :, :, : size - 1].sum(axis=3)
+    weighted = masses @ values.reshape(number, size, size, -1)
+    weighted_trace = of_traces @ trace
+
+    def product(left: Array, right: Array) -> Array:
+        return left.reshape(number, -1, basis).transpose(0, 2, 1) @ right.reshape(number, -1, basis)
+
+    return product(values, weighted) - product(trace, weighted_trace)

@@ -1,0 +1,244 @@
+"""Writes an elastic solution: summary, tables, pictures, fields for ParaView."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, io
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, gather_rows, on_root
+from signorini_fenicsx.base.text import write_table
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
+from signorini_fenicsx.discrete.elastic_kkt import imbalance
+from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output.field_files import write_files, write_vtx
+from signorini_fenicsx.output.writing import write_summary
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+
+DIGITS = 10
+"""Of places in a table's order, which then does not depend on the partition."""
+
+
+@dataclass(frozen=True)
+class ContactTable:
+    """One row per vertex of each facet of Γ_C, of all ranks, by part and along it (rank 0).
+
+    Attributes:
+        part: Index into the parts of Γ_C.
+        along: Coordinate along the part.
+        x: Shape (rows, 3).
+        facet: Midpoint of the facet, shape (rows, 3).
+        pressure: −σ_nn.
+        gap: g − u_n, linear on the facet.
+        touching: Whether it is in contact.
+    """
+
+    part: npt.NDArray[np.int64]
+    along: Array
+    x: Array
+    facet: Array
+    pressure: Array
+    gap: Array
+    touching: Mask
+
+
+@dataclass(frozen=True)
+class Deformed:
+    """Cells of all ranks with what pictures show of them (rank 0).
+
+    Attributes:
+        vertices: Shape (cells, d + 1, d).
+        u: Displacement there.
+        von_mises: Largest equivalent stress at the subcells' vertices, shape (cells,).
+    """
+
+    vertices: Array
+    u: Array
+    von_mises: Array
+
+
+@collector_off()
+def write_elastic(
+    solution: ElasticSolution, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False
+) -> None:
+    """Write all files of an elastic solution into an existing folder (collective).
+
+    Args:
+        solution: What to write.
+        folder: Where; files of the same names are overwritten.
+        certificate: Its error bound, if it has one.
+        plot: Also draw PNGs, in the plane.
+    """
+    folder, watch, comm = Path(folder), Stopwatch(), solution.spaces.mesh.comm
+    with watch.phase("output"):
+        table, summary = contact_table(solution), solution.summary()
+        deformed = gather_deformed(solution) if plot and solution.spaces.dim == 2 else None
+        if certificate is not None:
+            summary["certificate"] = certificate.summary()
+            summary["timings"] |= {"certificate": certificate.seconds}
+
+        def write() -> None:
+            if table is not None:
+                write_contact(folder / "contact.csv", solution.boundary.contact, table)
+            write_table(folder / "history.csv", Step, solution.outcome.history)
+            if table is not None and deformed is not None:
+                from signorini_fenicsx.output.pictures import elastic  # costs a second, only where it is needed
+
+                elastic.draw(folder, solution, table, deformed, certificate)
+
+        on_root(comm, write)
+        write_files(comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate))
+    summary["timings"] |= watch.longest(comm)
+    on_root(comm, lambda: write_summary(folder, summary))
+
+
+def write_contact(path: Path, parts: Sequence[str], table: ContactTable) -> None:
+    """Write one row per facet vertex of Γ_C (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["part", "x", "y", "z", "pressure", "gap", "condition"])
+        for part, x, pressure, gap, touching in zip(
+            table.part, table.x.tolist(), table.pressure, table.gap, table.touching, strict=True
+        ):
+            writer.writerow([parts[part], *x, pressure, gap, "contact" if touching else "open"])
+
+
+def contact_table(solution: ElasticSolution) -> ContactTable | None:
+    """Collect the vertices of the facets of Γ_C on rank 0; None elsewhere (collective)."""
+    spaces = solution.spaces
+    contact, dim = spaces.contact, spaces.dim
+    x = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim)))
+    part = np.repeat(spaces.scalar.part_of_facet, dim)
+    along = np.empty(len(part))
+    flat = x.reshape(-1, 3)
+    for index, name in enumerate(spaces.scalar.part_names):
+        along[part == index] = spaces.domain.parts[name].along(flat[part == index].T)
+    middle = np.broadcast_to(np.sort(x, axis=1).mean(axis=1, keepdims=True), x.shape).reshape(-1, 3)
+    values = [solution.pressure.ravel(), solution.linear_gap.ravel(), solution.touching.ravel()]
+    rows = gather_rows(spaces.mesh.comm, np.column_stack([part, along, flat, middle, *values]))
+    if rows is None:
+        return None
+    scale = 2.0 ** np.ceil(np.log2(max(float(np.abs(rows[:, 1:8]).max(initial=0.0)), 1e-300)))
+    along, *places = np.round(rows[:, 1:8].T / scale, DIGITS)
+    rows = rows[np.lexsort((*places[::-1], along, rows[:, 0]))]
+    return ContactTable(
+        part=rows[:, 0].astype(np.int64),
+        along=rows[:, 1],
+        x=rows[:, 2:5],
+        facet=rows[:, 5:8],
+        pressure=rows[:, 8],
+        gap=rows[:, 9],
+        touching=rows[:, 10] > 0,
+    )
+
+
+def gather_deformed(solution: ElasticSolution) -> Deformed | None:
+    """Collect the cells on rank 0; None elsewhere (collective)."""
+    spaces = solution.spaces
+    comm = spaces.mesh.comm
+    largest = von_mises(in_space(solution)).max(axis=(1, 2))
+    found = [gather_rows(comm, values) for values in (spaces.vertices, spaces.displacement_values(solution.u), largest)]
+    vertices, u, stress = found
+    if vertices is None or u is None or stress is None:
+        return None
+    return Deformed(vertices, u, stress)
+
+
+def in_space(solution: ElasticSolution) -> Array:
+    """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
+
+    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
+    """
+    spaces, data = solution.spaces, solution.data
+    missing = 3 - spaces.dim
+    found = np.pad(solution.stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
+    if missing and not data.in_space:
+        for cells in blocks_of_cells(spaces):
+            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
+            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", solution.stresses[cells])
+    return found
+
+
+def von_mises(stresses: Array) -> Array:
+    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
+    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
+    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
+    return found
+
+
+def _sizes(solution: ElasticSolution) -> dict[str, int]:
+    """About the largest sizes that the files of fields may have, in bytes (collective)."""
+    spaces, dim = solution.spaces, solution.spaces.dim
+    mesh = spaces.mesh
+    cells = mesh.topology.index_map(dim).size_global
+    points = mesh.geometry.index_map().size_global
+    facets = mesh.comm.allreduce(len(spaces.contact.facets))
+    number, tensor, head = 8, 9 * 8, 12_000 + 3_000 * mesh.comm.size
+    corners = (dim + 1) ** 2
+    return {
+        "solution.bp": cells * corners * (tensor + 8 * number + 9) + head,
+        "contact.bp": facets * dim * (8 * number + 9) + head,
+        "solution.h5": cells * ((dim + 1) * number + tensor + 7 * number) + points * dim * number + head,
+    }
+
+
+def _write_fields(solution: ElasticSolution, folder: Path, certificate: Certificate | None) -> None:
+    """Write `solution.bp` on the subcells, `contact.bp` on Γ_C and, with means over cells, `solution.xdmf`."""
+    spaces, split = solution.spaces, solution.spaces.split
+    comm, dim, mesh = spaces.mesh.comm, spaces.dim, spaces.mesh
+    stresses = in_space(solution)  # VTX takes no others
+    equivalent = von_mises(stresses)
+    at_vertices = spaces.displacement_values(solution.u)
+    corners = np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
+    centroids = np.broadcast_to(at_vertices.mean(axis=1)[:, None, None], (len(at_vertices), dim + 1, 1, dim))
+    in_subcells = np.concatenate([at_vertices[:, corners], centroids], axis=2)
+    linear = {"sigma": stresses, "u": in_subcells, "von_mises": equivalent}
+    functions = [
+        split.function(fem.functionspace(split.mesh, ("DG", 1, values.shape[3:])), values, name)
+        for name, values in linear.items()
+    ]
+    write_vtx(comm, folder / "solution.bp", functions)
+
+    values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
+    write_vtx(comm, folder / "contact.bp", [_on_contact(solution, name, each) for name, each in values.items()])
+
+    left = np.linalg.norm(imbalance(spaces, solution.data, solution.stresses), axis=2).max(axis=1)
+    means = {
+        "u": at_vertices.mean(axis=1),
+        "sigma": stresses.mean(axis=(1, 2)),
+        "von_mises": equivalent.mean(axis=(1, 2)),
+        "equilibrium": left,
+    }
+    with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
+        file.write_mesh(mesh)
+        for name, each in means.items():
+            function = fem.Function(fem.functionspace(mesh, ("DG", 0, each.shape[1:])), name=name)
+            function.x.array[:] = each.ravel()  # no ghost cells, and a degree of freedom per cell in their order
+            file.write_function(function)
+        if certificate is not None:
+            file.write_function(certificate.indicator)
+
+
+def _on_contact(solution: ElasticSolution, name: str, values: npt.NDArray) -> fem.Function:
+    """The function on Γ_C with these values at the vertices of its facets."""
+    spaces = solution.spaces
+    multipliers = spaces.scalar.Lambda
+    space = fem.functionspace(multipliers.mesh, ("DG", 1))
+    function = fem.Function(space, name=name)
+    size = multipliers.dofmap.index_map.size_local
+    facets = multipliers.dofmap.list[:size, 0]
+    cells = np.arange(size, dtype=np.int32)
+    nodes = dolfinx.mesh.entities_to_geometry(multipliers.mesh, spaces.dim - 1, cells)
+    here = multipliers.mesh.geometry.x[nodes, : spaces.dim]
+    distances = np.square(here[:, :, None] - spaces.contact.vertices[facets][:, None]).sum(axis=3)
+    found = np.take_along_axis(values[facets], distances.argmin(axis=2), axis=1)
+    function.x.array[space.dofmap.list[:size]] = found
+    return function

@@ -1,0 +1,226 @@
+"""An elastic contact solution: its fields, sets and residuals, and the numbers that sum them up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
+from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT, resultants, subcell_squares
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+from signorini_fenicsx.discrete.errors import EXACT_CONTACT
+from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.methods.registry import Method
+from signorini_fenicsx.solving.options import Options
+
+ERROR_DEGREE = 8
+"""Of the quadrature on subcells that measures errors."""
+
+
+@dataclass(frozen=True)
+class ElasticSolution:
+    """A discrete elastic solution and how it was found.
+
+    Attributes:
+        name: What results are called.
+        title: The same in more words.
+        boundary: Which parts are in contact, loaded or fixed.
+        problem: The data as given.
+        options: Algorithm and its parameters.
+        spaces: The discrete spaces; `spaces.mesh` is the mesh, `spaces.split.mesh` that of the subcells.
+        data: The data on the mesh.
+        outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
+        kkt: Residuals of the discrete problem.
+        source: What the problem was read from; None if it was given in Python.
+        timings: Seconds per phase, the longest over all ranks.
+        peak_memory: Bytes that the processes have held at most so far, summed over ranks.
+    """
+
+    name: str
+    title: str
+    boundary: ElasticBoundary
+    problem: ElasticProblem
+    options: Options
+    spaces: ElasticSpaces
+    data: ElasticData
+    outcome: Outcome
+    kkt: ElasticKKT
+    source: object = None
+    timings: dict[str, float] = field(default_factory=dict)
+    peak_memory: int = 0
+
+    @property
+    def sigma(self) -> fem.Function:
+        """Stress σ_h: symmetric, linear on each subcell, on `spaces.split.mesh`."""
+        return self.outcome.iterate.sigma
+
+    @property
+    def u(self) -> fem.Function:
+        """Displacement u_h, linear on each cell."""
+        return self.outcome.iterate.u
+
+    @property
+    def converged(self) -> bool:
+        """Whether the sets repeated and all residuals are small."""
+        return self.outcome.converged
+
+    @property
+    def method(self) -> Method:
+        """The method that solved it."""
+        return self.options.method
+
+    def __repr__(self) -> str:
+        cells = self.spaces.scalar.Q.dofmap.index_map.size_global
+        ended = "converged" if self.converged else "failed"
+        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {len(self.outcome.history)} iterations"
+        return f"<ElasticSolution of {self.name}: {about}>"
+
+    @cached_property
+    def stresses(self) -> Array:
+        """Values of σ_h at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""
+        return self.spaces.split.values(self.sigma)
+
+    @property
+    def pressure(self) -> Array:
+        """−σ_nn at the vertices of each facet of Γ_C of this rank, shape (facets, d)."""
+        return -self.spaces.normal_stress(self.stresses).reshape(-1, self.spaces.dim)
+
+    @property
+    def gap(self) -> Array:
+        """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact."""
+        return self.outcome.iterate.p.reshape(-1, self.spaces.dim)
+
+    @property
+    def linear_gap(self) -> Array:
+        """The gap there as a linear function on each facet: where contact ends it may be a little below 0."""
+        return (self.spaces.dim + 1) * self.gap - self.gap.sum(axis=1, keepdims=True)
+
+    @property
+    def touching(self) -> Mask:
+        """Whether these vertices are in contact, shape (facets, d)."""
+        return (self.outcome.conditions.kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
+
+    def contact_set(self) -> FacetSet:
+        """The facets of Γ_C with a vertex in contact."""
+        return FacetSet(self.spaces.scalar, self.touching.any(axis=1))
+
+    def contact(self) -> tuple[int, float]:
+        """Number of facet vertices in contact, and their share of Γ_C's measure (collective)."""
+        touching = self.touching.ravel()
+        found = np.array([np.count_nonzero(touching), self.spaces.site_measure[touching].sum()])
+        count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
+        return int(count), measure
+
+    def resultants(self) -> dict[str, list[float]]:
+        """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
+        parts, total = resultants(self.spaces, self.data, self.stresses)
+        return {name: values.tolist() for name, values in (parts | {"sum": total}).items()}
+
+    def norms(self) -> dict[str, float]:
+        """‖σ‖ in the energy norm and in L², ‖u‖, and the resulting and the largest contact pressure (collective)."""
+        spaces, data = self.spaces, self.data
+        u, squares = spaces.displacement_values(self.u), np.zeros(3)
+        size = spaces.dim + 1
+        for cells in blocks_of_cells(spaces):
+            measure = Cells(spaces.vertices[cells]).measure
+            here, values = self.stresses[cells], u[cells]
+            trace = np.einsum("nsaii->nsa", here)
+            of_all, of_traces = data.masses(spaces, cells, measure)
+            energy = np.einsum("nsab,nsaij,nsbij->", of_all, here, here, optimize=True)
+            energy -= np.einsum("nsab,nsa,nsb->", of_traces, trace, trace, optimize=True)
+            own, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
+            in_l2 = (subcell_squares(here) * measure[:, None] / size).sum()
+            squares += energy, in_l2, (measure * (own + of_sum)).sum() / (size * (size + 1))
+        energy, sigma, displacement = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
+        force = spaces.mesh.comm.allreduce(float(spaces.site_measure @ self.pressure.ravel()))
+        return {"energy": energy, "sigma_L2": sigma, "u_L2": displacement, "contact_force": force}
+
+    def errors(self) -> dict[str, float] | None:
+        """‖σ − σ_h‖ in the energy norm and ‖u − u_h‖, if u is known, and the contact set's distance (collective)."""
+        if self.data.exact is None:
+            return None
+        spaces, dim = self.spaces, self.spaces.dim
+        quadrature = SplitQuadrature.of_degree(dim, ERROR_DEGREE)
+        exact = self.data.exact
+        u_h, squares = spaces.displacement_values(self.u), np.zeros(2)
+        for cells in blocks_of_cells(spaces):
+            points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
+            where, subcell, vertex = spaces.as_dolfinx(cells)
+            mine = np.empty_like(self.stresses[cells])
+            mine[where, subcell, vertex] = self.stresses[cells]
+            nodes = np.empty_like(u_h[cells])
+            nodes[np.arange(len(cells))[:, None], spaces.order[cells]] = u_h[cells]
+            shape = (len(cells), dim + 1, len(quadrature.weights))
+            inverse, theta = (values.reshape(shape) for values in self.data.moduli(points))
+            sigma = stress_of(exact.gradients(points).reshape(*shape, dim, dim), inverse, theta)
+            off = sigma - np.einsum("qa,nsaij->nsqij", quadrature.local, mine)
+            product = inverse * ((off**2).sum(axis=(3, 4)) - theta * np.einsum("nsqii->nsq", off) ** 2)
+            displaced = self.data.exact.values(points).reshape(*shape, dim) - np.einsum(
+                "sqv,nvi->nsqi", quadrature.hats, nodes
+            )
+            weights = Cells(spaces.vertices[cells]).measure[:, None, None] / (dim + 1) * quadrature.weights
+            squares += (weights * product).sum(), (weights * (displaced**2).sum(axis=3)).sum()
+        energy, u = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
+        distance = hausdorff(self.contact_set(), self._exact_contact_set())
+        return {"energy": energy, "u_L2": u, "contact_hausdorff": distance}
+
+    def _exact_contact_set(self) -> FacetSet:
+        """The facets of Γ_C on whose mean the exact gap is 0."""
+        spaces, facets = self.spaces, self.spaces.contact
+        assert self.data.exact is not None
+        u = facet_moments(spaces, "exact", self.data.exact, facets, "on Γ_C")
+        gap = facet_moments(spaces, "gap", self.data.gap, facets, "on Γ_C").sum(axis=1)
+        open_by = (gap - np.einsum("nai,ni->n", u, facets.normals)) / facets.measure
+        largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
+        largest = max(spaces.mesh.comm.allgather(float(largest)))
+        return FacetSet(spaces.scalar, open_by <= EXACT_CONTACT * largest)
+
+    def summary(self) -> dict[str, Any]:
+        """Everything about the run that fits into numbers, ready for JSON (collective)."""
+        spaces, outcome = self.spaces, self.outcome
+        vertices, measure = self.contact()
+        errors = self.errors()
+        return {
+            "case": self.name,
+            "title": self.title,
+            "physics": "elasticity",
+            "algorithm": self.options.algorithm_name,
+            "backend": outcome.backend,
+            "linear_solver": outcome.linear_solver,
+            "h": spaces.domain.h,
+            "cells": spaces.mesh.topology.index_map(spaces.dim).size_global,
+            "contact_facets": spaces.scalar.Lambda.dofmap.index_map.size_global,
+            "dofs": outcome.dofs,
+            "touching_vertices": vertices,
+            "contact_measure": measure,
+            "iterations": len(outcome.history),
+            "converged": outcome.converged,
+            "reason": outcome.reason,
+            "norms": self.norms(),
+            **({} if errors is None else {"errors": errors}),
+            "kkt": vars(self.kkt),
+            "resultants": self.resultants(),
+            "timings": self.timings,
+            "peak_memory": self.peak_memory,
+            "ranks": spaces.mesh.comm.size,
+        }
+
+
+def stress_of(gradient: Array, inverse: Array, theta: Array) -> Array:
+    """ℂε(u) from ∇u, shape (…, d, d), and 1/2μ and θ."""
+    dim = gradient.shape[-1]
+    strain = (gradient + gradient.swapaxes(-1, -2)) / 2
+    trace = np.einsum("...ii->...", strain)
+    pull = theta / (1 - dim * theta) * trace
+    stress: Array = (strain + pull[..., None, None] * np.eye(dim)) / inverse[..., None, None]
+    return stress

@@ -1,0 +1,136 @@
+"""Rigid motions that nothing prevents: then an elastic contact problem has no solution, or many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import gather_rows, on_root
+from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
+from signorini_fenicsx.discrete.elastic_problem import NORMAL
+from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+from signorini_fenicsx.discrete.johnson_mercier import Cells
+
+type Moved = Callable[[Array], Array]
+
+FREE = 1e-8
+"""A motion of size 1 that moves what is given by less is free."""
+SLACK = 1e-10
+"""A load does no work on a motion if it does less than this share of what it could."""
+
+
+def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> bool:
+    """Make sure that each rigid motion is prevented, by what is given of u or by contact under the loads (collective).
+
+    For a motion r that what is given of u lets free, and that does not go into the foundation, r_n ≤ 0 on Γ_C, the work
+    of the loads must be negative: then contact holds the body against it.
+
+    Returns:
+        Whether contact is needed for that.
+
+    Raises:
+        InputError: If a motion is not prevented; it is told.
+    """
+    low, high = spaces.domain.box()[:, : spaces.dim]
+    middle, size = (low + high) / 2, float((high - low).max())
+
+    def moved(x: Array) -> Array:
+        """The basis of all rigid motions in points of shape (…, d): shape (…, d, motions)."""
+        return _motions((x - middle) / size)
+
+    free = _not_given(spaces, moved)
+    if free.shape[1] == 0:
+        return False
+    work = _work(spaces, data, moved) @ free
+    into = np.einsum("nai,nair->nar", _at(spaces.contact.normals, spaces.dim), moved(spaces.contact.vertices)) @ free
+    rows = gather_rows(spaces.mesh.comm, into.reshape(-1, free.shape[1]))
+
+    def complain() -> None:
+        assert rows is not None
+        found = _unprevented(np.unique(np.round(rows, 9), axis=0), work)
+        if found is not None:
+            raise InputError(f"the body can move rigidly, {_in_words(free @ found, middle, size)}: {HELD_BY}")
+
+    on_root(spaces.mesh.comm, complain)
+    return True
+
+
+HELD_BY = "neither the parts where u is given nor contact under these loads prevent that"
+
+
+def _motions(x: Array) -> Array:
+    """Translations, then rotations about the origin."""
+    dim = x.shape[-1]
+    found = [np.broadcast_to(axis, x.shape) for axis in np.eye(dim)]
+    if dim == 2:
+        found.append(np.stack([-x[..., 1], x[..., 0]], axis=-1))
+    else:
+        found += [np.cross(axis, x) for axis in np.eye(3)]
+    return np.stack(found, axis=-1)
+
+
+def _at(normals: Array, dim: int) -> Array:
+    return np.repeat(normals[:, None], dim, axis=1)
+
+
+def _not_given(spaces: ElasticSpaces, moved: Moved) -> Array:
+    """A basis of the motions that are 0 where u is given (collective)."""
+    dim = spaces.dim
+    number = dim * (dim + 1) // 2
+    gram, total = np.zeros((number, number)), 0.0
+    for facets, k, letter in spaces.fixed:
+        motions = moved(facets.vertices)
+        along = np.einsum("nai,nair->nar", _at(facets.normals, dim), motions) if letter == NORMAL else motions[:, :, k]
+        gram += np.einsum("nar,nas,n->rs", along, along, facets.measure)
+        total += float(facets.measure.sum())
+    gram, total = spaces.mesh.comm.allreduce(gram), spaces.mesh.comm.allreduce(total)
+    sizes, vectors = np.linalg.eigh(gram)
+    return vectors[:, sizes <= FREE**2 * max(total, 1e-300)]
+
+
+def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> Array:
+    """What f and g_N do on the motions, over what they could do (collective)."""
+    pairs = [(spaces.neumann.vertices, data.tractions)]
+    for cells in blocks_of_cells(spaces):
+        vertices = spaces.vertices[cells]
+        pairs.append((vertices, data.moments_of_f(spaces, cells, Cells(vertices).measure)))
+    work = sum(np.einsum("nvi,nvir->r", moments, moved(vertices)) for vertices, moments in pairs)
+    most = sum(float(np.abs(moments).sum()) for _, moments in pairs)
+    work, most = spaces.mesh.comm.allreduce(work), spaces.mesh.comm.allreduce(most)
+    return work / most if most > 0 else work
+
+
+def _unprevented(into: Array, work: Array) -> Array | None:
+    """A motion r ≠ 0 with into·r ≤ 0 and work·r ≥ 0, by linear programmes, or None."""
+    from scipy.optimize import linprog  # takes a second to load
+
+    rows, limits = np.vstack([into, -work]), np.append(np.zeros(len(into)), SLACK)
+    for k in range(len(work)):
+        for sign in (1.0, -1.0):
+            objective = np.zeros(len(work))
+            objective[k] = -sign
+            found = linprog(objective, A_ub=rows, b_ub=limits, bounds=(-1, 1))
+            if found.success and -found.fun > 1e-6:
+                return np.asarray(found.x)
+    return None
+
+
+def _in_words(motion: Array, middle: Array, size: float) -> str:
+    """A motion as a translation or a rotation."""
+    dim = len(middle)
+    shift, turn = motion[:dim], motion[dim:] / size
+    along = ", ".join(f"{x:.3g}" for x in shift / max(np.abs(shift).max(), 1e-300))
+    if np.abs(turn).max() * size < 1e-6 * np.abs(shift).max():
+        return f"along ({along})"
+    if dim == 2:
+        center = middle + np.array([-shift[1], shift[0]]) / turn[0]
+    else:
+        center = middle + np.cross(turn, shift) / (turn @ turn)
+    place = ", ".join(f"{x:.3g}" for x in center)
+    if dim == 2:
+        return f"about the point ({place})"
+    axis = ", ".join(f"{x:.3g}" for x in turn / np.abs(turn).max())
+    return f"about an axis along ({axis}) through ({place})"

@@ -1,0 +1,263 @@
+"""Elastic contact: the element against its forms, exact solutions with rates, a quadratic programme, ranks."""
+
+import dolfinx.mesh
+import numpy as np
+import piqp
+import pytest
+import ufl
+from dolfinx import fem
+from elastic import box, half_plane_contact, smooth
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.elastic_data import elastic_data
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.discrete.johnson_mercier import (
+    Cells,
+    compliance_product,
+    opposite,
+    reference,
+    to_matrices,
+)
+from signorini_fenicsx.forms.elasticity import hellinger_reissner, strain, stress_product
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.solving.options import Options
+
+COMM = MPI.COMM_WORLD
+UNIT = {2: ([0.0, 0.0], [1.0, 1.0]), 3: ([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])}
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_element_is_that_of_the_forms(dim: int):
+    """Products, divergences and tractions of random stresses are what UFL makes of them on the split mesh."""
+    domain = box(COMM, 2, *UNIT[dim])
+    spaces = build_elastic_spaces(domain, ElasticBoundary(["y0"]))
+    young, poisson = "2 + x + y^2", "0.3 + x/10"
+    data = elastic_data(spaces, ElasticProblem(young=young, poisson=poisson))
+    element, cells = reference(dim), Cells(spaces.vertices)
+    assert (element.stresses.shape[2], element.free) == {2: (15, 9), 3: (42, 30)}[dim]
+
+    rng = np.random.default_rng(dim)
+    numbers = np.arange(len(spaces.order), dtype=np.int32)
+    one, other = rng.normal(size=(2, len(numbers), element.stresses.shape[2]))
+    basis = cells.stresses(element.stresses)
+    shape = (len(numbers), dim + 1, dim + 1, -1)
+    sigma, tau = (
+        spaces.split.stress(to_matrices(np.einsum("nvek,nk->nve", basis, a).reshape(shape))) for a in (one, other)
+    )
+    product = compliance_product(basis, *data.masses(spaces, numbers, cells.measure))
+    x = ufl.SpatialCoordinate(spaces.split.mesh)
+    nu = 0.3 + x[0] / 10
+    moduli = (2 + x[0] + x[1] ** 2) / (1 + nu), nu if dim == 2 else nu / (1 + nu)
+    dx = ufl.dx(metadata={"quadrature_degree": 10})
+    form = fem.assemble_scalar(fem.form(stress_product(sigma, tau, *moduli, dx)))
+    assert np.einsum("nk,nkl,nl->", one, product, other) == pytest.approx(form, rel=1e-7)
+
+    slope = rng.normal(size=(dim, dim))
+    u = ufl.dot(ufl.as_matrix(slope.tolist()), x)
+    twice = hellinger_reissner(sigma, u, sigma, u, *moduli, dx) - stress_product(sigma, sigma, *moduli, dx)
+    twice += 2 * ufl.inner(sigma, strain(u)) * dx
+    work = fem.assemble_scalar(fem.form(twice)) / 2  # Σ ⟨u, σn⟩ around the cells
+    on_facets = (spaces.vertices @ slope.T)[:, opposite(dim)].reshape(len(numbers), -1)
+    tractions = np.einsum("nik,nk->ni", cells.tractions(element.tractions), one)
+    assert np.einsum("ni,ni->", on_facets, tractions) == pytest.approx(work, rel=1e-12)
+
+
+def linear_problem(dim: int, nu: float) -> tuple[np.ndarray, list[str], list[str]]:
+    """A constant stress that presses on y = 0 without shear, its displacement there and its traction on y = 1."""
+    stress = np.diag([3.0, -2.0, 1.0][:dim])
+    if dim == 3:
+        stress[0, 2] = stress[2, 0] = 0.7
+    theta = nu if dim == 2 else nu / (1 + nu)
+    strains = (1 + nu) / 200 * (stress - theta * np.trace(stress) * np.eye(dim))
+    u = ["+".join(f"{float(c)!r}*{x}" for c, x in zip(row, "xyz", strict=False)) for row in strains]
+    return stress, u, [f"{float(c)!r} if y > 1 - 1e-9 else 0" for c in stress[:, 1]]
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_patch(dim: int):
+    """Linear displacements are found exactly, with parts that are fixed in some components, by axis and by normal."""
+    stress, u, g_N = linear_problem(dim, 0.3)
+    domain = box(COMM, 2, *UNIT[dim])
+    boundary = ElasticBoundary(["y0"], neumann=["y1"], fixed={"x0": "n"})
+    if dim == 3:  # there is shear on x = 0
+        boundary = ElasticBoundary(["y0"], neumann=["y1"], fixed={"x0": "xyz"})
+    solution = solve_elastic(domain, boundary, ElasticProblem(200.0, 0.3, u_D=u, g_N=g_N, exact=u))
+    np.testing.assert_allclose(solution.stresses, np.broadcast_to(stress, solution.stresses.shape), atol=1e-11)
+    errors = solution.errors()
+    assert errors is not None
+    assert errors["u_L2"] < 1e-13
+    assert np.abs(solution.resultants()["sum"]).max() < 1e-11
+
+
+@pytest.mark.parametrize(("dim", "nu"), [(2, 0.3), (2, 0.4999), (3, 0.3)])
+def test_smooth_solution_has_full_order(dim: int, nu: float):
+    """With E that varies the stress has order 2, for almost incompressible bodies as well."""
+    found = []
+    for n in (8, 16) if dim == 2 else (2, 4):
+        domain = box(COMM, n, *UNIT[dim])
+        young, u, f = smooth(domain, nu)
+        ends = ElasticBoundary([f"{'xyz'[dim - 1]}0"])
+        solution = solve_elastic(domain, ends, ElasticProblem(young, nu, f=f, u_D=u, exact=u))
+        assert solution.touching.all()
+        found.append(solution.errors())
+    orders = {name: np.log2(found[0][name] / found[1][name]) for name in ("energy", "u_L2")}
+    assert orders["energy"] > {2: 1.75, 3: 1.7}[dim]
+    assert orders["u_L2"] > 1.8
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.4999])
+def test_contact_with_a_singular_solution(nu: float):
+    """σ ~ r^½ at the end of the contact set: order 3/2, few updates, the set within a cell."""
+    errors, u = [], half_plane_contact(nu)
+    for n in (8, 16):
+        domain = box(COMM, n, [-1.0, 0.0], [1.0, 1.0])
+        solution = solve_elastic(domain, ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u))
+        assert len(solution.outcome.history) <= 7
+        assert solution.pressure.min(initial=0.0) > -1e-10
+        errors.append(solution.errors())
+    assert errors[1]["energy"] < 3e-3
+    assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 1.4
+    assert errors[1]["contact_hausdorff"] <= 1 / 16
+
+
+def complementary_energy(solution: ElasticSolution) -> np.ndarray:
+    """Stresses that minimise ½(𝔸σ, σ) − ⟨u_D, σn⟩ − ⟨g, σ_nn⟩ over all that are in balance with σ_nn ≤ 0.
+
+    By an interior-point solver for the coefficients on each cell, with no trace and no set.
+    """
+    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
+    element, cells = reference(dim), Cells(spaces.vertices)
+    numbers = np.arange(len(spaces.order), dtype=np.int32)
+    number, basis = len(numbers), element.stresses.shape[2]
+    product = compliance_product(cells.stresses(element.stresses), *data.masses(spaces, numbers, cells.measure))
+    tractions = cells.tractions(element.tractions).reshape(number, dim + 1, dim, dim, basis)
+    hessian = np.zeros((number * basis, number * basis))
+    facets = np.zeros((spaces.traces.dofmap.index_map.size_local, dim, dim, number * basis))
+    balance = np.zeros((number, (dim + 1) * dim, number * basis))
+    for cell in numbers:
+        mine = slice(cell * basis, (cell + 1) * basis)
+        hessian[mine, mine] = product[cell]
+        balance[cell, :, cell * basis + element.free : (cell + 1) * basis] = np.eye((dim + 1) * dim)
+        for facet, block in enumerate(spaces.dofs[cell]):
+            facets[block, :, :, mine] += tractions[cell, facet]
+    moments = data.moments_of_f(spaces, numbers, cells.measure)
+    given = -np.linalg.solve(cells.derivative, moments.transpose(0, 2, 1)).transpose(0, 2, 1)
+    inner = np.setdiff1d(np.arange(len(facets)), np.concatenate([spaces.dirichlet.blocks, spaces.contact.blocks]))
+    normals = spaces.contact.normals
+    along = np.einsum("fair,fi->far", facets[spaces.contact.blocks], normals)
+    shear = facets[spaces.contact.blocks] - along[:, :, None] * normals[:, None, :, None]
+    equal = np.vstack([balance.reshape(-1, number * basis), facets[inner].reshape(-1, number * basis)])
+    equal = np.vstack([equal, shear.reshape(-1, number * basis)])
+    tractions = data.load.reshape(-1, dim, dim)[inner]
+    right = np.concatenate([given.ravel(), tractions.ravel(), np.zeros(shear.size // shear.shape[-1])])
+    # on Γ_D and Γ_C values at vertices are paired with the moments that `facets` gives
+    linear = -np.einsum(
+        "fai,fair->r", data.lift.reshape(-1, dim, dim)[spaces.dirichlet.blocks], facets[spaces.dirichlet.blocks]
+    )
+    dual = (dim + 1) * np.eye(dim) - 1
+    pull = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)  # |e|/d σ_nn at the vertices
+    linear -= data.lift[spaces.sites] @ pull
+    solver = piqp.DenseSolver()
+    solver.settings.eps_abs = solver.settings.eps_rel = 1e-11
+    solver.setup(hessian, linear, equal, right, pull, None, np.zeros(len(pull)))
+    assert solver.solve() == piqp.PIQP_SOLVED
+    values = np.einsum("nvek,nk->nve", cells.stresses(element.stresses), solver.result.x.reshape(number, basis))
+    return to_matrices(values.reshape(number, dim + 1, dim + 1, -1))
+
+
+def pressed(comm: MPI.Comm, n: int = 2, nu: float = 0.4) -> ElasticSolution:
+    """A block that a load presses onto a foundation with a curved gap and lifts off elsewhere."""
+    domain = box(comm, n, [-1.0, 0.0], [1.0, 1.0])
+    problem = ElasticProblem("1 + x^2", nu, f=["0", "-0.1*(1 + x + y)"], g_N=["0.02", "-0.1"], gap="0.1*(x - 0.2)^2")
+    return solve_elastic(domain, ElasticBoundary(["y0"], neumann=["y1", "x1"]), problem)
+
+
+def test_quadratic_programme_finds_the_same():
+    """An interior-point solver minimises the complementary energy to the same stresses."""
+    solution = pressed(MPI.COMM_SELF)
+    assert 0 < solution.contact()[0] < solution.touching.size
+    np.testing.assert_allclose(solution.stresses, complementary_energy(solution), atol=1e-7)
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+def test_ranks_do_not_matter():
+    """Norms, sets and forces are those of one process."""
+    alone, together = pressed(MPI.COMM_SELF, 5), pressed(COMM, 5)
+    assert alone.contact()[0] == together.contact()[0]
+    assert len(alone.outcome.history) == len(together.outcome.history)
+    for one, other in zip(alone.outcome.history, together.outcome.history, strict=True):
+        assert (one.no_flux, one.zero_trace) == (other.no_flux, other.zero_trace)
+        assert one.sigma_change == pytest.approx(other.sigma_change, abs=1e-10)
+    assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
+    forces, same = alone.resultants(), together.resultants()
+    for part in ("y0", "x0", "y1"):
+        assert same[part] == pytest.approx(forces[part], abs=1e-11)
+    assert np.abs(same["sum"]).max() < 1e-12
+
+
+def test_second_algorithm_and_regions():
+    """Algorithm 2 finds the same; E by region is E by an expression."""
+    domain = box(COMM, 4, [-1.0, 0.0], [1.0, 1.0])
+    mesh = domain.mesh
+    halves = {"left": lambda x: x[0] <= 1e-9, "right": lambda x: x[0] >= -1e-9}
+    cells = {name: dolfinx.mesh.locate_entities(mesh, 2, where) for name, where in halves.items()}
+    parts = {"y0": lambda x: np.isclose(x[1], 0)}
+    domain = domain_of(mesh, parts, regions=cells)
+    data = {"f": ["0", "-1"], "gap": "0.1*(x - 0.2)^2"}
+    one = solve_elastic(domain, ElasticBoundary(["y0"]), ElasticProblem({"left": 1.0, "right": 2.0}, 0.3, **data))
+    other = ElasticProblem("1 if x < 0 else 2", 0.3, **data)
+    two = solve_elastic(domain, ElasticBoundary(["y0"]), other, Options(algorithm="alg2"))
+    np.testing.assert_allclose(one.stresses, two.stresses, atol=1e-11)
+
+
+def test_plane_stress_and_strain():
+    """A block that a uniform pressure flattens becomes wider by ν in plane stress, by ν/(1 − ν) in plane strain."""
+    domain = box(COMM, 2, [0.0, 0.0], [2.0, 1.0])
+    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
+    for plane, flatter, wider in (("stress", 1.0, 0.3), ("strain", 1 - 0.3**2, 0.3 * 1.3)):
+        g_N = ["0", "-0.1 if y > 1 - 1e-9 else 0"]
+        exact = [f"{0.1 * wider}*x", f"{-0.1 * flatter}*y"]
+        solution = solve_elastic(domain, boundary, ElasticProblem(1.0, 0.3, g_N=g_N, plane=plane, exact=exact))
+        errors = solution.errors()
+        assert errors is not None
+        assert errors["u_L2"] < 1e-13
+        assert solution.norms()["contact_force"] == pytest.approx(0.2)
+
+
+def complaint(boundary: ElasticBoundary, **data: object) -> str:
+    """What is said of a problem on the unit square that cannot be."""
+    given = {"young": 1.0, "poisson": 0.3} | data
+    with pytest.raises(InputError) as error:
+        solve_elastic(box(COMM, 2, *UNIT[2]), boundary, ElasticProblem(**given))
+    return str(error.value)
+
+
+def test_bad_input():
+    """Each is one sentence with the place."""
+    held, loaded = ElasticBoundary(["y0"]), ElasticBoundary(["y0"], neumann=["x0", "x1", "y1"])
+    assert "young: must be positive" in complaint(held, young="x - 0.5")
+    for nu in (0.5, -1.0, "x"):
+        assert "poisson: must be between -1 and 1/2" in complaint(held, poisson=nu)
+    assert "f: not finite" in complaint(held, f=["1/(x - x)", "0"])
+    assert "f: has 3 components, not 2" in complaint(held, f=["1", "0", "0"])
+    assert "gap: not finite everywhere on Γ_C" in complaint(held, gap="1/(x - x)")
+    assert "unknown part 'lid'" in complaint(ElasticBoundary(["y0"], fixed={"lid": "x"}))
+    assert "inside the domain or in another part" in complaint(ElasticBoundary(["y0"], fixed={"y0": "x"}))
+    assert "unknown region 'core'" in complaint(held, young={"core": 1.0})
+    assert "rigidly, along (1, 0)" in complaint(loaded, f=["0", "-1"]).replace("(-1,", "(1,").replace("-0)", "0)")
+    sliding = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
+    assert "rigidly, along (0, 1)" in complaint(sliding, f=["0", "1"])
+    assert "rigidly, about the point (0.5" in complaint(
+        ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"}), f=["0", "0"], gap="0"
+    ).replace("along (0, 1)", "about the point (0.5")
+    with pytest.raises(InputError, match="alg1 or alg2"):
+        solve_elastic(box(COMM, 2, *UNIT[2]), held, ElasticProblem(1.0, 0.3), Options(algorithm="alg3"))
+    with pytest.raises(InputError, match="fixed: part 'x0' has 'xx'"):
+        ElasticBoundary(["y0"], fixed={"x0": "xx"})
+    with pytest.raises(InputError, match="unknown 'thin'"):
+        ElasticProblem(1.0, 0.3, plane="thin")

@@ -1,0 +1,160 @@
+"""Elastic contact by case files and on the command line, and Hertz' formula."""
+
+import csv
+import json
+from pathlib import Path
+
+import adios2
+import numpy as np
+import pytest
+from commands import signorini
+from elastic import box
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.output.elastic import contact_table, in_space, von_mises
+from signorini_fenicsx.solving.elastic import solve_elastic
+
+COMM = MPI.COMM_WORLD
+
+CASE = """
+title = "A block on a foundation"
+physics = "elasticity"
+
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+contact = ["bottom"]
+neumann = ["right"]
+fixed = {left = "n"}
+
+[problem]
+young = 1
+poisson = "0.3"
+f = [0, -0.1]
+u_D = [0, "-0.2*y^2"]
+gap = "0.1 + 0.1*x^2"
+
+[solve]
+h = "1/4"
+"""
+
+
+def test_hertz():
+    """A body ten times as large as the contact: half width, largest pressure and their shape within a few per cent."""
+    nu, a = 0.3, 0.2
+    stiffness = 1 / (1 - nu**2)
+    load = a**2 * np.pi * stiffness / 4  # R = 1
+    found = []
+    for size in (1.0, 2.0):
+        domain = box(COMM, round(20 * size), [0.0, 0.0], [size, size])
+        boundary = ElasticBoundary(["y0"], neumann=["y1", "x1"], fixed={"x0": "x"})
+        g_N = {"y1": ["0", str(-load / 2 / size)]}
+        solution = solve_elastic(domain, boundary, ElasticProblem(1.0, nu, g_N=g_N, gap="x^2/2"))
+        assert solution.contact()[1] == pytest.approx(a, abs=1 / 20)
+        x, pressure = solution.spaces.contact.vertices[:, :, 0].mean(axis=1), solution.pressure.mean(axis=1)
+        inside = x < 0.7 * a
+        formula = 2 * load / (np.pi * a) * np.sqrt(1 - (x[inside] / a) ** 2)
+        found.append(float(np.abs(pressure[inside] / formula - 1).max()))
+    assert found[0] < 0.06
+    assert found[1] < 0.04  # the effect of the size
+
+
+def write_case(folder: Path, old: str = "", new: str = "") -> Path:
+    """The case, with a part of its text replaced (collective)."""
+    path = folder / "block.toml"
+    if COMM.rank == 0:
+        assert old in CASE
+        path.write_text(CASE.replace(old, new) if old else CASE, encoding="utf-8")
+    COMM.Barrier()
+    return path
+
+
+@pytest.mark.parallel([1, 3])
+def test_solve_writes_what_one_needs(folder: Path):
+    """All files are there; the table has the pressure of the solution, and the fields are those of ParaView."""
+    done = signorini(folder, "solve", str(write_case(folder)), "--output", "out", "--plot")
+    assert done.returncode == 0, done.stderr
+    assert COMM.rank != 0 or "the vertex sets repeat" in done.stdout
+    summary = json.loads((folder / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["physics"] == "elasticity"
+    assert summary["converged"] is True
+    assert summary["certificate"]["guaranteed"] is True
+    assert np.abs(summary["resultants"]["sum"]).max() < 1e-12
+    assert summary["resultants"]["bottom"][1] == pytest.approx(summary["norms"]["contact_force"], rel=1e-10)
+    with (folder / "out" / "contact.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * summary["contact_facets"]
+    force = np.mean([float(row["pressure"]) for row in rows])  # facets of equal length on an edge of length 1
+    assert force == pytest.approx(summary["norms"]["contact_force"], rel=1e-9)
+    assert {row["condition"] for row in rows} == {"contact", "open"}
+    for name in ("deformed.png", "pressure.png", "history.csv", "solution.xdmf", "contact.bp"):
+        assert (folder / "out" / name).exists(), name
+    if COMM.rank == 0:
+        with adios2.FileReader(str(folder / "out" / "solution.bp")) as file:
+            assert {"sigma", "u", "von_mises"} <= set(file.available_variables())
+            stress = file.read("sigma").reshape(-1, 9)
+            np.testing.assert_array_equal(stress[:, 1], stress[:, 3])
+            np.testing.assert_allclose(stress[:, 8], 0.3 * (stress[:, 0] + stress[:, 4]), atol=1e-12)
+            assert COMM.size > 1 or len(stress) == 9 * summary["cells"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"elasticity"', '"magic"', "physics: unknown 'magic'; use \"elasticity\""),
+        ("young = 1\n", "", "missing key 'young' in [problem]"),
+        ("young = 1", "young = 0", "[problem] young: must be positive and finite everywhere"),
+        ('"0.3"', '"1/2"', "[problem] poisson: must be between -1 and 1/2"),
+        ("[0, -0.1]", "[0]", "[problem] f: has 1 components, not 2"),
+        ("[0, -0.1]", '[0, "z"]', "[problem] f: "),
+        ('fixed = {left = "n"}', 'fixed = {left = "q"}', "fixed: part 'left' has 'q'"),
+        ('fixed = {left = "n"}', 'fixed = {right = "n"}', "'right' is listed twice"),
+        ('["bottom"]', '["floor"]', "contact: unknown part 'floor' of square"),
+        ('h = "1/4"', 'h = "1/4"\nalgorithm = "vi"', "[solve] algorithm: elastic contact is solved by alg1 or alg2"),
+        ('h = "1/4"', 'h = "1/4"\neps = 1e-3', "[solve] eps: elastic contact has no such key"),
+        ("u_D", "g_N = {top = [0, 1]}\nu_D", "g_N: no traction is given on part 'top'"),
+        ("gap", "gip", "unknown key 'gip' in [problem]"),
+        ('neumann = ["right"]', 'neumann = ["right", "top"]', "the body can move rigidly"),
+    ],
+)
+def test_bad_cases(tmp_path: Path, old: str, new: str, message: str):
+    """One sentence, status 2."""
+    if "rigidly" in message:
+        new += "\n"
+        old, new = old + '\nfixed = {left = "n"}', new + 'fixed = {left = "n"}'
+    path = write_case(tmp_path, old, new)
+    if "rigidly" in message:
+        path.write_text(path.read_text(encoding="utf-8").replace("-0.1]", "0.1]"), encoding="utf-8")
+    done = signorini(tmp_path, "solve", str(path))
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_scalar_commands_refuse(tmp_path: Path):
+    """They say that they are for scalar problems; so do options."""
+    path = write_case(tmp_path)
+    with pytest.raises(InputError, match="this is for scalar problems, not for physics = 'elasticity'"):
+        load_case(path)
+    assert isinstance(load_any_case(path), ElasticCase)
+    done = signorini(tmp_path, "solve", str(path), "--rigorous")
+    assert (done.returncode, "--rigorous: elastic contact has no such option" in done.stderr) == (2, True)
+
+
+def test_von_mises_and_table():
+    """A uniform compression in plane strain: σ_yy = −q, σ_zz = −νq."""
+    domain = box(COMM, 2, [0.0, 0.0], [1.0, 1.0])
+    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
+    solution = solve_elastic(domain, boundary, ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.1"]}))
+    np.testing.assert_allclose(von_mises(in_space(solution)), 0.1 * np.sqrt(1 - 0.3 + 0.3**2), rtol=1e-10)
+    table = contact_table(solution)
+    assert table is not None
+    np.testing.assert_allclose(table.pressure, 0.1)
+    np.testing.assert_allclose(table.x[:, 0], [0, 0.5, 0.5, 1])
+    assert table.touching.all()

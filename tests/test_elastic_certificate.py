@@ -1,0 +1,105 @@
+"""The bound of elastic contact against true errors, exact and by energies."""
+
+import itertools
+
+import numpy as np
+import pytest
+from elastic import box, half_plane_contact
+from mpi4py import MPI
+
+from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.4999])
+def test_bound_is_near_a_singular_error(nu: float):
+    """In contact that ends with σ ~ r^½ the bound is at most 1.7 times the error."""
+    u = half_plane_contact(nu)
+    solution = solve_elastic(
+        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u)
+    )
+    errors, certificate = solution.errors(), certify_elastic(solution)
+    assert errors is not None
+    assert errors["energy"] <= certificate.sigma_bound < 1.7 * errors["energy"]
+    assert not certificate.guaranteed
+    assert certificate.by_quadrature == ("u_D",)
+
+
+def complementary_energy(solution: ElasticSolution, gap: str) -> float:
+    """½(𝔸σ, σ) − ⟨g, σ_nn⟩ for u_D = 0 and a gap that is a number; least at the exact stress."""
+    norms = solution.norms()
+    return norms["energy"] ** 2 / 2 + float(gap) * norms["contact_force"]
+
+
+def test_bounds_of_random_problems():
+    """A bound is never below the error in energy; on the whole it is not far above it."""
+    rng, ratios = np.random.default_rng(5), []
+    for number in range(8):
+        gap, nu = str(rng.uniform(0, 0.2)), float(rng.choice([0.0, 0.3, 0.45]))
+        f, g = (rng.uniform(-1, 1, 2) for _ in range(2))
+        g_N = [f"{a}*x + {b}*y" for a, b in zip(g, g[::-1], strict=True)]
+        problem = ElasticProblem(1.0, nu, f=[str(f[0]), str(f[1] - 0.5)], g_N=g_N, gap=gap)
+        boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"y1": "y"} if number % 2 else {})
+        coarse, fine = (solve_elastic(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), boundary, problem) for n in (3, 12))
+        certificate = certify_elastic(coarse)
+        assert certificate.guaranteed
+        error = complementary_energy(coarse, gap) - complementary_energy(fine, gap)  # at least this
+        assert certificate.gap >= error - 1e-12
+        ratios.append(np.sqrt(certificate.gap / error))
+    assert np.median(ratios) < 1.6
+    assert max(ratios) < 2
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_bound_on_ranks_and_corners():
+    """A symmetric half with a normal that is fixed, a gap that is curved, tractions: the same bound on all ranks."""
+    found = []
+    for comm in (MPI.COMM_SELF, COMM):
+        domain = box(comm, 4, [0.0, 0.0], [1.0, 1.0])
+        boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
+        problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
+        solution = solve_elastic(domain, boundary, problem)
+        certificate = certify_elastic(solution)
+        found.append(certificate.numbers())
+        squares = comm.allreduce(float((certificate.indicator.x.array**2).sum()))
+        assert squares == pytest.approx(2 * certificate.gap, rel=1e-9)
+    assert found[1] == pytest.approx(found[0], rel=1e-6, abs=1e-12)
+    assert found[0]["relative"] < 0.3
+
+
+def test_bound_in_space():
+    """In three dimensions it is the same code."""
+    domain = box(COMM, 2, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
+    boundary = ElasticBoundary(["z0"], neumann=["x1", "y1"], fixed={"x0": "x", "y0": "y"})
+    problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1"], gap="0.1*(x^2 + y^2)")
+    solution = solve_elastic(domain, boundary, problem)
+    certificate = certify_elastic(solution)
+    assert certificate.guaranteed
+    assert certificate.relative < 0.5
+    fine = solve_elastic(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), boundary, problem)
+    assert abs(solution.norms()["energy"] - fine.norms()["energy"]) < certificate.bound
+
+
+@pytest.mark.parallel([1, 2])
+def test_adaptive_meshes_start_from_the_sets_before():
+    """Refinement where the bound says so halves it with fewer unknowns than uniformly, from the contact set before."""
+    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
+    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"]}, gap="x^2/2")
+
+    def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
+        return solve_elastic(domain, boundary, problem, start=start)
+
+    rows: dict[float, list[AdaptRow]] = {0.5: [], 1.0: []}
+    for theta, found in rows.items():
+        adapt(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), solve_on, max_cells=2000, theta=theta, on_row=found.append)
+    for found in rows.values():
+        assert all(row.iterations < 8 for row in found[1:])
+        assert all(one.bound > other.bound for one, other in itertools.pairwise(found))
+    best = min(row.bound for row in rows[1.0])
+    assert min(row.unknowns for row in rows[0.5] if row.bound < best) < 0.5 * max(row.unknowns for row in rows[1.0])

@@ -1,0 +1,175 @@
+"""A solver that is set up once: the results of separate solves, no form made again, nothing that grows."""
+
+import contextlib
+import doctest
+import gc
+import itertools
+import resource
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dolfinx.jit
+import numpy as np
+import pytest
+from conftest import make_case
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import boundary_of
+from signorini_fenicsx.comparing.convergence import Vary, convergence_study
+from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.solving import solver as solver_module
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import Solver, solve
+
+COMM = MPI.COMM_WORLD
+
+PROBLEMS = [
+    Problem(f="20*(x - 0.6)"),
+    Problem(f="8*sin(5*x)", psi="0.02*sin(9*x) - 0.01", q_S="-0.3*cos(7*x)", g_N="x - y", u_D="x*y"),
+    Problem(f="-2", psi="-0.05", u_D="3 + x/10", q_S="-0.2"),
+    Problem(f="20*(x - 0.6)", kappa="1 + x*y"),
+    Problem(f="9*(x - 0.6)", kappa="1 + x*y", psi="-0.01*x"),
+    Problem(f="20*(x - 0.6)", kappa=[["2", "0.3"], ["0.3", "1 + x"]]),
+    Problem(f=lambda x: 20 * (x[0] - 0.6), kappa=2.5),
+]
+
+
+def setting(folder: Path, h: float = 0.2) -> tuple[Domain, Boundary]:
+    case = make_case(folder, parts=["bottom", "left"], f="0", h=h).with_values({"boundary.neumann": ["right"]})
+    return mesh_case(case, COMM), boundary_of(case)
+
+
+def assert_same(one: Solution, other: Solution, tolerance: float) -> None:
+    """The same steps, sets, fields and residuals that are as small."""
+    assert [step.changed for step in one.outcome.history] == [step.changed for step in other.outcome.history]
+    assert np.array_equal(one.outcome.conditions.kind, other.outcome.conditions.kind)
+    for a, b in [(one.sigma, other.sigma), (one.u, other.u), (one.p, other.p)]:
+        size = COMM.allreduce(np.abs(b.x.array).max(initial=0.0), MPI.MAX)
+        np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance * size, rtol=0)
+
+
+@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parametrize("backend", ["hybrid", "mixed"])
+def test_results_are_those_of_separate_solves(folder: Path, backend: str):
+    """κ, the conditions and all data change from each problem to the next."""
+    domain, boundary = setting(folder)
+    solver = Solver(domain, boundary)
+    options = itertools.cycle([Options(backend=backend), Options(algorithm="alg3", eps=1e-2, backend=backend)])
+    problems = PROBLEMS + PROBLEMS[::-1] if COMM.size == 1 else PROBLEMS[:5]
+    for problem, option in zip(problems, options, strict=False):
+        assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-12)
+
+
+def test_other_methods_and_multigrid(folder: Path):
+    domain, boundary = setting(folder)
+    solver = Solver(domain, boundary)
+    for problem in PROBLEMS[1:5]:
+        for name in ("snes1", "vi", "primal-pdas", "slimane"):
+            option = Options(algorithm=name, eps=1e-3)
+            assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-12)
+        option = Options(tuning=Tuning(direct_up_to=0))
+        assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-9)
+
+
+@pytest.mark.parallel(2)
+def test_what_fails_does_not_spoil_what_follows(folder: Path):
+    domain, boundary = setting(folder)
+    solver = Solver(domain, boundary)
+    expected = solve(domain, boundary, PROBLEMS[1])
+    solver.solve(PROBLEMS[0])
+    with pytest.raises(NumericalFailure):
+        solver.solve(PROBLEMS[1], Options(max_iterations=1))
+    assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
+    with pytest.raises(InputError, match="kappa: must be positive"):
+        solver.solve(Problem(f=1, kappa=-1))
+    assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
+    with pytest.raises(InputError, match="unknown part 'roof'"):
+        Solver(domain, Boundary(signorini=["roof"]))
+
+
+def test_the_example():
+    failed, tried = doctest.testmod(solver_module)
+    assert failed == 0
+    assert tried > 3
+
+
+def test_earlier_solutions_stay(folder: Path):
+    domain, boundary = setting(folder)
+    solver = Solver(domain, boundary)
+    first = solver.solve(PROBLEMS[1])
+    functions = (first.sigma, first.u, first.p, first.data.f_h, first.data.u_lift)
+    fields = [function.x.array.copy() for function in functions]
+    norms = first.norms()
+    solver.solve(PROBLEMS[2])
+    for function, values in zip(functions, fields, strict=True):
+        assert np.array_equal(function.x.array, values)
+    assert first.norms() == norms
+
+
+def test_no_form_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    domain, boundary = setting(folder)
+    solver = Solver(domain, boundary)
+    for problem in (PROBLEMS[1], PROBLEMS[4], PROBLEMS[5]):
+        solver.solve(problem, Options(algorithm="alg3", eps=1e-3))
+    looked_for: list[Any] = []
+    compiled: Callable[..., Any] = dolfinx.jit.ffcx_jit
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        looked_for.append(arguments)
+        return compiled(*arguments, **options)
+
+    monkeypatch.setattr(dolfinx.jit, "ffcx_jit", counted)
+    fem.form(fem.Constant(domain.mesh, 1.0) * solver.spaces.ds)
+    assert len(looked_for) == 1  # it counts
+    for problem in (PROBLEMS[3], PROBLEMS[2], PROBLEMS[5]):
+        solver.solve(problem, Options(algorithm="alg3", eps=1e-2))
+    assert len(looked_for) == 1
+
+
+@pytest.mark.parallel([1, 2])
+def test_nothing_grows(folder: Path):
+    """Over 200 solves neither the memory nor the communicators, of which MPICH has some thousand: few are left here."""
+    domain, boundary = setting(folder, h=0.5)
+    solver = Solver(domain, boundary)
+    problems = PROBLEMS[:6]  # functions of points are interpolated, where DOLFINx makes cycles for Python's collector
+    for problem in (*problems, *problems):
+        solver.solve(problem)
+    spare = [COMM.Dup() for _ in range(100)]
+    others: list[MPI.Comm] = []
+    with contextlib.suppress(MPI.Exception):
+        while len(others) < 3000:
+            others.append(COMM.Dup())
+    for communicator in spare:
+        communicator.Free()
+    sizes = []
+    for number in range(200):
+        solver.solve(problems[number % len(problems)])
+        if number % 10 == 9:
+            gc.collect()  # UFL leaves some 100 kB per solve to Python's collector, which is off in tests
+        if number in (59, 199):
+            sizes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)  # MB
+    for communicator in others:
+        communicator.Free()
+    assert sizes[1] - sizes[0] < 4
+
+
+def test_a_study_over_eps_is_set_up_once(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    made: list[Solver] = []
+    begin = Solver.__init__
+
+    def counted(self: Solver, *arguments: Any) -> None:
+        made.append(self)
+        begin(self, *arguments)
+
+    monkeypatch.setattr(Solver, "__init__", counted)
+    case = make_case(folder, parts=["bottom"], f="20*(x - 0.6)", h=0.2).with_values({"solve.algorithm": "alg3"})
+    rows = convergence_study(case, Vary.EPS, [1, 2, 3], 0)
+    assert len(made) == 1
+    assert rows[0].sigma_V > rows[1].sigma_V > rows[2].sigma_V
