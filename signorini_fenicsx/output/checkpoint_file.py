@@ -147,17 +147,6 @@ class Checkpoint:
         return Boundary(self.about.given.signorini, self.about.given.neumann)
 
     @property
-    def parts(self) -> list[str]:
-        """The parts of Γ_S: those of the boundary, then those of the laws."""
-        if self.case is not None:
-            return [*self.case.boundary.signorini, *self.case.law_parts]
-        assert self.about.given is not None
-        if "laws" in self.about.given.missing:
-            return self.about.part_names
-        laws = [part for law in self.about.given.laws for part in law["parts"]]
-        return list(dict.fromkeys([*self.about.given.signorini, *laws]))
-
-    @property
     def title(self) -> str:
         """Title of the results."""
         if self.case is not None:
@@ -283,14 +272,14 @@ def _check_mesh(found: Checkpoint) -> None:
         known = list(about.parts) == list(SHAPES[found.shape].parts)
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
-    if about.part_names != found.parts:
+    if about.part_names != list(found.boundary.signorini):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     facets = [arrays[f"part_{index}"] for index in range(len(about.parts))]
     kinds = [(SIMPLICES[dim], arrays["cells"]), *((SIMPLICES[dim - 1], rows) for rows in facets)]
     groups = [(name, dim - 1, [(k, np.arange(len(facets[k - 1])))]) for k, name in enumerate(about.parts, 1)]
     try:
         mesh = checked(Contents(arrays["points"], kinds, groups))
-        check_boundary(mesh, {"signorini": found.parts, "neumann": found.boundary.neumann})
+        check_boundary(mesh, {key: list(names) for key, names in vars(found.boundary).items()})
     except InputError as error:
         raise InputError(f"is damaged: its mesh: {error}") from None
     if len(mesh.points) != len(arrays["points"]):

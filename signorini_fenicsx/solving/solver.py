@@ -60,6 +60,8 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
+        if not boundary.signorini:
+            raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
         self._boundary = boundary
@@ -228,14 +230,8 @@ def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[
 
 
 def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
-    """The boundary with the parts of all laws in Γ_S.
-
-    Raises:
-        InputError: If there is none.
-    """
+    """The boundary with the parts of all laws in Γ_S."""
     parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
-    if not parts:
-        raise InputError("signorini: lists no part, and the problem has no laws")
     return Boundary(list(dict.fromkeys(parts)), boundary.neumann)
 
 
