@@ -21,6 +21,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
+from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.solving import solver as solver_module
@@ -76,6 +77,30 @@ def test_other_methods_and_multigrid(folder: Path):
             assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-12)
         option = Options(tuning=Tuning(direct_up_to=0))
         assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-9)
+
+
+@pytest.mark.parallel([1, 2])
+def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """With the same κ as before, here one that jumps, no conditions are imposed on the matrix but σ·n given."""
+    domain, boundary = setting(folder)
+    solver, other = Solver(domain, boundary), Solver(domain, boundary)
+    problems = [Problem(f=f"{load}*(x - 0.5)", kappa="100 if x > 0.6 else 1/50", psi=-0.01) for load in range(9, 14)]
+    for problem in problems[:2]:
+        solver.solve(problem)
+    imposed: list[int] = []
+    impose = ConstrainedMatrix.impose
+
+    def counted(self: ConstrainedMatrix, *arguments: Any) -> None:
+        imposed.append(1)
+        impose(self, *arguments)
+
+    monkeypatch.setattr(ConstrainedMatrix, "impose", counted)
+    for problem in problems[2:]:
+        without = other.solve(problem, Options(tuning=Tuning(condense_up_to=0)))
+        assert imposed
+        imposed.clear()
+        assert_same(solver.solve(problem), without, 1e-10)
+        assert not imposed
 
 
 @pytest.mark.parallel(2)

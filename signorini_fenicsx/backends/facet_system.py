@@ -10,7 +10,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
@@ -65,32 +65,52 @@ class FacetSystem:
         self._load = assembled(self.spaces.kept(_load, data.kappa_h, data.f_h, data.sigma_lift, data.u_lift))
         self.x.set(0.0)
 
-    def renew(self, data: Data) -> None:
-        """Go on with other data; the matrix and its factorisation stay if κ does (collective)."""
-        if not data.same_conductivity(self._data, self.spaces):
+    def renew(self, data: Data) -> bool:
+        """Go on with other data; returns whether κ, and so the matrix, stays (collective)."""
+        same = data.same_conductivity(self._data, self.spaces)
+        if not same:
             self._operator.renew(self.spaces.kept(_stiffness, data.kappa_h))
             self._imposed = None
         self._take(data)
+        return same
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
-        zero_trace, robin = conditions.kind == Condition.ZERO_TRACE, conditions.kind == Condition.ROBIN
-        essential = np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
-        added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
-        if not conditions.same(self._imposed, self.spaces.mesh.comm):
-            self._operator.impose(essential, self.trace_dofs[robin], added)
-            self._imposed = conditions
-        self.b.array_w[:] = self._load[: self.b.getLocalSize()]
-        if conditions.has_values:
-            self._add_values(conditions, zero_trace)
-        given = np.zeros(len(essential))
-        given[len(self._dirichlet_dofs) :] = conditions.values_where(zero_trace)
-        self.b.array_w[essential] = given
-        self.x.array_w[essential] = given
-        return essential
+        self.impose(conditions)
+        return self.load(conditions)
 
-    def _add_values(self, conditions: SiteConditions, zero_trace: Mask) -> None:
+    def impose(self, conditions: SiteConditions) -> None:
+        """Impose conditions on `matrix`, unless they are those of last time (collective)."""
+        if conditions.same(self._imposed, self.spaces.mesh.comm):
+            return
+        robin = conditions.kind == Condition.ROBIN
+        added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
+        self._operator.impose(self._fixed(conditions), self.trace_dofs[robin], added)
+        self._imposed = conditions
+
+    def load(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        """Impose conditions on `b` and `x` alone and return the owned unknowns that they fix.
+
+        Collective if the conditions have values.
+        """
+        fixed = self._fixed(conditions)
+        self.b.array_w[:] = self._load[: self.b.getLocalSize()]
+        given = np.zeros(len(fixed))
+        if conditions.has_values:
+            self._add_values(conditions)
+            held = conditions.kind == Condition.ZERO_TRACE
+            given[len(self._dirichlet_dofs) :] = conditions.values_where(held)
+        self.b.array_w[fixed] = given
+        self.x.array_w[fixed] = given
+        return fixed
+
+    def _fixed(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
+        return np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
+
+    def _add_values(self, conditions: SiteConditions) -> None:
         """The loads of fluxes that are not 0, and those of traces that are not, in `b` (collective)."""
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
         known, image = self.matrix.createVecs()
         known.set(0.0)
         known.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)

@@ -6,6 +6,7 @@ from functools import partial
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.auxiliary_space import AuxiliarySpace
+from signorini_fenicsx.backends.condensed import Condensed
 from signorini_fenicsx.backends.contract import Inexact, Iterate
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
@@ -15,7 +16,7 @@ from signorini_fenicsx.backends.petsc import LinearSolver, options_of, set_direc
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
 
@@ -52,7 +53,9 @@ class HybridBackend(FacetBackend):
             InputError: If PETSc refuses an option.
         """
         super().__init__(spaces, data)
-        self._system = FacetSystem(spaces, data, tuning or Tuning())
+        self._tuning = tuning or Tuning()
+        self._system = FacetSystem(spaces, data, self._tuning)
+        self._condensed: Condensed | None = None
         self.dofs = self._system.dofs
         self._solver = LinearSolver(self._system.matrix, prefix)
         self._ksp = self._solver.ksp
@@ -68,10 +71,24 @@ class HybridBackend(FacetBackend):
         """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ (collective)."""
         if self.inexact is not None and not data.same_conductivity(self.data, self.spaces):
             return False
-        self._system.renew(data)
+        system, given_flux = self._system, SiteConditions.everywhere(Condition.NO_FLUX, self.sites)
+        same = system.renew(data)
         self.data, self._applied = data, None
         self._offer_precise()
+        if not same:
+            self._condensed = None
+        elif self._condensed is None and self._is_worth_condensing():
+            system.impose(given_flux)
+            self._condensed = Condensed(self._solver, system.matrix, system.trace_dofs, self.spaces.facet_measure)
+        if self._condensed is not None:
+            system.load(given_flux)
+            self._condensed.load(system.b)
         return True
+
+    def _is_worth_condensing(self) -> bool:
+        """Whether the matrix is factorised, also without contact, and Γ_S small."""
+        facets = self.spaces.Lambda.dofmap.index_map.size_global
+        return self.precise is not None and self.spaces.has_dirichlet and facets <= self._tuning.condense_up_to
 
     def _offer_precise(self) -> None:
         if self.inexact is None and self._ksp.getPC().getType() in ("cholesky", "lu"):
@@ -131,6 +148,10 @@ class HybridBackend(FacetBackend):
             reason = self._ksp.getConvergedReason()
             if reason > 0 and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
                 return
+        elif self._condensed is not None:
+            self._condensed.solve(conditions, self._system.x)
+            self._applied, self._iterations = conditions, 1
+            return
         else:
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:

@@ -24,6 +24,7 @@ class Tuning:
         layers: For each dimension, number of cells between a site that changes and the edge of its patch.
         patch_share: A patch with at most this share of all unknowns costs little compared with a step of the solver.
         patch_steps: Largest number of set updates on a patch; sets that change for longer leave the patch.
+        condense_up_to: Largest number of facets of Γ_S for which repeated solves with the same κ share a factorisation.
     """
 
     direct_up_to: int = 60_000
@@ -35,3 +36,4 @@ class Tuning:
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})
     patch_share: float = 0.02
     patch_steps: int = 10
+    condense_up_to: int = 300

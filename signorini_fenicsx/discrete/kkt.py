@@ -1,11 +1,10 @@
 """Residuals of the discrete Signorini problem that do not depend on units."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
 from ufl import Form
 from ufl.core.expr import Expr
@@ -14,8 +13,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.points import corners
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.discrete.spaces import Spaces, assembled, flux_mass_diagonal
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
 from signorini_fenicsx.forms.norms import l2
 
@@ -170,8 +168,9 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     size = spaces.V.dofmap.index_map.size_local
     owned = residual[:size]
-    kappa = data.matrices(spaces)
-    M, W = (_mass_diagonal(spaces, np.linalg.inv(k))[:size] for k in (np.eye(kappa.shape[1])[None], kappa))
+    M = spaces.mass_diagonal[:size]
+    kappa = data.kappa.number
+    W = flux_mass_diagonal(spaces, np.linalg.inv(data.matrices(spaces)))[:size] if kappa is None else M / kappa
     return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
 
 
@@ -179,22 +178,3 @@ def _flux_residual(spaces: Spaces, kappa: Expr, sigma: Expr, u: Expr, p: Expr, u
     tau, n = ufl.TestFunction(spaces.V), spaces.n
     found = flux_equation(sigma, u, tau, ufl.dx, kappa) - trace_term(p, tau, n, spaces.ds)
     return found - trace_term(u_lift, tau, n, spaces.ds_dirichlet)
-
-
-def _mass_diagonal(spaces: Spaces, weight: Array) -> Array:
-    """The diagonal of (Bσ, τ) for a matrix B per cell, or one for all; complete for owned entries (collective).
-
-    The basis function of a facet is c (x − x_e)/(d|T|) on T with x_e the opposite vertex and c its flux. With y_e = x_e
-    − x_T, ∫ (x − x_e)·B(x − x_e) over T is |T| times y_e·By_e + Σ_v y_v·By_v / ((d + 1)(d + 2)).
-    """
-    dim = spaces.mesh.geometry.dim
-    arms = corners(spaces.mesh) - corners(spaces.mesh).mean(axis=1, keepdims=True)
-    squares = ((arms @ weight) * arms).sum(axis=2)
-    squares += squares.sum(axis=1, keepdims=True) / ((dim + 1) * (dim + 2))
-    slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
-    flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others
-    squares *= flux**2 / (dim**2 * spaces.cell_measures)[:, None]
-    diagonal = fem.Function(spaces.V)
-    diagonal.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), squares.ravel(), len(diagonal.x.array))
-    diagonal.x.scatter_reverse(la.InsertMode.add)
-    return np.asarray(diagonal.x.array, dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +18,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
+from signorini_fenicsx.discrete.points import corners
 from signorini_fenicsx.meshes.domain import Domain
 
 SIGNORINI = 1
@@ -101,6 +103,11 @@ class Spaces:
     def length(self) -> float:
         """L = |Ω|^(1/d) (collective when first used)."""
         return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
+
+    @cached_property
+    def mass_diagonal(self) -> Array:
+        """The diagonal of (σ, τ) (collective when first used)."""
+        return flux_mass_diagonal(self, np.eye(self.mesh.geometry.dim))
 
     @cached_property
     def centroids(self) -> fem.Function:
@@ -247,3 +254,22 @@ def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.Enti
     vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array
+
+
+def flux_mass_diagonal(spaces: Spaces, weight: Array) -> Array:
+    """The diagonal of (Bσ, τ) for a matrix B per cell, or one for all; complete for owned entries (collective).
+
+    The basis function of a facet is c (x − x_e)/(d|T|) on T with x_e the opposite vertex and c its flux. With y_e = x_e
+    − x_T, ∫ (x − x_e)·B(x − x_e) over T is |T| times y_e·By_e + Σ_v y_v·By_v / ((d + 1)(d + 2)).
+    """
+    dim = spaces.mesh.geometry.dim
+    arms = corners(spaces.mesh) - corners(spaces.mesh).mean(axis=1, keepdims=True)
+    squares = ((arms @ weight) * arms).sum(axis=2)
+    squares += squares.sum(axis=1, keepdims=True) / ((dim + 1) * (dim + 2))
+    slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
+    flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others
+    squares *= flux**2 / (dim**2 * spaces.cell_measures)[:, None]
+    diagonal = fem.Function(spaces.V)
+    diagonal.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), squares.ravel(), len(diagonal.x.array))
+    diagonal.x.scatter_reverse(la.InsertMode.add)
+    return np.asarray(diagonal.x.array, dtype=np.float64)
