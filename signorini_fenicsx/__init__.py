@@ -4,6 +4,8 @@ A problem:
 
 - `domain_of(mesh, parts)` makes a `Domain` of your own mesh; `Boundary` names its parts that are Γ_S and Γ_N;
 - `Problem` holds the data f, κ, u_D, g_N, ψ, q_S;
+- `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator` and `Corners` are laws on Γ_S for `Problem.laws`; with `Law`
+  and `Graph` you write your own;
 - `load_case` reads a case file, or a shipped case by its name.
 
 Solving it:
@@ -45,27 +47,35 @@ __all__ = [
     "Backend",
     "Boundary",
     "Condition",
+    "Corners",
     "Data",
     "Domain",
     "ElasticBoundary",
     "ElasticProblem",
     "ElasticSolution",
     "FacetBackend",
+    "Friction",
+    "Graph",
     "InputError",
     "Iterate",
+    "Law",
     "Method",
     "NumericalFailure",
     "Options",
     "Outcome",
     "Penalty",
     "Problem",
+    "Regulator",
     "SetRule",
+    "Signorini",
     "SiteConditions",
     "Solution",
     "Solver",
     "Spaces",
     "Step",
     "Task",
+    "TwoSided",
+    "Wall",
     "__version__",
     "adapt",
     "adapt_case",

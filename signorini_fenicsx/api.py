@@ -19,6 +19,14 @@ case file, UFL on the mesh, functions of a finite element space or of points, se
 >>> certify(solution).relative < 0.3
 True
 
+Other laws on the boundary are objects; their parts need not be listed in `Boundary`:
+
+>>> sliding = Problem(f=40 * (x[0] - 0.6), laws=[Friction(["right"], g="0.2*y"), Wall(["bottom"], beta=2)])
+>>> {part: list(segments) for part, segments in solve(domain, Boundary([]), sliding).segments_of_parts().items()}
+{'right': ['slip+', 'stick', 'slip-'], 'bottom': ['inflow', 'closed']}
+
+Your own law is a small class, see `signorini_fenicsx.discrete.laws`.
+
 A solution gives values at points and fluxes, writes the files of the command line and draws itself in a notebook. See
 the docstring of `Solution`:
 
@@ -75,6 +83,16 @@ from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.laws import (
+    Corners,
+    Friction,
+    Graph,
+    Law,
+    Regulator,
+    Signorini,
+    TwoSided,
+    Wall,
+)
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -97,27 +115,35 @@ __all__ = [
     "Backend",
     "Boundary",
     "Condition",
+    "Corners",
     "Data",
     "Domain",
     "ElasticBoundary",
     "ElasticProblem",
     "ElasticSolution",
     "FacetBackend",
+    "Friction",
+    "Graph",
     "InputError",
     "Iterate",
+    "Law",
     "Method",
     "NumericalFailure",
     "Options",
     "Outcome",
     "Penalty",
     "Problem",
+    "Regulator",
     "SetRule",
+    "Signorini",
     "SiteConditions",
     "Solution",
     "Solver",
     "Spaces",
     "Step",
     "Task",
+    "TwoSided",
+    "Wall",
     "adapt",
     "adapt_case",
     "certify",

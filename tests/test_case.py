@@ -26,6 +26,7 @@ h = "1/8"
 def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
+    exact += ["friction", "two_sided", "wall", "regulator", "staircase"]
     assert case_names() == sorted(
         [*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
     )

@@ -12,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -22,8 +23,8 @@ class Pairs:
     """The solution of one linear problem, as the rules see it.
 
     Attributes:
-        p: Trace above its bound, p − ψ, per owned site.
-        flux: Flux above its bound, σ·n − q_S, per owned site.
+        p: Trace above its bound, p − ψ, per owned site; for other laws, measured from its reference.
+        flux: Flux above its bound, σ·n − q_S, per owned site; for other laws, measured from its reference.
         linear_iterations: Iterations of the Krylov solver; 1 for a direct one.
     """
 
@@ -98,6 +99,11 @@ class Backend[I: Pairs](Protocol):
     comm: MPI.Comm
     sites: int
     dofs: int
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site."""
+        ...
 
     @property
     def inexact(self) -> Inexact | None:

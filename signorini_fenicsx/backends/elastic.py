@@ -14,6 +14,7 @@ from signorini_fenicsx.backends.facets import FieldChange
 from signorini_fenicsx.backends.petsc import direct_solver
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData
@@ -45,6 +46,7 @@ class ElasticBackend:
         self.spaces, self._data = spaces, data
         self.comm = spaces.mesh.comm
         self.sites = len(spaces.sites)
+        self.chains = Chains.at_corner(self.sites)
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]

@@ -25,7 +25,7 @@ class FacetSystem:
     """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`).
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
-    one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal.
+    one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
 
     Attributes:
         spaces: The discrete spaces.
@@ -84,21 +84,43 @@ class FacetSystem:
         if conditions.same(self._imposed, self.spaces.mesh.comm):
             return
         robin = conditions.kind == Condition.ROBIN
-        added = conditions.beta * self.spaces.facet_measure[robin]
+        added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
         self._operator.impose(self._fixed(conditions), self.trace_dofs[robin], added)
         self._imposed = conditions
 
     def load(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
-        """Impose conditions on `b` and `x` alone and return the owned unknowns that they fix."""
+        """Impose conditions on `b` and `x` alone and return the owned unknowns that they fix.
+
+        Collective if the conditions have values.
+        """
         fixed = self._fixed(conditions)
         self.b.array_w[:] = self._load[: self.b.getLocalSize()]
-        self.b.array_w[fixed] = 0.0
-        self.x.array_w[fixed] = 0.0
+        given = np.zeros(len(fixed))
+        if conditions.has_values:
+            self._add_values(conditions)
+            held = conditions.kind == Condition.ZERO_TRACE
+            given[len(self._dirichlet_dofs) :] = conditions.values_where(held)
+        self.b.array_w[fixed] = given
+        self.x.array_w[fixed] = given
         return fixed
 
     def _fixed(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         zero_trace = conditions.kind == Condition.ZERO_TRACE
         return np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
+
+    def _add_values(self, conditions: SiteConditions) -> None:
+        """The loads of fluxes that are not 0, and those of traces that are not, in `b` (collective)."""
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
+        known, image = self.matrix.createVecs()
+        known.set(0.0)
+        known.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)
+        self._operator.natural.mult(known, image)
+        self.b.array_w[:] -= image.array_r
+        self.b.array_w[self.trace_dofs[~zero_trace]] += (
+            conditions.values_where(~zero_trace) * self.spaces.facet_measure[~zero_trace]
+        )
+        for vector in (known, image):
+            vector.destroy()
 
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""

@@ -14,6 +14,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
@@ -57,6 +58,11 @@ class FacetBackend(ABC):
         self.spaces, self.data = spaces, data
         self.comm: MPI.Comm = spaces.mesh.comm
         self.sites = len(spaces.facets)
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each facet."""
+        return self.data.laws.chains
 
     @property
     def inexact(self) -> Inexact | None:

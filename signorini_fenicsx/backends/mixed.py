@@ -87,14 +87,14 @@ class MixedBackend(FacetBackend):
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        nothing = np.zeros(self.sites)
-        return self.respond(conditions, flux=nothing, trace=nothing)
+        values = np.array(np.broadcast_to(conditions.value, self.sites))
+        return self.respond(conditions, flux=values, trace=values)
 
     def respond(self, conditions: SiteConditions, *, flux: Array, trace: Array, loaded: bool = True) -> Iterate:
-        """Solve with given values of σ·n on NO_FLUX facets and of p on ZERO_TRACE facets, instead of 0 (collective).
+        """Solve with given values of σ·n on NO_FLUX facets and of p on ZERO_TRACE facets (collective).
 
         Args:
-            conditions: Facet conditions.
+            conditions: Facet conditions, whose own values are those of ROBIN facets only.
             flux: σ·n − q_S per facet.
             trace: p − ψ per facet.
             loaded: If False, all data and u_before are replaced by 0.
@@ -112,6 +112,9 @@ class MixedBackend(FacetBackend):
         self._system.natural.mult(x, b)
         b.scale(-1.0)
         b.array_w[spaces.flux_dofs] += np.where(given_trace, trace * spaces.basis_flux, 0.0)
+        robin = conditions.kind == Condition.ROBIN
+        of_robin = conditions.values_where(robin) / conditions.beta_where(robin)
+        b.array_w[spaces.flux_dofs[robin]] += of_robin * spaces.basis_flux[robin]
         if loaded:
             b.array_w[:] += self._load
             b.array_w[self._flux_size :] -= self._stabilisation * self._cells * self.before.x.array[: len(self._cells)]
@@ -142,7 +145,7 @@ class MixedBackend(FacetBackend):
         spaces = self.spaces
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
-        added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta
+        added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)
         essential = np.concatenate([spaces.neumann_dofs, spaces.flux_dofs[no_flux]])
         self._system.impose(essential, spaces.flux_dofs[robin], added)
         self._imposed = conditions

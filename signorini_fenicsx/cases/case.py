@@ -1,33 +1,29 @@
 """Cases: the problem, its domain and its algorithm, read from TOML and validated before anything runs."""
 
 import os
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import ufl
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
-from signorini_fenicsx.discrete.problem import Given, Problem
+from signorini_fenicsx.discrete.given import Given
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
-
-
-class Section(BaseModel):
-    """A section of a case file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Geometry(Section):
@@ -58,55 +54,6 @@ class Geometry(Section):
     def name(self) -> str:
         """The shape, or the name of the file."""
         return self.shape or Path(self.file or "").name
-
-
-class Parts(Section):
-    """`[boundary]`: parts for each kind of condition; "dirichlet" may be left out, and then has all others."""
-
-    @property
-    def named(self) -> dict[str, list[str]]:
-        """The lists that are given, by their keys."""
-        return {key: list(value) for key, value in self if value is not None}
-
-    @model_validator(mode="after")
-    def _no_repetition(self) -> Self:
-        repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
-        if repeated:
-            raise ValueError(f"'{repeated[0]}' is listed twice")
-        return self
-
-    def check(self, known: list[str], where: str) -> None:
-        """Make sure that the named parts exist and, if parts of Γ_D are listed, that every part is named.
-
-        Args:
-            known: All parts of the boundary.
-            where: Name of the domain.
-
-        Raises:
-            ValueError: If not; the message names key and part.
-        """
-        for key, parts in self.named.items():
-            for part in parts:
-                if part not in known:
-                    raise ValueError(
-                        f"[boundary] {key}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
-                    )
-        left = [part for part in known if part not in self.listed()]
-        if "dirichlet" in self.named and left:
-            *others, last = keys_of(type(self))
-            raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
-
-    def listed(self) -> list[str]:
-        """All parts that the section names."""
-        return [part for parts in self.named.values() for part in parts]
-
-
-class Boundary(Parts):
-    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check."""
-
-    signorini: list[str] = Field(min_length=1)
-    neumann: list[str] = []
-    dirichlet: list[str] | None = None
 
 
 class ProblemTexts(Section):
@@ -244,7 +191,8 @@ class CaseFile(Section):
             try:
                 parse_expression(text, x)
             except InputError as error:
-                raise ValueError(f"[{section}] {name}: {error}") from None
+                place = f"[{section}] {name}" if section else name
+                raise ValueError(f"{place}: {error}") from None
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy with new values of keys such as `solve.h` or `geometry.mesh`.
@@ -255,11 +203,11 @@ class CaseFile(Section):
         tree = self.model_dump(exclude_unset=True)
         for key, value in values.items():
             *sections, last = key.split(".")
-            branch = tree
+            branch: Any = tree
             for section in sections:
-                branch = branch.setdefault(section, {})
-                if not isinstance(branch, dict):
-                    raise InputError(f"{key}: no such key in a case")
+                branch = _below(branch, section, key)
+            if not isinstance(branch, dict):
+                raise InputError(f"{key}: no such key in a case")
             branch[last] = value
         return validated(type(self), tree, self.name, "case " + self.name)
 
@@ -268,17 +216,33 @@ class Case(CaseFile):
     """One Signorini problem, its discretisation and its algorithm."""
 
     boundary: Boundary
+    law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     exact: Exact = Exact()
 
+    @model_validator(mode="after")
+    def _has_gamma_s(self) -> Self:
+        self.parts.refuse_repetition()
+        if not self.boundary.signorini and not self.law:
+            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
+        return self
+
     @property
-    def parts(self) -> Parts:
-        """The section `[boundary]`."""
-        return self.boundary
+    def law_parts(self) -> list[str]:
+        """The parts that have a `[[law]]`."""
+        return [part for law in self.law for part in law.parts]
+
+    @property
+    def parts(self) -> PartsWithLaws:
+        """The section `[boundary]`, and the parts with a `[[law]]`."""
+        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law)}
+        return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
 
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
-        return [("problem", *entry) for entry in self.problem.texts()] + [("exact", "u", self.exact.u or "0")]
+        laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
+        problem = [("problem", *entry) for entry in self.problem.texts()]
+        return [*problem, ("exact", "u", self.exact.u or "0"), *laws]
 
     def data(self, dim: int) -> Problem:
         """The data as trees, in this dimension, with the exact u if it is given.
@@ -287,7 +251,18 @@ class Case(CaseFile):
             InputError: If an expression cannot be read.
         """
         exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact)
+        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
+
+
+def _below(branch: Any, section: str, key: str) -> Any:
+    """A section of a part of a case, new if there is none; of a list, such as that of [[law]], by its number."""
+    if isinstance(branch, list):
+        if section not in map(str, range(len(branch))):
+            raise InputError(f"{key}: there is no number {section}, there are {len(branch)}, the first with number 0")
+        return branch[int(section)]
+    if not isinstance(branch, dict):
+        raise InputError(f"{key}: no such key in a case")
+    return branch.setdefault(section, {})
 
 
 def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:

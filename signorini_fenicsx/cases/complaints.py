@@ -12,6 +12,8 @@ def complaint(error: ValidationError, root: type[BaseModel]) -> str:
     first = error.errors(include_url=False)[0]
     *sections, last = [str(step) for step in first["loc"]] or [""]
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
+    if any(isinstance(step, int) for step in first["loc"]):  # of a list of sections, such as [[law]]
+        place = ".".join([*sections, last])
     match first["type"]:
         case "extra_forbidden":
             return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(root, sections, last)}"

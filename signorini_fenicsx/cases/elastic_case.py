@@ -8,8 +8,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch
-from signorini_fenicsx.cases.case import Case, CaseFile, Parts, Section, load_case, read_case_file, validated
+from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.parts import Parts, Section
 from signorini_fenicsx.cases.values import Expression, choice
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem, Plane
 from signorini_fenicsx.methods.history import OnStep

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.cases.case import Boundary, Case
+from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
@@ -67,20 +67,20 @@ def expected(case: Case, ranks: int) -> Expected:
     Raises:
         InputError: If the file, its mesh or its parts cannot be used.
     """
-    geometry, boundary = case.geometry, case.boundary
+    geometry = case.geometry
     parts: dict[str, dict[str, Any]]
     regions: dict[str, int] = {}
     cells = round(rough_cells(case))
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
         dim = SHAPES[geometry.shape].dim
-        parts = {name: {"condition": _condition(boundary, name)} for name in SHAPES[geometry.shape].parts}
+        parts = {name: {"condition": _condition(case, name)} for name in SHAPES[geometry.shape].parts}
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))
         dim = mesh.dim
         parts = {
-            name: {"condition": _condition(boundary, name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
+            name: {"condition": _condition(case, name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
             for name, rows in mesh.parts.items()
         }
         regions = {name: len(rows) for name, rows in mesh.regions.items()}
@@ -116,7 +116,7 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
     with doing("mesh"):
         domain = mesh_case(case, comm)
     with doing("assembly"):
-        spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+        spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
         check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
     topology = domain.mesh.topology
     counts = [
@@ -129,19 +129,19 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
 
 def _usable(case: Case, mesh: FileMesh) -> FileMesh:
     try:
-        check_boundary(mesh, case.boundary.model_dump(exclude_none=True))
+        check_boundary(mesh, case.parts.named)
         case.check_dimension(mesh.dim)
     except InputError as error:
         raise InputError(f"mesh {case.geometry.file}: {error}") from None
     return mesh
 
 
-def _condition(boundary: Boundary, part: str) -> str:
-    if part in boundary.signorini:
+def _condition(case: Case, part: str) -> str:
+    if part in case.boundary.signorini:
         return "signorini"
-    if part in boundary.neumann:
+    if part in case.boundary.neumann:
         return "neumann"
-    return "dirichlet"
+    return next((law.kind for law in case.law if part in law.parts), "dirichlet")
 
 
 def _measure(corners: np.ndarray) -> float:

@@ -91,7 +91,7 @@ def adapt_case(
 
 def boundary_of(case: Case) -> Boundary:
     """Γ_S and Γ_N of a case."""
-    return Boundary(case.boundary.signorini, case.boundary.neumann)
+    return Boundary([*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
 
 
 def options_of(case: Case, tuning: Tuning | None = None) -> Options:

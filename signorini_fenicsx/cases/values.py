@@ -24,7 +24,8 @@ def _number(value: object) -> object:
     return _not_huge(value)
 
 
-def _text(value: object) -> object:
+def text_of(value: object) -> object:
+    """A number as text; all else as it is."""
     return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -68,9 +69,9 @@ def _conductivity(value: object) -> object:
 
 
 def _matrix_or_text(value: object) -> object:
-    value = _text(value)
+    value = text_of(value)
     if isinstance(value, list):
-        rows = [[_text(entry) for entry in row] if isinstance(row, list) else [] for row in value]
+        rows = [[text_of(entry) for entry in row] if isinstance(row, list) else [] for row in value]
         if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
             raise ValueError("a matrix must have 2 rows of 2 expressions, in 3D 3 of 3")
         if all(isinstance(entry, str) for row in rows for entry in row):
@@ -84,5 +85,5 @@ type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_number)]
-Expression = Annotated[str, BeforeValidator(_text)]
+Expression = Annotated[str, BeforeValidator(text_of)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

@@ -19,6 +19,7 @@ from mpi4py import MPI
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
@@ -35,8 +36,16 @@ CORRECTIONS = 4
 """Largest number of solves until c is rounding; one is enough unless the linear solver stops early."""
 
 
-def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Function, float]:
+type Limits = tuple[Array, ...]
+"""The least and the largest y·n per facet of Γ_S."""
+NONE = (np.empty(0), np.empty(0))
+"""Where there is a Γ_D no limits are needed."""
+
+
+def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple[fem.Function, float]:
     """The flux y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
+
+    Under other laws y·n is between the least and the largest flux that they allow.
 
     Returns:
         y, and ‖y − σ_h‖ including the term for rounding; the latter is infinite if c cannot be corrected.
@@ -45,7 +54,8 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
-    y = _with_enough_flux(spaces, data, _without_penalty(solution))
+    limits = tuple(data.q_Sh + end for end in goal.chains.extent()[2:])
+    y = _within(spaces, limits, _without_penalty(solution) if goal.plain else solution.sigma)
     rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(y).sum()))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
@@ -54,11 +64,11 @@ def admissible_flux(solution: Solution, metric: CellMetric) -> tuple[fem.Functio
         if left <= rounding:
             return y, float(left + _distance(metric, y, solution.sigma))
         try:
-            correction = _balancing_flux(spaces, data, y, imbalance)
+            correction = _balancing_flux(spaces, data, y, imbalance, limits)
         except LinearSolveFailure:
             break
         correction.x.array[:] += y.x.array
-        y = _with_enough_flux(spaces, data, correction)
+        y = _within(spaces, limits, correction)
     return y, np.inf
 
 
@@ -87,19 +97,22 @@ def _without_penalty(solution: Solution) -> fem.Function:
     return solution.sigma
 
 
-def _with_enough_flux(spaces: Spaces, data: Data, y: fem.Function) -> fem.Function:
-    """The same flux with y·n raised to q_Sh where it is less (collective)."""
-    negative = spaces.normal_flux(y) < data.q_Sh
-    if not spaces.mesh.comm.allreduce(bool(negative.any()), MPI.LOR):
+def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
+    """The same flux with y·n moved to its limits where it is beyond (collective)."""
+    flux = spaces.normal_flux(y)
+    allowed = np.clip(flux, *limits)
+    beyond = flux != allowed
+    if not spaces.mesh.comm.allreduce(bool(beyond.any()), MPI.LOR):
         return y
     y = y.copy()
-    low = spaces.flux_dofs[negative]
-    y.x.array[low] = data.sigma_lift.x.array[low]
+    y.x.array[spaces.flux_dofs[beyond]] = (allowed * spaces.facet_measure / spaces.basis_flux)[beyond]
     y.x.scatter_forward()
     return y
 
 
-def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function) -> fem.Function:
+def _balancing_flux(
+    spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function, limits: Limits
+) -> fem.Function:
     """The flux z of the module, for the load `imbalance` (collective).
 
     Raises:
@@ -107,7 +120,8 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
     """
     kind = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8)
     if not spaces.has_dirichlet:
-        excess = spaces.normal_flux(y) - data.q_Sh
+        flux = spaces.normal_flux(y)
+        excess = np.minimum(flux - limits[0], limits[1] - flux)
         largest = spaces.mesh.comm.allreduce(excess.max(initial=0.0), MPI.MAX)
         kind[excess >= largest / 2] = Condition.ZERO_TRACE
     nothing = np.zeros(len(spaces.facets))
@@ -142,10 +156,10 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
     one, nothing = fem.Function(spaces.Q), fem.Function(spaces.V)
     one.x.array[:] = 1.0
     try:
-        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one))
+        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one, NONE))
         if left > WORTH * whole:
             return constant * whole
-        z = _balancing_flux(spaces, data, nothing, middle)
+        z = _balancing_flux(spaces, data, nothing, middle, NONE)
     except LinearSolveFailure:
         return np.inf
     return min(constant * whole, constant * left + _distance(metric, z, nothing))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import basix
 import basix.ufl
@@ -28,6 +29,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import (
     Points,
     cut_off,
@@ -55,6 +57,14 @@ ROOM = 1.001, 2.0
 vertex cannot rise."""
 
 
+class HasGradient(Protocol):
+    """A function that is known by its gradient."""
+
+    def gradient(self, points: Points) -> Array:
+        """Its gradient (collective)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Trace:
     """A continuous function near u.
@@ -68,16 +78,18 @@ class Trace:
         touching: Those of these cells where χ_t > 0, so that ψ itself enters.
         lowest: Lower bound of v − I_hψ per facet of Γ_S.
         feasible: Whether u_D ≥ ψ where Γ_D meets Γ_S.
+        degree: Degree of a quadrature in `cells`.
     """
 
     v: fem.Function
-    exact: ExactTrace | None
+    exact: HasGradient | None
     above: Callable[[Points], Array]
     cells: Indices
     at_dirichlet: Indices
     touching: Indices
     lowest: Array
     feasible: bool
+    degree: int
 
 
 def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) -> Trace:
@@ -85,7 +97,7 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     spaces, data = solution.spaces, solution.data
     mesh = spaces.mesh
     facet_dim = mesh.topology.dim - 1
-    v = _averaged(solution, metric)
+    v = averaged(solution, metric)
     space = v.function_space
     edges = all_edges(space)
     on_signorini = fem.locate_dofs_topological(space, facet_dim, spaces.facets)
@@ -110,7 +122,7 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     v.x.array[:] = w.x.array + psi.x.array
     if data.u_D.number is not None and data.psi.number is not None:
         nowhere, zero = np.empty(0, dtype=np.int32), np.zeros(len(spaces.facets))
-        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], nowhere, nowhere, nowhere, zero, feasible)
+        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], nowhere, nowhere, nowhere, zero, feasible, 0)
     return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
 
 
@@ -154,7 +166,8 @@ def _with_exact_data(
     depth = mesh.comm.allreduce(max(FAR_BELOW * np.abs(w.x.array).max(initial=0.0), -2 * SAMPLES * lowest), MPI.MAX)
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
     height = w.x.array[facet_nodes(w.function_space, spaces)].min(axis=1)
-    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, height, feasible)
+    degree = quadrature_degree(data.u_D, data.psi, data.kappa)
+    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, height, feasible, degree)
 
 
 @dataclass(frozen=True)
@@ -242,7 +255,7 @@ def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> 
     return np.asarray(largest.x.array, dtype=np.float64)
 
 
-def _averaged(solution: Solution, metric: CellMetric) -> fem.Function:
+def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """The reconstruction, averaged over the cells around each node with weights κ_h (collective).
 
     The result has values in the nodes, not yet Bernstein coefficients.

@@ -29,6 +29,7 @@ from signorini_fenicsx.certificate.boundary_nodes import (
     excess,
     facet_coefficients,
 )
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
@@ -98,6 +99,7 @@ class BestDisplacement:
         self._touching = owned[self.nodes.touching[: self._size]]
         self._sites = self._touching * dim + self.nodes.given[self._touching].astype(np.int32)
         self.sites, self.dofs = len(self._sites), self._operator.matrix.getSize()[0]
+        self.chains = Chains.at_corner(self.sites)
         self._diagonal = float(self._operator.natural.getDiagonal().norm(PETSc.NormType.INFINITY))
         self._solver = direct_solver(self._operator.matrix, "cholesky", "facet_")
         self._contact = facet_coefficients(spaces, self.space, spaces.contact)

@@ -23,8 +23,9 @@ so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational i
 If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
 Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-u is the solution of the Signorini problem itself, also if a penalty method was used. Its domain is the one that the
-mesh covers: a polygon or polyhedron if the boundary is curved.
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`. After a penalty
+method u is the exact solution of the penalty problem, or of the Signorini problem if one asks for that. Its domain is
+the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -45,12 +47,22 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.law_trace import OnGammaS, law_trace
+from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
+from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
-from signorini_fenicsx.certificate.oscillation import ContactExcess, load_oscillation
+from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import Entities, Points, cell_quadrature, in_vertices, owned_cells
+from signorini_fenicsx.discrete.points import (
+    Entities,
+    Points,
+    cell_quadrature,
+    facet_type,
+    in_vertices,
+    owned_cells,
+)
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -74,6 +86,7 @@ class Certificate:
         unresolved: Data that are not resolved, each with a place; the same on all ranks.
         coarse: Mask of the owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
+        of_penalty: Whether u is the solution of a penalty's own problem.
         v: The continuous v in P2, with interpolated u_D and ψ.
         seconds: Wall time of the certificate, the longest over all ranks.
     """
@@ -90,13 +103,15 @@ class Certificate:
     coarse: npt.NDArray[np.bool_]
     indicator: fem.Function
     v: fem.Function
+    of_penalty: bool = False
     seconds: float = 0.0
 
     def summary(self) -> dict[str, Any]:
         """All but the fields, ready for JSON."""
         unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
         lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
-        return self.numbers() | {"guaranteed": self.guaranteed} | lists
+        of = {"of_penalty": True} if self.of_penalty else {}
+        return self.numbers() | {"guaranteed": self.guaranteed} | lists | of
 
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""
@@ -105,7 +120,7 @@ class Certificate:
 
 
 @collector_off()
-def certify(solution: Solution) -> Certificate:
+def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
     The cost is some assembly, and up to three linear solves if the linear solver, a penalty or quadrature leaves an
@@ -113,14 +128,16 @@ def certify(solution: Solution) -> Certificate:
 
     Args:
         solution: A solution by any algorithm.
+        for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
+            method was used.
     """
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
-        certificate = _certificate(solution)
+        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def _certificate(solution: Solution) -> Certificate:
+def _certificate(solution: Solution, goal: Goal) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
@@ -128,10 +145,16 @@ def _certificate(solution: Solution) -> Certificate:
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
-    y, remainder = admissible_flux(solution, metric)
-    oscillation, excess = load_oscillation(spaces, data, metric, spaces.normal_flux(y), resolution)
-    trace = admissible_trace(solution, metric, y)
-    mismatch, contact = _twice_the_gap(spaces, data, trace, y, excess)
+    y, remainder = admissible_flux(solution, metric, goal)
+    if goal.plain:
+        excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
+        trace = admissible_trace(solution, metric, y)
+        contact = excess.gap(trace.above(excess.points), len(metric.volume))
+    else:
+        trace, contact, load = _under_laws(solution, metric, goal, y)
+        resolution.by_quadrature |= not_polynomial(goal)
+    oscillation = load_oscillation(spaces, data, metric, load, resolution)
+    mismatch = _mismatch(spaces, data, trace, y)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
     beside = resolution.near_boundary(trace, metric)
     seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
@@ -169,6 +192,7 @@ def _certificate(solution: Solution) -> Certificate:
         coarse=resolution.coarse,
         indicator=indicator,
         v=trace.v,
+        of_penalty=goal.of_penalty,
     )
 
 
@@ -180,22 +204,31 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _twice_the_gap(
-    spaces: Spaces, data: Data, trace: Trace, y: fem.Function, excess: ContactExcess
-) -> tuple[Array, Array]:
-    """2 gap(v, y) per owned cell, in two parts: ‖κ∇v − y‖², and the term on Γ_S (collective)."""
+def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function) -> tuple[Trace, Array, FacetLoad]:
+    """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
+    spaces = solution.spaces
+    on = OnGammaS.of(solution, goal, metric, y)
+    trace = law_trace(solution, metric, y, on)
+    points, law = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
+    v = trace.above(points)
+    found = LawGap.of(spaces, metric, points, law, v, on.flux, on.flux_of_piece(law, v))
+    return trace, found.per_cell(len(metric.volume)), found.load
+
+
+def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:
+    """‖κ∇v − y‖² per owned cell (collective)."""
     mesh, kappa = spaces.mesh, data.kappa
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
     parts: list[tuple[Entities, int, Callable[[Points], Array]]] = [(far, of_kappa, partial(_slope, trace.v))]
     if trace.exact is not None:
-        parts.append((trace.cells, quadrature_degree(data.u_D, data.psi, kappa), trace.exact.gradient))
+        parts.append((trace.cells, trace.degree, trace.exact.gradient))
     mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
     for cells, degree, slope in parts:
         for points in cell_quadrature(mesh, cells, degree):
             flux = points.barycentric @ fluxes[points.cells]
             mismatch[points.cells] = points.integrals(_flux_gap(slope(points), flux, kappa.values(points)))
-    return mismatch, excess.gap(trace.above(excess.points), len(mismatch))
+    return mismatch
 
 
 def _slope(v: fem.Function, points: Points) -> Array:

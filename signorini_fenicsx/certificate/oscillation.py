@@ -78,10 +78,10 @@ def water_filled(s: Array, weights: Array) -> Array:
     return np.maximum(s, -c[:, None])
 
 
-def load_oscillation(
+def contact_excess(
     spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
-) -> tuple[Array, ContactExcess]:
-    """osc_T per owned cell, and the contact excess (collective).
+) -> tuple[ContactExcess, FacetLoad | None]:
+    """R − s and r for the Signorini law of ψ and q_S on all of Γ_S; no r if it is 0 (collective).
 
     Args:
         spaces: The discrete spaces.
@@ -96,8 +96,25 @@ def load_oscillation(
     q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
     s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
-    excess = ContactExcess(on_signorini, r - s)
-    on_facets = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
+    return ContactExcess(on_signorini, r - s), None if data.q_S.number is not None else FacetLoad(
+        on_signorini, r, missed
+    )
+
+
+def load_oscillation(
+    spaces: Spaces, data: Data, metric: CellMetric, on_signorini: FacetLoad | None, resolution: Resolution
+) -> Array:
+    """osc_T per owned cell (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        data: The data.
+        metric: Metric of the owned cells.
+        on_signorini: The load r on Γ_S.
+        resolution: Records what quadrature may have missed.
+    """
+    mesh = spaces.mesh
+    on_facets = [] if on_signorini is None else [on_signorini]
     if data.g_N.number is None:
         on_neumann = facet_quadrature(mesh, spaces.neumann_facets, quadrature_degree(data.g_N, power=2))
         dofs = spaces.neumann_dofs
@@ -105,7 +122,7 @@ def load_oscillation(
         g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
         on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
-    return load_norms(mesh.basix_cell(), metric, _load(spaces, data, metric, resolution), on_facets), excess
+    return load_norms(mesh.basix_cell(), metric, _load(spaces, data, metric, resolution), on_facets)
 
 
 def _on_facets(

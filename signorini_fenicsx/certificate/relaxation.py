@@ -19,7 +19,7 @@ from dolfinx.fem.petsc import assemble_matrix
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.spaces import assembled
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
 
@@ -76,6 +76,10 @@ class Obstacle:
         bound[self._edges.middle] = -self._part * np.sqrt(a * b)
         return bound
 
+    def free(self, w: Array, descent: Array) -> npt.NDArray[np.bool_]:
+        """The owned nodes that are above their bound, or want to be."""
+        return (w > self.lower(w))[: len(descent)] | (descent > 0)
+
     def project(self, w: Array) -> None:
         """Raise negative vertex values to 0, then the middle nodes of edges to their bound, in place."""
         vertices = np.setdiff1d(self.nodes, self._edges.middle)
@@ -83,8 +87,46 @@ class Obstacle:
         np.maximum(w, self.lower(w), out=w)
 
 
+@dataclass(frozen=True)
+class Box:
+    """Bounds of coefficients on Γ_S, infinite elsewhere.
+
+    Attributes:
+        low: The least value of each node of this rank.
+        high: The largest.
+    """
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, hard: tuple[Array, Array], soft: tuple[Array, Array], fixed: Indices) -> Box:
+        """Bounds that must hold, and tighter ones that are left where they contradict one another; none if fixed."""
+        fits = soft[0] <= soft[1]
+        low, high = (np.where(fits, tight, wide) for tight, wide in zip(soft, hard, strict=True))
+        low[fixed], high[fixed] = -np.inf, np.inf
+        return cls(low, high)
+
+    def free(self, w: Array, descent: Array) -> npt.NDArray[np.bool_]:
+        """The owned nodes between their bounds, or that want to be."""
+        size = len(descent)
+        above, below = w[:size] > self.low[:size], w[:size] < self.high[:size]
+        return (above | (descent > 0)) & (below | (descent < 0)) & (self.low < self.high)[:size]
+
+    def project(self, w: Array) -> None:
+        """Move coefficients to their bounds, in place."""
+        np.minimum(np.maximum(w, self.low), self.high, out=w)
+
+
 def relax(
-    w: fem.Function, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array, fixed: Indices, obstacle: Obstacle
+    w: fem.Function,
+    psi: fem.Function,
+    y: fem.Function,
+    kappa: Expr,
+    excess: Array,
+    fixed: Indices,
+    obstacle: Obstacle | Box,
+    robin: tuple[Spaces, fem.Function] | None = None,
 ) -> None:
     """Reduce ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
 
@@ -99,8 +141,9 @@ def relax(
         excess: ∫ (y·n − q_Sh) φ per node φ of this rank.
         fixed: Nodes on Γ_D.
         obstacle: The condition on Γ_S.
+        robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
     """
-    gap = _Gap(w.function_space, psi, y, kappa, excess)
+    gap = _Gap(w.function_space, psi, y, kappa, excess, robin)
     best = w.x.array.copy()
     present, descent = gap.at(w)
     lowest, steps = present, STEPS
@@ -108,7 +151,7 @@ def relax(
     loose = np.ones(size, dtype=bool)
     loose[fixed[fixed < size]] = False
     for _ in range(ROUNDS):
-        free = loose & ((w.x.array > obstacle.lower(w.x.array))[:size] | (descent > 0))
+        free = loose & obstacle.free(w.x.array, descent)
         change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
         w.x.array[:size] += change
         w.x.scatter_forward()
@@ -127,9 +170,21 @@ def relax(
 class _Gap:
     """The gap as a quadratic function of w in the owned nodes."""
 
-    def __init__(self, space: fem.FunctionSpace, psi: fem.Function, y: fem.Function, kappa: Expr, excess: Array):
+    def __init__(
+        self,
+        space: fem.FunctionSpace,
+        psi: fem.Function,
+        y: fem.Function,
+        kappa: Expr,
+        excess: Array,
+        robin: tuple[Spaces, fem.Function] | None,
+    ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-        self._matrix = assemble_matrix(fem.form(stiffness(trial, test, ufl.dx, kappa)))
+        form = stiffness(trial, test, ufl.dx, kappa)
+        if robin is not None:
+            spaces, beta = robin
+            form = spaces.form(form + beta * trial * test * spaces.ds)
+        self._matrix = assemble_matrix(form if robin is not None else fem.form(form))
         self._matrix.assemble()
         self._in, self._out = self._matrix.createVecs()
         self._diagonal = self._matrix.getDiagonal()

@@ -37,6 +37,9 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
 ]
+ForSignorini = Annotated[
+    bool, typer.Option("--for-signorini", help="Bound the distance of a penalty solution to the Signorini solution.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print only one JSON object, the summary.")]
 Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse can turn.")]

@@ -55,6 +55,9 @@ class SolutionReport(CaseReport):
             "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
             "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
         }
+        for part, segments in summary.get("segments", {}).items():
+            counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
+            lines[f"on {part}"] = f"facets on each segment: {counts}"
         if "errors" in summary:
             lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
         if "violation" in summary:
@@ -75,11 +78,12 @@ class SolutionReport(CaseReport):
 def bound(certificate: Certificate) -> str:
     """The error bound in words; if it is not guaranteed, the reason."""
     if not math.isfinite(certificate.bound):
-        reasons = "u_D < psi where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
+        reasons = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
         return f"no error bound: {reasons}{_reservation(certificate)}"
     parts = ", ".join(f"{words} {getattr(certificate, name):.1e}" for name, words in PARTS.items())
+    of = " to the exact solution of the penalty problem" if certificate.of_penalty else ""
     return (
-        f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
+        f"energy error{of} ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
         f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts}){_reservation(certificate)}"
     )
 

@@ -18,6 +18,7 @@ from signorini_fenicsx.cli.options import (
     BackendName,
     CaseName,
     Epsilon,
+    ForSignorini,
     Html,
     Json,
     MeshSize,
@@ -51,6 +52,7 @@ def solve(
     rigorous: Annotated[
         bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
     ] = False,
+    for_signorini: ForSignorini = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -65,14 +67,13 @@ def solve(
       signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
     """
-    from signorini_fenicsx.cases.domains import rough_cells
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli.elastic import ElasticCase, solve_elastic_run
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
-    from signorini_fenicsx.rigorous.proof import check_size, proof_of
+    from signorini_fenicsx.rigorous.proof import proof_of
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
 
@@ -87,7 +88,7 @@ def solve(
         solve_elastic_run(problem, comm, output, refused, plot=plot, quiet=quiet, as_json=as_json)
         return
     if rigorous:
-        on_root(comm, lambda: check_size(rough_cells(problem)))
+        on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.heading(problem, comm)
         report.columns(problem)
@@ -95,7 +96,7 @@ def solve(
             start = None if start_from is None else load_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
-        certificate = certify(solution)
+        certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = proof_of(solution, certificate.v) if rigorous else None
         write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
         folder.publish()
@@ -104,6 +105,20 @@ def solve(
         report.summary(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def _check_provable(case: "Case") -> None:
+    """Refuse a case whose bound cannot be proved (rank 0).
+
+    Raises:
+        InputError: If its mesh is too large, or it has other laws than Signorini's.
+    """
+    from signorini_fenicsx.cases.domains import rough_cells
+    from signorini_fenicsx.rigorous.proof import check_size
+
+    check_size(rough_cells(case))
+    if case.law:
+        raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
 
 
 def adapt(
@@ -204,6 +219,7 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "Case":
 
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
+    for_signorini: ForSignorini = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -224,7 +240,7 @@ def export(
     solution = load_solution(results, comm)
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
-        certificate = certify(solution) if solution.converged else None
+        certificate = certify(solution, for_signorini=for_signorini) if solution.converged else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=folder.target == Path(os.path.realpath(results)))
         report.results(folder.target)

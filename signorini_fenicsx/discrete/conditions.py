@@ -5,21 +5,21 @@ A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a v
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 
 type Kinds = npt.NDArray[np.int8]
 """A `Condition` per site of this rank."""
 
 
 class Condition(IntEnum):
-    """What holds on a site: σ·n = 0, p = 0, or σ·n + βp = 0."""
+    """What holds on a site: σ·n = v, p = v, or σ·n + βp = v; v is 0 but for laws with more than one corner."""
 
     NO_FLUX = 0
     ZERO_TRACE = 1
@@ -37,6 +37,10 @@ class Penalty(Enum):
     TRACE = "I"
     FLUX = "II"
 
+    def slopes(self, eps: float) -> tuple[float, float]:
+        """β before and beyond the corner of the law, ∞ on a vertical segment."""
+        return (1 / eps, 0.0) if self is Penalty.TRACE else (np.inf, eps)
+
     def beta(self, eps: float) -> float:
         """β of σ·n + βp = 0 where the penalty acts."""
         return 1 / eps if self is Penalty.TRACE else eps
@@ -52,16 +56,31 @@ class SiteConditions:
 
     Attributes:
         kind: A Condition per owned site, in the order of the backend's sites (for facets that of `Spaces.facets`).
-        beta: β > 0, the same on all ROBIN sites.
+        beta: β > 0 of the ROBIN sites: one number for all, or one per site.
+        value: v, one per site; or the number 0.0 on all ranks.
     """
 
     kind: Kinds
-    beta: float = 1.0
+    beta: float | Array = 1.0
+    value: float | Array = 0.0
 
     @classmethod
     def everywhere(cls, kind: Condition, sites: int, beta: float = 1.0) -> SiteConditions:
         """The same condition on all sites of this rank."""
         return cls(np.full(sites, kind, dtype=np.int8), beta)
+
+    @property
+    def has_values(self) -> bool:
+        """Whether there may be a v that is not 0; the same on all ranks."""
+        return isinstance(self.value, np.ndarray)
+
+    def values_where(self, sites: Mask) -> Array:
+        """Values v on some sites."""
+        return np.broadcast_to(self.value, self.kind.shape)[sites]
+
+    def beta_where(self, sites: Mask) -> Array:
+        """Values of β on some sites."""
+        return np.broadcast_to(self.beta, self.kind.shape)[sites]
 
     def clean(self, p: Array, flux: Array, conductance: float) -> tuple[Array, Array]:
         """Set prescribed values exactly, so that no rule decides by an error of the linear solver.
@@ -72,30 +91,30 @@ class SiteConditions:
             conductance: `Data.conductance`, with which β is compared.
 
         Returns:
-            Trace and flux per site. On NO_FLUX and ZERO_TRACE sites one of them is exactly 0. On ROBIN sites the
+            Trace and flux per site. On NO_FLUX and ZERO_TRACE sites one of them is exactly v. On ROBIN sites the
             smaller one has the larger relative error, so it is computed from the other.
         """
-        robin = self.kind == Condition.ROBIN
-        p = np.where(self.kind == Condition.ZERO_TRACE, 0.0, p)
-        flux = np.where(self.kind == Condition.NO_FLUX, 0.0, flux)
-        if self.beta > conductance:
-            return np.where(robin, -flux / self.beta, p), flux
-        return p, np.where(robin, -self.beta * p, flux)
+        robin, strong = self.kind == Condition.ROBIN, self.beta > conductance
+        p = np.where(self.kind == Condition.ZERO_TRACE, self.value, p)
+        flux = np.where(self.kind == Condition.NO_FLUX, self.value, flux)
+        of_flux, of_trace = (self.value - flux) / self.beta, self.value - self.beta * p
+        return np.where(robin & strong, of_flux, p), np.where(robin & ~np.asarray(strong), of_trace, flux)
 
     def counts(self, comm: MPI.Comm) -> dict[Condition, int]:
         """Number of sites under each condition over all ranks (collective)."""
         local = np.bincount(self.kind, minlength=len(Condition)).astype(np.int64)
         return dict(zip(Condition, comm.allreduce(local).tolist(), strict=True))
 
+    def differ(self, other: SiteConditions) -> Mask:
+        """The sites whose condition is not the other one."""
+        robin = (self.kind == Condition.ROBIN) & (self.beta != other.beta)
+        return (self.kind != other.kind) | robin | (self.value != other.value)
+
     def changes(self, earlier: list[SiteConditions], comm: MPI.Comm) -> npt.NDArray[np.int64]:
         """Over all ranks, the number of sites that differ from each of the earlier conditions (collective)."""
-        local = [np.count_nonzero(self.kind != other.kind) for other in earlier]
+        local = [np.count_nonzero(self.differ(other)) for other in earlier]
         return comm.allreduce(np.array(local, dtype=np.int64))
 
     def same(self, other: SiteConditions | None, comm: MPI.Comm) -> bool:
-        """Whether kind and β are those of other conditions; False if there are no others (collective)."""
-        return other is not None and self.beta == other.beta and int(self.changes([other], comm)[0]) == 0
-
-    def with_kind(self, where: npt.NDArray[np.bool_], kind: Kinds) -> SiteConditions:
-        """A copy with these kinds on some sites."""
-        return replace(self, kind=np.where(where, kind, self.kind).astype(np.int8))
+        """Whether these are the other conditions; False if there are no others (collective)."""
+        return other is not None and int(self.changes([other], comm)[0]) == 0

@@ -11,6 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 
@@ -47,10 +48,28 @@ class FacetSet:
         return np.einsum("pc,fcx->fpx", weights, mesh.geometry.x[nodes]).reshape(-1, 3)
 
 
+@dataclass(frozen=True)
+class FacetSegments:
+    """The segment of its law that each facet of Γ_S is on, from which another mesh can start.
+
+    Attributes:
+        spaces: Where they are.
+        segment: Number of its segment for each of `spaces.facets`.
+    """
+
+    spaces: Spaces
+    segment: Kinds
+
+    def on(self, spaces: Spaces) -> Kinds:
+        """Those of the facets of another mesh of the domain: that at the midpoint of each (collective)."""
+        numbers = self.spaces.multiplier(self.segment, "segment")
+        (sample,) = sampled([numbers], spaces.Lambda.mesh, self.spaces.domain, degree=0)
+        return np.rint(sample.x.array[: len(spaces.facets)]).astype(np.int8)
+
+
 def transferred(contact: FacetSet, spaces: Spaces) -> Mask:
     """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
-    (sample,) = sampled([contact.indicator()], spaces.Lambda.mesh, contact.spaces.domain, degree=0)
-    return np.rint(sample.x.array[: len(spaces.facets)]) > 0
+    return FacetSegments(contact.spaces, contact.inside.astype(np.int8)).on(spaces) > 0
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

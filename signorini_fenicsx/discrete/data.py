@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, total
+from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
+from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, owned_cells
-from signorini_fenicsx.discrete.problem import Given, Problem, Rows
+from signorini_fenicsx.discrete.given import Given, Rows
+from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
+from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 from signorini_fenicsx.expressions import TREES, Tree
 
@@ -35,18 +36,20 @@ class Data:
         kappa: κ as given.
         u_D: Dirichlet data as given.
         g_N: Flux on Γ_N as given.
-        psi: Bound of the trace as given.
-        q_S: Bound of the flux as given.
+        psi: Bound of the trace as given, where no other law holds.
+        q_S: Bound of the flux as given, where no other law holds.
         f_h: P0 projection of f.
         kappa_h: P0 projection of κ, entry by entry; a `fem.Constant` if κ is a number, which no form is compiled for.
         u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
             others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
         sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
             others.
-        psi_h: Mean of ψ per Γ_S facet of this rank.
-        q_Sh: Mean of q_S per Γ_S facet of this rank.
+        psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
+        q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
+        laws: The laws on Γ_S.
         conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
-        total_load: ∫f + ∫g_N + ∫q_S, exactly 0 if it is only rounding.
+        total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
+            same with the largest flux, often ∞. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
             of regions has names such as "kappa.core".
@@ -64,8 +67,9 @@ class Data:
     sigma_lift: fem.Function
     psi_h: Array
     q_Sh: Array
+    laws: BoundaryLaws
     conductance: float
-    total_load: float
+    total_load: tuple[float, float]
     exact: Datum | None
     trees: Mapping[str, Tree | Rows]
 
@@ -129,16 +133,11 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     f_h.x.array[:] = f_means = _cell_means(spaces, f)
     check_means("f", "in the domain", f_means, spaces)
 
-    psi_h = _facet_means(spaces, "psi", psi, spaces.facets, "on Γ_S")
-    q_Sh = _facet_means(spaces, "q_S", q_S, spaces.facets, "on Γ_S")
-    dirichlet_means = _facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
-    neumann_means = _facet_means(spaces, "g_N", g_N, spaces.neumann_facets, "on Γ_N")
+    laws, psi_h, q_Sh = boundary_laws(spaces, problem, psi, q_S)
+    dirichlet_means = facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
+    neumann_means = facet_means(spaces, "g_N", g_N, spaces.neumann_facets, "on Γ_N")
     near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
-    for name, value, facets, where in (
-        ("u_D", u_D, spaces.dirichlet_facets, "on Γ_D"),
-        ("psi", psi, spaces.facets, "on Γ_S"),
-    ):
-        check_nodes(spaces, name, value, facets, where)
+    check_nodes(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
     check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
     sigma_lift = fem.Function(spaces.V, name="sigma_lift")
     sigma_lift.x.array[spaces.neumann_dofs] = neumann_means * spaces.neumann_measure / spaces.neumann_basis_flux
@@ -148,8 +147,11 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
-    measures = spaces.cell_measures, spaces.neumann_measure, spaces.facet_measure
-    loads = [measure * means for measure, means in zip(measures, (f_means, neumann_means, q_Sh), strict=True)]
+    loads = [spaces.cell_measures * f_means, spaces.neumann_measure * neumann_means]
+    lowest, highest = (
+        total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
+        for flux in laws.chains.extent()[2:]
+    )
     integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
     conductance = spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
     return Data(
@@ -165,8 +167,9 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         sigma_lift=sigma_lift,
         psi_h=psi_h,
         q_Sh=q_Sh,
+        laws=laws,
         conductance=conductance,
-        total_load=total(np.concatenate(loads), spaces.mesh.comm),
+        total_load=(lowest, highest),
         exact=_exact(spaces, problem.exact),
         trees=_trees(problem),
     )
@@ -225,14 +228,3 @@ def _cell_means(spaces: Spaces, datum: Datum) -> Array:
         return np.full(len(cells), datum.number)
     blocks = cell_quadrature(spaces.mesh, cells, quadrature_degree(datum))
     return np.concatenate([points.means(datum.values(points)) for points in blocks])
-
-
-def _facet_means(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:
-    """Mean on each of these boundary facets (collective)."""
-    if datum.number is not None:
-        means = np.full(len(facets), datum.number)
-    else:
-        points = facet_quadrature(spaces.mesh, facets, quadrature_degree(datum))
-        means = points.means(datum.values(points))
-    check_means(name, where, means, spaces)
-    return means

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, in_facets, quadratic_nodes
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, facet_type, in_facets, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
 DATA_RANGE = 1e-100, 1e100
@@ -26,7 +26,7 @@ def check_nodes(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.
     mesh = spaces.mesh
     found = datum.values(in_facets(mesh, facets, quadratic_nodes(facet_type(mesh.topology.dim))))
     if not mesh.comm.allreduce(bool(np.isfinite(found).all()), op=MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+        raise InputError(f"{_key(name)}: not finite everywhere {where}")
 
 
 def check_finite(spaces: Spaces, name: str, where: str, datum: Datum, cells: npt.NDArray[np.int32]) -> None:
@@ -51,11 +51,31 @@ def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
     """
     comm = spaces.mesh.comm
     if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+        raise InputError(f"{_key(name)}: not finite everywhere {where}")
     largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
     low, high = DATA_RANGE
     if largest != 0 and not low <= largest <= high:
-        raise InputError(f"[problem] {name}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+        raise InputError(f"{_key(name)}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+
+
+def facet_means(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:
+    """Mean on each of these boundary facets (collective).
+
+    Raises:
+        InputError: If one is not finite, or they are too large or too small.
+    """
+    if datum.number is not None:
+        means = np.full(len(facets), datum.number)
+    else:
+        points = facet_quadrature(spaces.mesh, facets, quadrature_degree(datum))
+        means = points.means(datum.values(points))
+    check_means(name, where, means, spaces)
+    return means
+
+
+def _key(name: str) -> str:
+    """How a case file names a datum."""
+    return name if name.startswith("law.") else f"[problem] {name}"
 
 
 def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:
@@ -68,4 +88,4 @@ def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:
 def total(loads: Array, comm: MPI.Comm) -> float:
     """The sum of the loads of all ranks, 0 if it is only rounding (collective)."""
     total, size = comm.allreduce(np.array([loads.sum(), np.abs(loads).sum()])).tolist()
-    return total if abs(total) > ROUNDING * size else 0.0
+    return 0.0 if abs(total) <= ROUNDING * size < np.inf else total

@@ -21,8 +21,8 @@ from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.given import Given
 from signorini_fenicsx.discrete.points import Points, in_cells, owned_cells
-from signorini_fenicsx.discrete.problem import Given
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, to_ufl, values, values_and_gradient
 

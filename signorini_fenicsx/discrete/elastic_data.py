@@ -16,9 +16,9 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, regional_datum
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX, SplitQuadrature
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
-from signorini_fenicsx.discrete.problem import parsed
 from signorini_fenicsx.discrete.vector_datum import VectorDatum, vector_datum_of
 from signorini_fenicsx.meshes.domain import AXES
 

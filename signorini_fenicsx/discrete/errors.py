@@ -41,8 +41,12 @@ def exact_errors(
 
 
 def exact_contact(spaces: Spaces, data: Data, exact: Datum) -> FacetSet:
-    """The facets of Γ_S in whose midpoints the exact u is ψ (collective)."""
-    midpoints = facet_quadrature(spaces.mesh, spaces.facets, 1)
-    trace, psi = (datum.values(midpoints)[:, 0] for datum in (exact, data.psi))
-    largest = spaces.mesh.comm.allreduce(np.abs(trace).max(initial=0.0), MPI.MAX)
-    return FacetSet(spaces, trace - psi <= EXACT_CONTACT * largest)
+    """The facets of Γ_S in whose midpoints the exact u is ψ, or a value at which another law holds it (collective)."""
+    trace = exact.values(facet_quadrature(spaces.mesh, spaces.facets, 1))[:, 0]
+    rounding = EXACT_CONTACT * spaces.mesh.comm.allreduce(np.abs(trace).max(initial=0.0), MPI.MAX)
+    held = np.zeros(len(trace), dtype=bool)
+    for part in data.laws.of_parts:
+        law = part.chains(facet_quadrature(spaces.mesh, spaces.facets[part.rows], 1))
+        beside = np.abs(trace[part.rows, None] - law.value) <= rounding
+        held[part.rows] = (beside & np.isinf(law.slope)).any(axis=1)
+    return FacetSet(spaces, held)

@@ -41,6 +41,10 @@ class KKTResiduals(Residuals):
     the largest |u_D| or |ψ| in place of u if these are larger. u can be constant only without loads and with constant
     u_D. All residuals are 0 if S = 0. The constant that u_D and ψ have in common is subtracted from u, u_D and ψ first.
 
+    For other laws p and σ·n are measured from the reference. Then primal and dual are how far p is outside of what any
+    σ·n allows, and σ·n outside of what any p allows. Complementarity is the rest of the distance to the graph, in the
+    maximum norm of (k/L)p and σ·n: on each facet the distance to the nearest segment.
+
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II). Its residuals
     primal, dual and complementarity are those of the replaced quantities.
 
@@ -95,8 +99,7 @@ def kkt_residuals(
     trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     if penalty is not None:
         trace, flux = penalty.shift(trace, flux, eps)
-    low, inward = np.minimum(trace, 0), np.minimum(flux, 0)
-    smaller = np.minimum(np.abs(k * trace) / length, np.abs(flux))
+    low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
     return KKTResiduals(

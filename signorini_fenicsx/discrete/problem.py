@@ -1,25 +1,17 @@
 """The data of a problem as the user gives them."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
-import numpy.typing as npt
-from ufl.core.expr import Expr
-
-from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.expressions import Tree, exactly, read
-
-type Rows = Sequence[Sequence[Tree]]
-type Entries = Sequence[Sequence[float | str | Tree]]
-type Given = float | str | Tree | Entries | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; an expression in the language of case files, as text or as a tree; a matrix of these; a UFL expression on
-the mesh, such as a `fem.Function`; or a Python function of points of shape (3, n)."""
+from signorini_fenicsx.discrete.given import Given, parsed
+from signorini_fenicsx.discrete.laws import Law
 
 
 @dataclass(frozen=True)
 class Problem:
     """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one of them.
+
+    On the parts of `laws` these hold instead of ψ and q_S.
 
     Attributes:
         f: Load.
@@ -29,6 +21,7 @@ class Problem:
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
         exact: The exact u, where it is known.
+        laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
     """
 
     f: Given
@@ -38,26 +31,14 @@ class Problem:
     psi: Given = 0.0
     q_S: Given = 0.0
     exact: Given | None = None
+    laws: Sequence[Law] = ()
 
     def parsed(self, dim: int) -> "Problem":
-        """The same problem, with numbers and texts read as trees.
+        """The same problem, with numbers and texts read as trees, but not those of the laws.
 
         Raises:
             InputError: If a text cannot be read.
         """
-        return Problem(**{field.name: parsed(getattr(self, field.name), "xyz"[:dim]) for field in fields(self)})
-
-
-def parsed(given: Any, names: str) -> Any:
-    """What was given, with numbers and texts read as trees in these coordinates.
-
-    Raises:
-        InputError: If a text cannot be read.
-    """
-    if isinstance(given, Mapping):
-        return {name: parsed(value, names) for name, value in given.items()}
-    if isinstance(given, tuple | list):
-        return [parsed(entry, names) for entry in given]
-    if isinstance(given, str):
-        return read(given, names)
-    return exactly(given) if isinstance(given, int | float) else given
+        names = "xyz"[:dim]
+        data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
+        return replace(self, **{name: parsed(given, names) for name, given in data.items()})

@@ -12,8 +12,8 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.points import Points
-from signorini_fenicsx.discrete.problem import parsed
 from signorini_fenicsx.discrete.spaces import Spaces
 
 

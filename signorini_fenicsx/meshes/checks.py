@@ -227,8 +227,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
 
     Args:
         mesh: The mesh.
-        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet". Without the last, all other
-            facets are Γ_D.
+        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet" or "law.0.parts". Without
+            "dirichlet", all other facets are Γ_D.
 
     Raises:
         InputError: If a part is unknown, empty or not on the boundary; if two parts overlap or a facet is in no part
@@ -241,10 +241,11 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     owner = np.full(len(rows), -1)
     used: list[str] = []
     for section, names in conditions.items():
+        key = key_of(section)
         for name in names:
-            place = f"[boundary] {section}: part '{name}'"
+            place = f"{key}: part '{name}'"
             if name not in mesh.parts:
-                raise InputError(f"[boundary] {section}: unknown part '{name}'; the mesh has {known}")
+                raise InputError(f"{key}: unknown part '{name}'; the mesh has {known}")
             found = rows_of(mesh.parts[name], rows)
             if len(found) == 0:
                 raise InputError(f"{place} is empty")
@@ -267,6 +268,11 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     _check_seams(mesh, rows[boundary], first[boundary], left[boundary])
     fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
     _check_components(mesh, everything, first[fixed])
+
+
+def key_of(section: str) -> str:
+    """How a case file names the list of the parts with one kind of condition."""
+    return section if section.startswith("law.") else f"[boundary] {section}"
 
 
 def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) -> None:

@@ -21,6 +21,7 @@ from signorini_fenicsx.backends.petsc import (
 )
 from signorini_fenicsx.base.signals import pass_on
 from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.methods.history import Outcome, Recorder
 from signorini_fenicsx.methods.task import Task
@@ -47,13 +48,14 @@ def solve_bound_constrained(task: Task) -> Outcome:
     system.x.set(0.0)
     x = system.matrix.createVecRight()  # without ghosts: PETSc never frees a duplicate of a vector with ghosts
     x.set(0.0)
-    snes = _snes(system, task.max_iterations)
-    recorder = Recorder(system.spaces, *_recovered(system, 0), task.on_step)
+    law = task.data.laws.chains
+    snes = _snes(system, law, task.max_iterations)
+    recorder = Recorder(system.spaces, *_recovered(system, law, 0), task.on_step)
 
     def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
         if iteration > 0:
             x.copy(system.x)
-            recorder.add(*_recovered(system, snes.getKSP().getIterationNumber()))
+            recorder.add(*_recovered(system, law, snes.getKSP().getIterationNumber()))
 
     snes.setMonitor(record)
     failure = _failure(snes, x)
@@ -64,7 +66,7 @@ def solve_bound_constrained(task: Task) -> Outcome:
         ending = f"{again or 'SNESVI converged'}, by full steps after {failure}"
         failure = again
     x.copy(system.x)
-    iterate, conditions = _recovered(system, snes.getKSP().getIterationNumber())
+    iterate, conditions = _recovered(system, law, snes.getKSP().getIterationNumber())
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
     for vector in (system.x, system.b):
@@ -94,7 +96,7 @@ def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
     return None if reason > 0 else f"SNESVI stopped with PETSc's reason {reason}"
 
 
-def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
+def _snes(system: FacetSystem, law: Chains, max_iterations: int) -> PETSc.SNES:
     """SNESVI for the system under its current conditions, with its bounds."""
     snes = PETSc.SNES().create(system.matrix.getComm())
     matrix, b = system.matrix, system.b
@@ -108,7 +110,9 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
     lower, upper = matrix.createVecs()
     lower.set(-PETSc.INFINITY)
     upper.set(PETSc.INFINITY)
-    lower.array_w[system.trace_dofs] = 0.0
+    low, high, *_ = law.extent()
+    lower.array_w[system.trace_dofs] = low
+    upper.array_w[system.trace_dofs] = high
     snes.setVariableBounds(lower, upper)
     snes.setType("vinewtonrsls")
     snes.setTolerances(rtol=1e-11, atol=1e-200, stol=0.0, max_it=max_iterations)
@@ -123,9 +127,9 @@ def _snes(system: FacetSystem, max_iterations: int) -> PETSc.SNES:
     return snes
 
 
-def _recovered(system: FacetSystem, linear_iterations: int) -> tuple[Iterate, SiteConditions]:
-    """The current solution; a facet is in contact where p is at its bound."""
+def _recovered(system: FacetSystem, law: Chains, linear_iterations: int) -> tuple[Iterate, SiteConditions]:
+    """The current solution; a facet is in contact where p is at one of its bounds."""
     p = system.x.array_r[system.trace_dofs]
-    kind = np.where(p <= 0, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
-    conditions = SiteConditions(kind)
+    low, high, *_ = law.extent()
+    conditions = law.conditions(np.where(p >= high, law.count, p > low).astype(np.int8))
     return system.recover(conditions, linear_iterations), conditions

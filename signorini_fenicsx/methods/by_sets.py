@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from signorini_fenicsx.backends.contract import Backend, Iterate
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
@@ -22,7 +23,7 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
     """
     with task.watch.phase("assembly"):
         backend = task.backend(task.spaces, task.data)
-    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations)
+    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=_floating(task))
     outcome = _from_best_start(backend, rule, parameters, task)
     if backend.precise is None or not outcome.converged:
         return outcome
@@ -36,22 +37,26 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
     predicted, steps = None, 0
     with contextlib.suppress(LinearSolveFailure):
         with task.watch.phase("prediction"):
-            contact, worth_it = task.start, task.predict and prediction.is_worth_it(spaces)
-            if contact is None and worth_it:
-                contact = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
+            earlier, worth_it = task.start, task.predict and prediction.is_worth_it(spaces)
+            if earlier is None and worth_it:
+                earlier = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
             if worth_it and backend.inexact is not None:
-                predicted, steps = prediction.settle(backend.inexact, spaces, contact)
-            elif contact is not None:
-                predicted = prediction.transferred(contact, spaces)
+                predicted, steps = prediction.settle(backend.inexact, spaces, backend.chains, earlier)
+            elif earlier is not None:
+                predicted = prediction.transferred(earlier, spaces, prediction.law(backend.chains))
         if predicted is not None:
             outcome = iterate_sets(backend, rule, parameters, start=predicted, on_step=task.on_step)
             if outcome.converged:
                 return replace(outcome, rough_steps=steps)
-    start = contact_without_dirichlet(spaces)
+    start = contact_without_dirichlet(spaces, backend.chains)
     cold = iterate_sets(backend, rule, parameters, start=start, on_step=task.on_step)
     if predicted is None:
         return cold
     return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+
+
+def _floating(task: Task) -> Array | None:
+    return None if task.spaces.has_dirichlet else task.spaces.facet_measure
 
 
 def _made_precise(

@@ -12,21 +12,24 @@ Schur complement S on Γ_S. For the penalties this holds in the shifted quantiti
 (S⁻¹ + ε/|e|)⁻¹ or S + ε|e| in place of S. These matrices are symmetric and positive definite. For them, changing one
 site at a time ends after finitely many steps, if it is always the last, in a fixed order, of those that want to change
 (Murty). It also ends if all sites change whenever fewer want to change than ever before, and one at a time otherwise
-(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on.
+(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on. Both
+hold as well for laws with several corners, where a site moves by one segment at a time.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.backends.contract import Backend, Pairs
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.conditions import Kinds, SiteConditions
 from signorini_fenicsx.methods.history import History, OnStep, Outcome, reached
-from signorini_fenicsx.methods.set_rules import SetRule
+from signorini_fenicsx.methods.set_rules import Present, SetRule
 
 
 @dataclass(frozen=True)
@@ -38,12 +41,14 @@ class Parameters:
         eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
         tie: A value below this share of its scale is rounding.
+        floating: |e| per site if there is no Γ_D, so that some site must hold u; otherwise None.
     """
 
     rho: float = 1.0
     eps: float = 1.0
     max_iterations: int = 50
     tie: float = TIE
+    floating: Array | None = None
 
 
 def iterate_sets[I: Pairs](
@@ -72,11 +77,12 @@ def iterate_sets[I: Pairs](
         LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
     """
     site, sites = backend.noun
-    solved_with = start or rule.first(backend.sites, parameters.eps)
+    law = rule.law(backend.chains, parameters.eps)
+    solved_with = start or law.conditions(rule.first(law))
     iterate = before = backend.solve(solved_with)
     history = History(backend.comm, solved_with, on_step)
-    conditions = _wanted(backend, rule, parameters, iterate, None if start is None else solved_with)
-    safeguard = _Safeguard(backend, clips=rule.clip is not None)
+    conditions = _wanted(backend, rule, law, parameters, iterate, start)
+    safeguard = _Safeguard(backend, law, clips=rule.clip is not None)
 
     def end(reason: str, *, converged: bool) -> Outcome:
         mixed, of_facets = backend.in_mixed_spaces(iterate, solved_with)
@@ -106,7 +112,7 @@ def iterate_sets[I: Pairs](
         with reached(partial(backend.in_mixed_spaces, iterate, solved_with), history.steps):
             history.append(conditions, change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
-        wanted = _wanted(backend, rule, parameters, iterate, solved_with)
+        wanted = _wanted(backend, rule, law, parameters, iterate, solved_with)
         changing = safeguard.look(conditions, wanted, len(history.steps))
         if changing == 0:
             return end(f"the {site} sets repeat", converged=True)
@@ -116,16 +122,45 @@ def iterate_sets[I: Pairs](
 
 
 def _wanted[I: Pairs](
-    backend: Backend[I], rule: SetRule, parameters: Parameters, iterate: I, solved_with: SiteConditions | None
+    backend: Backend[I],
+    rule: SetRule,
+    law: Chains,
+    parameters: Parameters,
+    iterate: I,
+    solved_with: SiteConditions | None,
 ) -> SiteConditions:
     """The next conditions by the rule. Ties keep their condition; after the algorithm's own start they have none."""
     scales = backend.scales(iterate)
-    tied = (np.abs(iterate.p) <= parameters.tie * scales[0]) & (np.abs(iterate.flux) <= parameters.tie * scales[1])
-    p, flux = (np.where(tied, 0.0, values) for values in (iterate.p, iterate.flux))
+    segment = None if solved_with is None else law.segments(solved_with)
+    p, flux = iterate.p, iterate.flux
     if solved_with is None and rule.forgets_start:
         p, flux = np.zeros_like(p), np.zeros_like(flux)
-    following = rule.following(p, flux, parameters.rho, parameters.eps)
-    return following if solved_with is None else following.with_kind(tied, solved_with.kind)
+    present = Present(segment, parameters.tie * scales[0], parameters.tie * scales[1])
+    following = rule.following(law, p, flux, parameters.rho, present)
+    if parameters.floating is not None and not law.plain:
+        following = _held(law, following, iterate, parameters.floating, backend.comm)
+    return law.conditions(following)
+
+
+def _held(law: Chains, segment: Kinds, iterate: Pairs, measure: Array, comm: MPI.Comm) -> Kinds:
+    """The segments; if all of them are flat, u is moved up or down until one site is at a corner (collective).
+
+    The total flux says whether up or down; the site goes to its segment that is not flat.
+    """
+    rows = np.arange(len(segment))
+    steep, flat_flux = law.slope[rows, segment] > 0, law.value[rows, segment]
+    total = np.array([np.count_nonzero(steep), measure @ np.where(steep, 0.0, flat_flux - iterate.flux)])
+    number, excess = comm.allreduce(total).tolist()
+    if number > 0:
+        return segment
+    up = excess > 0
+    there = np.clip(segment + (1 if up else -1), 0, law.count)
+    corner = np.minimum(np.minimum(segment, there), law.corners - 1)
+    reachable = (there != segment) & (law.slope[rows, there] > 0)
+    distance = np.full(len(segment), np.inf)
+    distance[reachable] = np.abs(law.p[rows, corner] - iterate.p)[reachable]
+    nearest = comm.allreduce(distance.min(initial=np.inf), MPI.MIN)
+    return np.where(distance <= nearest, there, segment) if np.isfinite(nearest) else segment
 
 
 def _clipped[I: Pairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I, int]:
@@ -140,11 +175,13 @@ class _Safeguard[I: Pairs]:
 
     Attributes:
         backend: The backend with the sites.
+        law: The law of each site.
         clips: Whether the algorithm still clips.
         remark: What was changed to end a cycle, in words; empty if nothing.
     """
 
     backend: Backend[I]
+    law: Chains
     clips: bool
     remark: str = ""
     _seen: list[SiteConditions] = field(default_factory=list)
@@ -177,10 +214,10 @@ class _Safeguard[I: Pairs]:
 
     def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
         """Conditions with one site changed: the last by its place, an order that does not depend on the ranks."""
-        changing = [(*places[i], i) for i in np.flatnonzero(conditions.kind != wanted.kind)]
+        changing = [(*places[i], i) for i in np.flatnonzero(conditions.differ(wanted))]
         *place, index = max(changing, default=(-1,))
         last = max(self.backend.comm.allgather(place))
-        kind = conditions.kind.copy()
+        segment = self.law.segments(conditions)
         if place and place == last:
-            kind[index] = wanted.kind[index]
-        return replace(wanted, kind=kind)
+            segment[index] = self.law.segments(wanted)[index]
+        return self.law.conditions(segment)

@@ -16,11 +16,15 @@ from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet, transferred
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.contact_sets import FacetSegments
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.set_rules import SetRule
+from signorini_fenicsx.methods.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Coarser
+
+NOTHING = -1.0
+"""Size of p or σ·n below which it is rounding: nothing is."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +45,21 @@ class Prediction:
     coarser: Coarser | None
     tuning: Tuning
 
-    def wanted(self, p: Array, flux: Array) -> SiteConditions:
-        """The next conditions by the rule, from p and σ·n per site."""
-        return self.rule.following(p, flux, self.rho, self.eps)
+    def law(self, chains: Chains) -> Chains:
+        """The law of each site, changed by the penalty if there is one."""
+        return self.rule.law(chains, self.eps)
+
+    def wanted(self, law: Chains, conditions: SiteConditions, p: Array, flux: Array) -> SiteConditions:
+        """The next conditions by the rule, from p and σ·n per site under these conditions."""
+        present = Present(law.segments(conditions), NOTHING, NOTHING)
+        return law.conditions(self.rule.following(law, p, flux, self.rho, present))
 
     def is_worth_it(self, spaces: Spaces) -> bool:
         """Whether the problem is so large that a prediction saves more than it costs."""
         return spaces.V.dofmap.index_map.size_global >= self.tuning.predict_from
 
-    def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> FacetSet | None:
-        """The contact set on a coarser mesh (collective).
+    def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> FacetSegments | None:
+        """The segments on a coarser mesh (collective).
 
         Args:
             dim: Dimension of the mesh.
@@ -71,12 +80,14 @@ class Prediction:
             backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
             if backend.inexact is None:  # the user's options chose a direct solver
                 return None
-            conditions, _ = self.settle(backend.inexact, spaces, start)
+            conditions, _ = self.settle(backend.inexact, spaces, backend.chains, start)
             PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
-            return FacetSet(spaces, conditions.kind == self.rule.contact)
+            return FacetSegments(spaces, self.law(backend.chains).segments(conditions))
         return None
 
-    def settle(self, backend: Inexact, spaces: Spaces, start: FacetSet | None) -> tuple[SiteConditions, int]:
+    def settle(
+        self, backend: Inexact, spaces: Spaces, chains: Chains, start: FacetSegments | None
+    ) -> tuple[SiteConditions, int]:
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
         Ends early if a step changes at least as many sites as two steps before.
@@ -84,7 +95,8 @@ class Prediction:
         Args:
             backend: Solves from its last solution.
             spaces: Its spaces.
-            start: Contact set to start from, on any mesh of the same domain; None for the algorithm's own start.
+            chains: The law of each facet.
+            start: Segments to start from, on any mesh of the same domain; None for the algorithm's own start.
 
         Returns:
             The last conditions, and the number of solves that were stopped early. If the sets repeated, the backend
@@ -93,32 +105,31 @@ class Prediction:
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
         """
-        comm = spaces.mesh.comm
+        comm, law = spaces.mesh.comm, self.law(chains)
         if start is not None:
-            conditions = self.transferred(start, spaces)
+            conditions = self.transferred(start, spaces, law)
         else:
-            conditions = contact_without_dirichlet(spaces) or self.rule.first(len(spaces.facets), self.eps)
+            conditions = contact_without_dirichlet(spaces, chains) or law.conditions(self.rule.first(law))
         changed: list[int] = []
         while len(changed) < 3 or changed[-1] < changed[-3]:
-            watch = _Watch(self, conditions, comm)
-            wanted = self.wanted(*backend.solve_until(conditions, watch))
+            watch = _Watch(self, law, conditions, comm)
+            wanted = self.wanted(law, conditions, *backend.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
             progress.detail("set update", len(changed))
             if changed[-1] == 0:
                 return conditions, len(changed) - 1
-            conditions = self._settled_nearby(backend, spaces, conditions, wanted)
+            conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
         return conditions, len(changed)
 
-    def transferred(self, contact: FacetSet, spaces: Spaces) -> SiteConditions:
-        """Conditions for the contact set of another mesh of the domain (collective).
+    def transferred(self, earlier: FacetSegments, spaces: Spaces, law: Chains) -> SiteConditions:
+        """Conditions for the segments of another mesh of the domain (collective).
 
-        A facet is in contact if the facet of the other mesh at its midpoint is.
+        A facet is on the segment of the other mesh's facet at its midpoint.
         """
-        inside = transferred(contact, spaces).astype(np.float64)
-        return self.wanted(1 - inside, inside)  # either p or σ·n is 0
+        return law.conditions(np.minimum(earlier.on(spaces), law.count))
 
     def _settled_nearby(
-        self, backend: Inexact, spaces: Spaces, conditions: SiteConditions, wanted: SiteConditions
+        self, backend: Inexact, spaces: Spaces, law: Chains, conditions: SiteConditions, wanted: SiteConditions
     ) -> SiteConditions:
         """Follow the sets by solves on a patch around the facets that change, if this patch is small (collective).
 
@@ -126,12 +137,12 @@ class Prediction:
         such steps are cheap.
         """
         layers = self.tuning.layers[spaces.mesh.topology.dim]
-        solve = backend.solve_near(conditions.kind != wanted.kind, layers, self.tuning.patch_share)
+        solve = backend.solve_near(conditions.differ(wanted), layers, self.tuning.patch_share)
         if solve is None:
             return wanted
         for _ in range(self.tuning.patch_steps):
             conditions = wanted
-            wanted = self.wanted(*solve(conditions))
+            wanted = self.wanted(law, conditions, *solve(conditions))
             if wanted.changes([conditions], spaces.mesh.comm)[0] == 0:
                 break
         return wanted
@@ -140,19 +151,22 @@ class Prediction:
 class _Watch:
     """Stops a solve once its iterates ask for other sets than its own and these hardly change any more."""
 
-    def __init__(self, prediction: Prediction, conditions: SiteConditions, comm: MPI.Comm):
-        self._prediction, self._conditions, self._comm = prediction, conditions, comm
+    def __init__(self, prediction: Prediction, law: Chains, conditions: SiteConditions, comm: MPI.Comm):
+        self._prediction, self._law, self._conditions, self._comm = prediction, law, conditions, comm
         self._last, self._steady = conditions, 0
 
     def __call__(self, p: Array, flux: Array) -> bool:
         """Look at the next iterate; return whether to stop (collective)."""
-        wanted, tuning = self._prediction.wanted(p, flux), self._prediction.tuning
+        wanted, tuning = self._prediction.wanted(self._law, self._conditions, p, flux), self._prediction.tuning
         changing, moved = wanted.changes([self._conditions, self._last], self._comm).tolist()
         self._last = wanted
         self._steady = self._steady + 1 if moved <= tuning.leeway * changing else 0
         return changing > 0 and self._steady >= tuning.patience
 
 
-def contact_without_dirichlet(spaces: Spaces) -> SiteConditions | None:
-    """Contact everywhere if there is no Γ_D: an algorithm's own start may be a Neumann problem. None otherwise."""
-    return None if spaces.has_dirichlet else SiteConditions.everywhere(Condition.ZERO_TRACE, len(spaces.facets))
+def contact_without_dirichlet(spaces: Spaces, chains: Chains) -> SiteConditions | None:
+    """Contact everywhere if there is no Γ_D: an algorithm's own start may be a Neumann problem. None otherwise.
+
+    For other laws it is the steepest segment.
+    """
+    return None if spaces.has_dirichlet else chains.conditions(chains.steepest())

@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import Any, Self
 
 from signorini_fenicsx.discrete.conditions import Condition, Penalty
+from signorini_fenicsx.discrete.laws import Law, Signorini, TwoSided
 from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.methods.by_sets import solve_by_sets
 from signorini_fenicsx.methods.history import Outcome
@@ -41,6 +42,7 @@ class Method:
         stabilised: Whether ε adds −ε(u, v) to the mass balance.
         starts_from_sets: Whether it can start from a contact set.
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
+        laws: The laws that it takes in [[law]]; None for all.
         single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
     """
@@ -53,6 +55,7 @@ class Method:
     stabilised: bool = False
     starts_from_sets: bool = False
     needs_dirichlet: bool = False
+    laws: tuple[type[Law], ...] | None = (Signorini,)
     single_call: bool = False
     max_iterations: int = 50
 
@@ -60,7 +63,8 @@ class Method:
     def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
         """The method that runs a set rule."""
         run = partial(solve_by_sets, rule)
-        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True)
+        laws = None if rule.penalty is None else (Signorini,)
+        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True, laws=laws)
 
     @property
     def has_eps(self) -> bool:
@@ -97,25 +101,33 @@ METHODS: Mapping[str, Method] = {
         "PETSc SNES for (MPε-I)_h", PENALTY, partial(solve_by_newton, Penalty.TRACE), Condition.ROBIN, Penalty.TRACE
     ),
     "snes2": Method("PETSc SNES for (MPε-II)_h", PENALTY, partial(solve_by_newton, Penalty.FLUX), penalty=Penalty.FLUX),
-    "vi": Method("PETSc SNESVI for (MLM-I)_h", "Benson, Munson: Optim. Methods Softw. (2006)", solve_bound_constrained),
+    "vi": Method(
+        "PETSc SNESVI for (MLM-I)_h",
+        "Benson, Munson: Optim. Methods Softw. (2006)",
+        solve_bound_constrained,
+        laws=(Signorini, TwoSided),
+    ),
     "uzawa": _classical(
-        "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", max_iterations=MANY
+        "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", laws=(), max_iterations=MANY
     ),
     "psor": _classical(
         "projected over-relaxation for (VI), conforming P1",
         GLOWINSKI,
         "over_relaxation.over_relaxation",
+        laws=(),
         max_iterations=MANY,
     ),
     "primal-pdas": _classical(
         "primal-dual active set for (VI), conforming P1",
         "Ito, Kunisch: Lagrange Multiplier Approach (2008)",
         "primal_sets.primal_dual_active_set",
+        laws=(),
     ),
     "primal-penalty": _classical(
         "penalty (P_ε) by semismooth Newton, conforming P1",
         "[Haslinger 04] of the slides",
         "primal_sets.primal_penalty",
+        laws=(),
         contact=Condition.ROBIN,
         penalty=Penalty.TRACE,
     ),
@@ -153,6 +165,7 @@ METHODS: Mapping[str, Method] = {
         "(MVI)_h as a quadratic programme, interior point (PIQP)",
         "Theorem 2 of the slides",
         "quadratic.quadratic_programme",
+        laws=None,
         single_call=True,
         max_iterations=250,
     ),

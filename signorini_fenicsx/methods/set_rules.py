@@ -6,7 +6,14 @@ numbers are those of the slides. Only Algorithm 3 has a clip.
 
 After one step of Algorithms 1 and 2, p or σ·n is 0 on each site, so only signs matter and ρ does not change the
 iterates.
+
+*Other laws.* The Signorini law has one corner, at ψ and q_S, and a rule says on which side of it a site continues. A
+law with several corners is a chain of segments (see `discrete/chains.py`). The same rule is asked at each corner, with
+p and σ·n measured from there, and a site moves towards the segment behind all corners that it has passed, by one
+segment in a step. Then as before only signs matter: with longer moves the sets would often cycle, and ρ would matter.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty
 
 
 @dataclass(frozen=True)
@@ -22,7 +30,8 @@ class SetRule:
     """An active/inactive-set algorithm.
 
     Attributes:
-        start: Condition on all sites in the start solve (Step 1).
+        start: Condition on all sites in the start solve (Step 1). For other laws: if it is that of the sites in
+            contact, the segment of the reference, otherwise the one behind it.
         rule: Maps p, σ·n and ρ to a `Condition` per site (Step 2).
         contact: Condition on the sites in contact.
         forgets_start: Whether Step 1 sets p and σ·n to 0 after its solve.
@@ -37,16 +46,44 @@ class SetRule:
     penalty: Penalty | None = None
     clip: Callable[[Kinds, Array], Mask] | None = None
 
-    def first(self, sites: int, eps: float) -> SiteConditions:
-        """Conditions of the start solve on this rank's sites (Step 1)."""
-        return SiteConditions.everywhere(self.start, sites, self._beta(eps))
+    def law(self, chains: Chains, eps: float) -> Chains:
+        """The law that the sites get in the end: with a penalty, that of the penalty."""
+        return chains.with_penalty(self.penalty, eps)
 
-    def following(self, p: Array, flux: Array, rho: float, eps: float) -> SiteConditions:
-        """The next conditions by the rule, from p and σ·n on this rank's sites (Step 2)."""
-        return SiteConditions(self.rule(p, flux, rho), self._beta(eps))
+    def first(self, law: Chains) -> Kinds:
+        """The segment of each site in the start solve (Step 1)."""
+        return law.beside_reference(steep=self.start == self.contact)
 
-    def _beta(self, eps: float) -> float:
-        return 1.0 if self.penalty is None else self.penalty.beta(eps)
+    def following(self, law: Chains, p: Array, flux: Array, rho: float, present: Present | None = None) -> Kinds:
+        """The next segment of each site by the rule, from p and σ·n per site (Step 2)."""
+        segment = np.zeros(len(p), dtype=np.int8)
+        for corner in range(law.corners):
+            trace, excess = p - law.p[:, corner], flux - law.flux[:, corner]
+            if present is None:
+                segment += self.rule(trace, excess, rho) != self.contact
+                continue
+            tied = (np.abs(trace) <= present.trace) & (np.abs(excess) <= present.flux)
+            passed = self.rule(np.where(tied, 0.0, trace), np.where(tied, 0.0, excess), rho) != self.contact
+            segment += passed if present.segment is None else np.where(tied, present.segment > corner, passed)
+        if present is None or present.segment is None:
+            return segment
+        return law.towards(present.segment, segment)
+
+
+@dataclass(frozen=True)
+class Present:
+    """What the rule has to know of the present iterate besides p and σ·n.
+
+    Attributes:
+        segment: The segment of each site; a site where p and σ·n are rounding beside a corner stays on its side of it.
+            None after the algorithm's own start, which is no decision: then a tie counts as p = σ·n = 0.
+        trace: What is rounding in p, per site or for all.
+        flux: What is rounding in σ·n, per site or for all.
+    """
+
+    segment: Kinds | None
+    trace: Array | float = 0.0
+    flux: Array | float = 0.0
 
 
 def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:

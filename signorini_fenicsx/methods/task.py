@@ -10,7 +10,7 @@ from signorini_fenicsx.backends.contract import BackendFactory, Iterate
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.contact_sets import FacetSegments
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -33,7 +33,7 @@ class Task:
         max_iterations: Iterations allowed.
         on_step: Called on all ranks after each iteration.
         backend: Makes the backend of the set rules.
-        start: Contact set to start from, on any mesh of the domain, or None.
+        start: Segments to start from, on any mesh of the domain, or None.
         predict: Whether the sets of large problems are predicted.
         coarser: Makes coarser meshes for the prediction; None if there are none.
         tuning: Sizes from which the program works differently.
@@ -47,7 +47,7 @@ class Task:
     max_iterations: int
     on_step: OnStep
     backend: BackendFactory
-    start: FacetSet | None = None
+    start: FacetSegments | None = None
     predict: bool = True
     coarser: Coarser | None = None
     tuning: Tuning = field(default_factory=Tuning)

@@ -16,7 +16,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import collector_off, on_root
@@ -26,8 +26,9 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.data import Data, project_data
+from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.discrete.laws import LAWS, Law
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.forms.norms import l2
@@ -46,6 +47,7 @@ from signorini_fenicsx.output.checkpoint_file import (
 from signorini_fenicsx.output.gather import FacetTable, Fields
 from signorini_fenicsx.solving.options import OWN, Options
 from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import gamma_s
 
 FILE = "checkpoint.npz"
 
@@ -72,7 +74,7 @@ def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: Fac
         "regions": marks.regions,
         "bend": solution.spaces.domain.curvature,
         "history": [asdict(step) for step in solution.outcome.history],
-        "beta": solution.outcome.conditions.beta,
+        "beta": 1.0 if solution.method.penalty is None else solution.method.penalty.beta(solution.options.eps),
         "kkt": vars(solution.kkt),
         **{key: getattr(solution.outcome, key) for key in OUTCOME},
         **{key: getattr(solution, key) for key in COSTS},
@@ -99,15 +101,21 @@ def _problem(solution: Solution) -> dict[str, Any]:
     """The case; or, for a problem given in Python, the data that a file can hold."""
     if isinstance(solution.source, Case):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
-    boundary, options, problem = solution.boundary, solution.options, vars(solution.problem)
-    stored = {name: value for name, value in problem.items() if value is not None and _storable(value)}
+    boundary, options = solution.boundary, solution.options
+    laws = solution.problem.laws
+    problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
+    stored = {name: value for name, value in problem.items() if _storable(value)}
+    missing = [name for name in problem if name not in stored]
+    if not all(law.name in LAWS and _storable(vars(law)) for law in laws):
+        laws, missing = (), [*missing, "laws"]
     given = GivenInPython(
         title=solution.title,
         domain=solution.spaces.domain.name,
         signorini=list(boundary.signorini),
         neumann=list(boundary.neumann),
         problem=stored,
-        missing=[name for name, value in problem.items() if value is not None and name not in stored],
+        laws=[{"kind": law.name, **vars(law)} for law in laws],
+        missing=missing,
         options={
             "algorithm": options.algorithm_name,
             **{key: getattr(options, key) for key in ("rho", "eps", "max_iterations", "predict")},
@@ -160,6 +168,7 @@ def load_solution(
     mesh = distribute(comm, points, cells, dim)
     marks, is_shape = _marks(about, arrays, dim), found.shape is not None
     domain = marked_domain(mesh, _parts(found), marks, curvature=about.bend, name=found.domain, is_shape=is_shape)
+    boundary = gamma_s(boundary, problem)
     spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)
@@ -167,15 +176,16 @@ def load_solution(
     sigma.x.scatter_forward()
     p = spaces.multiplier(facets["facet_p"][rows])
     data = project_data(spaces, problem)
-    conditions = SiteConditions(facets["facet_condition"][rows].astype(np.int8), about.beta)
+    trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
+    conditions = law.conditions(law.nearest(facets["facet_condition"][rows].astype(np.int8), trace, flux))
     kkt = kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps)
     damage = _damage(about, options.method, kkt)
     by_sets = about.converged and options.method.starts_from_sets
-    if damage is None and by_sets and not _hold(conditions, sigma, u, p, spaces, data):
+    if damage is None and by_sets and not _hold(conditions, sigma, u, trace, flux, spaces):
         damage = "its facet conditions are not those of its values"
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
-    trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     outcome = Outcome(
         iterate=Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u),
         conditions=conditions,
@@ -211,7 +221,19 @@ def _read_problem(found: Checkpoint, dim: int) -> Problem:
     if given.missing:
         missing = ", ".join(given.missing)
         raise InputError(f"{missing}: given in Python, so not in the file; pass the problem to load_solution")
-    return _made(Problem, given.problem)
+    return replace(_made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
+
+
+def _law(table: dict[str, Any]) -> Law:
+    """A law of the file.
+
+    Raises:
+        InputError: If there is none like it.
+    """
+    kind = LAWS.get(table.get("kind", ""))
+    if kind is None:
+        raise InputError("not a readable solution (its law is not of this version)")
+    return _made(kind, {name: value for name, value in table.items() if name != "kind"})
 
 
 def _read_options(found: Checkpoint) -> Options:
@@ -249,14 +271,13 @@ def _damage(about: About, method: Method, kkt: KKTResiduals) -> str | None:
 
 
 def _hold(
-    conditions: SiteConditions, sigma: fem.Function, u: fem.Function, p: fem.Function, spaces: Spaces, data: Data
+    conditions: SiteConditions, sigma: fem.Function, u: fem.Function, trace: Array, flux: Array, spaces: Spaces
 ) -> bool:
-    """Whether σ·n = q_S and p = ψ where the conditions prescribe it (collective)."""
+    """Whether σ·n and p have the values that the conditions prescribe (collective)."""
     e, kind = spaces.facet_measure, conditions.kind
-    flux, trace = spaces.normal_flux(sigma) - data.q_Sh, p.x.array[: len(e)] - data.psi_h
     squares = [
-        e @ np.where(kind == zero, values, 0.0) ** 2
-        for values, zero in ((flux, Condition.NO_FLUX), (trace, Condition.ZERO_TRACE))
+        e @ np.where(kind == given, values - conditions.value, 0.0) ** 2
+        for values, given in ((flux, Condition.NO_FLUX), (trace, Condition.ZERO_TRACE))
     ]
     left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))
     sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (sigma, u)]

@@ -64,6 +64,7 @@ class GivenInPython(BaseModel):
         signorini: Parts of Γ_S.
         neumann: Parts of Γ_N.
         problem: The data that are numbers, texts or tables of these.
+        laws: The laws, as [[law]] has them.
         missing: Names of the other data, which no file can hold.
         options: The options that are names and numbers; the algorithm is `options.OWN` if it is not in the registry.
     """
@@ -72,9 +73,10 @@ class GivenInPython(BaseModel):
 
     title: str
     domain: str
-    signorini: list[str] = Field(min_length=1)
+    signorini: list[str]
     neumann: list[str]
     problem: dict[str, Any]
+    laws: list[dict[str, Any]] = []
     missing: list[str]
     options: dict[str, Any]
 

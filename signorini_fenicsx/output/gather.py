@@ -32,6 +32,7 @@ class FacetTable:
         psi: Mean of ψ.
         q_S: Mean of q_S.
         condition: Final condition.
+        segment: Final segment, a row of `BoundaryLaws.names`.
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
@@ -45,6 +46,7 @@ class FacetTable:
     psi: Array
     q_S: Array
     condition: npt.NDArray[np.int64]
+    segment: Indices
     vertices: Indices
 
 
@@ -104,6 +106,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         solution.data.psi_h,
         solution.data.q_Sh,
         solution.outcome.conditions.kind,
+        solution.data.laws.labels(solution.segments().segment),
         *facet_vertices(spaces.mesh, spaces.facets).T,
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
@@ -123,7 +126,8 @@ def gather_facets(solution: Solution) -> FacetTable | None:
         psi=rows[:, 9],
         q_S=rows[:, 10],
         condition=rows[:, 11].astype(np.int64),
-        vertices=rows[:, 12:].astype(np.int64),
+        segment=rows[:, 12].astype(np.int64),
+        vertices=rows[:, 13:].astype(np.int64),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,7 +95,8 @@ def write_solution(
                 part = folder / f"{FILE}.part"
                 write_checkpoint(part, solution, cells, table, marks)
                 part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
-                write_facets(folder / "facets.csv", solution.spaces.part_names, table)
+                names = solution.data.laws.names() if solution.data.laws.listed else []
+                write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
                 if boundary is not None:
                     from signorini_fenicsx.output import pictures  # takes a second to import
 
@@ -164,15 +166,15 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
 
 
-def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable) -> None:
+def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str] = ()) -> None:
     """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition"])
-        for part, x, measure, p, flux, condition in zip(
-            table.part, table.x.tolist(), table.measure, table.p, table.flux, table.condition, strict=True
-        ):
-            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower()])
+        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition", *["segment"][: len(segments)]])
+        columns = table.x.tolist(), table.measure, table.p, table.flux, table.condition, table.segment
+        for part, x, measure, p, flux, condition, segment in zip(table.part, *columns, strict=True):
+            name = [segments[segment]] if segments else []
+            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower(), *name])
 
 
 def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
@@ -202,7 +204,7 @@ def _sizes(solution: Solution) -> dict[str, int]:
     head = 12_000 + 3_000 * ranks
     return {
         "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
-        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 3 * number) + head,
+        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 4 * number) + head,
         "solution.h5": cells * ((dim + 1) * number + place + 3 * number) + points * dim * number + head,
     }
 
@@ -222,7 +224,10 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
-    write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition])
+    segments = []
+    if solution.data.laws.listed:
+        segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
+    write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
 
     sigma = centroid_flux(solution)
     magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")

@@ -16,7 +16,8 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
-from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.contact_sets import FacetSegments, FacetSet, hausdorff
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.errors import exact_contact, exact_errors
 from signorini_fenicsx.discrete.kkt import KKTResiduals
@@ -230,8 +231,17 @@ class Solution:
         return norms | {"contact_hausdorff": hausdorff(self.contact_set(), exact_contact(spaces, data, exact))}
 
     def contact_set(self) -> FacetSet:
-        """The Γ_S facets in contact, by their final condition."""
+        """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
         return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
+
+    @property
+    def law(self) -> Chains:
+        """The law that each Γ_S facet has in the end: with a penalty, that of the penalty."""
+        return self.data.laws.chains.with_penalty(self.method.penalty, self.options.eps)
+
+    def segments(self) -> FacetSegments:
+        """The segment of its law that each Γ_S facet is on, by its final condition."""
+        return FacetSegments(self.spaces, self.law.segments(self.outcome.conditions))
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""
@@ -239,6 +249,22 @@ class Solution:
         comm = self.spaces.mesh.comm
         count = comm.allreduce(int(np.count_nonzero(touching)))
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
+
+    def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
+        spaces, segment = self.spaces, self.segments().segment
+        found: dict[str, dict[str, dict[str, float]]] = {}
+        for law in self.data.laws.of_parts:
+            for part in law.law.parts:
+                here = spaces.part_of_facet == spaces.part_names.index(part)
+                on = [here & (segment == number) for number in range(len(law.law.segments))]
+                local = np.array([[np.count_nonzero(some), spaces.facet_measure[some].sum()] for some in on])
+                counts = spaces.mesh.comm.allreduce(local).tolist()
+                found[part] = {
+                    name: {"facets": int(facets), "measure": measure}
+                    for name, (facets, measure) in zip(law.law.segments, counts, strict=True)
+                }
+        return found
 
     def violation(self) -> dict[str, float]:
         """The error by ε in the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or in (9b) (collective)."""
@@ -271,6 +297,7 @@ class Solution:
             "dofs": outcome.dofs,
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
+            **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
             "iterations": len(outcome.history),
             "rough_steps": outcome.rough_steps,
             "converged": outcome.converged,

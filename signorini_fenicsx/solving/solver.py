@@ -14,6 +14,7 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -59,6 +60,8 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
+        if not boundary.signorini:
+            raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
         self._boundary = boundary
@@ -101,7 +104,7 @@ class Solver:
                 max_iterations=options.max_iterations or method.max_iterations,
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
-                start=None if start is None else start.contact_set(),
+                start=None if start is None else start.segments(),
                 predict=options.predict,
                 coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
                 tuning=options.tuning,
@@ -161,7 +164,7 @@ def solve(
 
     Args:
         domain: The mesh with its parts.
-        boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
+        boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D. Parts with a law of the problem belong to Γ_S.
         problem: The data.
         options: Algorithm, backend and their parameters; None for the defaults.
         start: Solution on any mesh of the domain; its contact set is the first one.
@@ -178,7 +181,7 @@ def solve(
     """
     watch = watch or Stopwatch()
     with watch.phase("assembly"):
-        solver = Solver(domain, boundary)
+        solver = Solver(domain, gamma_s(boundary, problem))
     return solver.solve(
         problem,
         options,
@@ -221,25 +224,40 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
 
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
+    boundary = gamma_s(boundary, problem)
     spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
     return spaces, project_data(spaces, problem)
+
+
+def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
+    """The boundary with the parts of all laws in Γ_S."""
+    parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
+    return Boundary(list(dict.fromkeys(parts)), boundary.neumann)
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
     """Check that there is one solution; without Γ_D the total load decides (collective).
 
     Without Γ_D the balance of the flux is ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and the left side is
-    ≥ 0. If it is 0, u solves the Neumann problem, and any large enough constant may be added to it.
+    ≥ 0. If it is 0, u solves the Neumann problem, and any large enough constant may be added to it. It is the same with
+    the smallest flux that other laws allow in the place of q_S, and with the largest.
 
     Raises:
         InputError: If there is no solution, or more than one.
     """
-    if not spaces.has_dirichlet and data.total_load >= 0:
-        verdict = "there is no solution" if data.total_load > 0 else "u is not unique"
+    lowest, highest = data.total_load
+    if spaces.has_dirichlet or lowest < 0 < highest:
+        return
+    verdict = "u is not unique" if 0 in data.total_load else "there is no solution"
+    if data.laws.listed:
         raise InputError(
-            "no part of the boundary is left for u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
-            f"{data.total_load:.3g}: {verdict}; make it negative, or leave part of the boundary to Γ_D"
+            "no part of the boundary is left for u = u_D, and ∫f + ∫g_N plus the flux that the laws allow is between "
+            f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or leave part of the boundary to Γ_D"
         )
+    raise InputError(
+        "no part of the boundary is left for u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+        f"{lowest:.3g}: {verdict}; make it negative, or leave part of the boundary to Γ_D"
+    )
 
 
 def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None) -> None:
@@ -252,6 +270,13 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
     method = options.method
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    for part in data.laws.of_parts:
+        if part.name and method.laws is not None and not isinstance(part.law, method.laws):
+            takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
+            raise InputError(
+                f"{options.algorithm_name} does not take the law '{part.law.name}' of {part.name}, it takes {takes}; "
+                "alg1, alg2 and qp take every law"
+            )
     if start is None:
         return
     if not same_domain(spaces.domain, start.spaces.domain):

@@ -8,6 +8,7 @@ import numpy as np
 from signorini_fenicsx.backends.contract import Inexact, Iterate, Pairs
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.methods.classical.primal import P1Change, P1System, not_solved
 from signorini_fenicsx.methods.history import Outcome
@@ -58,7 +59,9 @@ class VertexBackend:
         """
         self.system = P1System(task.spaces, task.data)
         self.comm, self.sites, self.dofs = task.spaces.mesh.comm, len(self.system.signorini), self.system.dofs
+        self.chains = Chains.at_corner(self.sites)
         self._contact, self._conductance = contact, task.data.conductance
+        self._slope = 1 / task.eps if contact == Condition.ROBIN else 1.0
         self.u: Array = np.zeros_like(self.system.load)
 
     def solver(self) -> str:
@@ -112,7 +115,7 @@ class VertexBackend:
     def in_mixed_spaces(self, iterate: VertexPairs, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """The projected flux, means of u and p; facets with all vertices in contact are in contact (collective)."""
         touching = conditions.kind == self._contact
-        return self.system.recover(iterate.u), self.system.conditions(touching, self._contact, conditions.beta)
+        return self.system.recover(iterate.u), self.system.conditions(touching, self._contact, self._slope)
 
 
 def primal_dual_active_set(task: Task) -> Outcome:

@@ -4,8 +4,14 @@ For general data ½(κ⁻¹τ, τ) − (u_D, τ·n)_ΓD − (ψ, τ·n)_ΓS is m
 unknown is τ − σ_lift.
 
 An interior-point solver gets only the mass matrix of RT0, the divergence and the signs: no facet conditions, no sets,
-no multipliers. Its own multipliers of ∇·τ = −f_h and of τ·n ≥ 0 are u_h and p_h. It runs on rank 0 and is not parallel.
+no multipliers. Its own multipliers of ∇·τ = −f_h are u_h, and (12) gives p_h. It runs on rank 0 and is not parallel.
+
+For other laws the integral of φ*(−τ·n) is added, −p being the slope of φ* as a function of τ·n: linear on a vertical
+segment of the graph, quadratic on a sloped one, and flat segments are kinks. Where there are kinks τ·n is a sum of
+unknowns, one for each segment that is not flat.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import piqp
@@ -16,16 +22,14 @@ from dolfinx.fem.petsc import assemble_matrix
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.set_rules import ALGORITHM_2
 from signorini_fenicsx.methods.task import Task, nothing_yet
-
-FIXED = 2.0
-"""Marks an unknown that is fixed to 0, in place of a sign."""
 
 
 def quadratic_programme(task: Task) -> Outcome:
@@ -44,9 +48,6 @@ def quadratic_programme(task: Task) -> Outcome:
     for matrix in matrices:
         matrix.assemble()
     hessian, divergence = (matrix_on_root(matrix) for matrix in matrices)
-    sign = np.zeros(flux_size)
-    sign[spaces.flux_dofs] = np.sign(spaces.basis_flux)
-    sign[spaces.neumann_dofs] = FIXED
     weight = 1 / np.sqrt(spaces.cell_measures[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
@@ -55,15 +56,21 @@ def quadratic_programme(task: Task) -> Outcome:
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
-    of_flux = flux_rows.gather(np.column_stack([linear, sign]))
+    bounds, pieces = _laws(task, flux_size)
+    of_flux = flux_rows.gather(np.column_stack([linear, bounds]))
     of_cell = cell_rows.gather(np.column_stack([weight, weight * right]))
-    values = balance = pressure = None
+    of_pieces = gather_rows(comm, pieces)
+    values = balance = left = None
     status, iterations = "", 0
-    if hessian is not None and divergence is not None and of_flux is not None and of_cell is not None:
+    if hessian is not None and divergence is not None:
+        assert of_flux is not None
+        assert of_cell is not None
+        assert of_pieces is not None
         scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
-        values, balance, pressure, status, iterations = _minimise(
-            hessian, of_flux[:, 0], scaled, of_cell[:, 1], of_flux[:, 1], task.max_iterations
-        )
+        programme = _with_laws(hessian, scaled, of_flux, of_cell[:, 1], of_pieces)
+        x, y, status, iterations = programme.solve(task.max_iterations)
+        values, balance = x[: len(of_flux)], y[: len(of_cell)]
+        left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
     status, iterations = comm.bcast((status, iterations))
 
     sigma_h, u_h = fem.Function(V, name="sigma"), fem.Function(Q, name="u")
@@ -71,11 +78,12 @@ def quadratic_programme(task: Task) -> Outcome:
     u_h.x.array[:cells] = cell_rows.scatter(balance) * weight
     for function in (sigma_h, u_h):
         function.x.scatter_forward()
-    p = flux_rows.scatter(pressure)[spaces.flux_dofs] / np.abs(spaces.basis_flux)
+    p = flux_rows.scatter(left)[spaces.flux_dofs] / spaces.basis_flux
     flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
     iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h)
-    conditions = SiteConditions(np.where(flux > p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8))
+    law = data.laws.chains
+    conditions = law.conditions(ALGORITHM_2.following(law, p, flux, 1.0))
 
     recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
     recorder.add(iterate, conditions)
@@ -91,42 +99,118 @@ def quadratic_programme(task: Task) -> Outcome:
     )
 
 
-def _minimise(
-    hessian: scipy.sparse.csr_array,
-    linear: Array,
-    divergence: scipy.sparse.csr_array,
-    right: Array,
-    sign: Array,
-    max_iterations: int,
-) -> tuple[Array, Array, Array, str, int]:
-    """Minimise ½xᵀHx + cᵀx subject to Bx = g, sign·x ≥ 0 where the sign is ±1 and x = 0 where it is FIXED (rank 0).
+def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
+    """The laws as bounds of unknowns and as what is added to the function.
 
     Returns:
-        x, the multipliers of both constraints, PIQP's status and its number of iterations.
+        For each owned unknown of the flux its bounds and the quadratic and linear term, shape (unknowns, 4); for each
+        piece of τ·n on a facet with several of them: number of the facet's unknown, ∫φ·n of its basis function, |e|, β
+        (∞ for none), value and bounds of the segment, shape (pieces, 7).
     """
-    of_flux = 1 / np.sqrt(hessian.diagonal())  # scaling: unknowns and rows of one size for any κ and any cells
-    divergence = divergence @ scipy.sparse.diags_array(of_flux)
-    of_row = 1 / np.sqrt(divergence.power(2).sum(axis=1))
-    linear, right = of_flux * linear, of_row * right
-    scale = max(float(np.abs(right).max()), float(np.abs(linear).max()))
-    if scale == 0:
-        return np.zeros(len(sign)), np.zeros(len(right)), np.zeros(len(sign)), piqp.PIQP_SOLVED.name, 0
-    solver = piqp.SparseSolver()
-    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = LINEAR  # for data of size 1
-    solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = LINEAR  # for data of size 1
-    solver.settings.max_iter = max_iterations
-    solver.setup(
-        scipy.sparse.csc_matrix(scipy.sparse.diags_array(of_flux) @ hessian @ scipy.sparse.diags_array(of_flux)),
-        linear / scale,
-        scipy.sparse.csc_matrix(scipy.sparse.diags_array(of_row) @ divergence),
-        right / scale,
-        x_l=np.where(sign > 0, 0.0, -np.inf),
-        x_u=np.where((sign < 0) | (sign == FIXED), 0.0, np.inf),
+    spaces, law = task.spaces, task.data.laws.chains
+    bounds = np.tile([-np.inf, np.inf, 0.0, 0.0], (flux_size, 1))
+    bounds[spaces.neumann_dofs, :2] = 0.0
+    e, basis, steep = spaces.facet_measure, spaces.basis_flux, law.slope > 0
+    several = steep.sum(axis=1) > 1
+    ends = np.stack(law.extent()[2:], axis=1) * (e / basis)[:, None]
+    bounds[spaces.flux_dofs, :2] = np.where(several[:, None], [-np.inf, np.inf], np.sort(ends, axis=1))
+    only = steep & ~several[:, None]
+    beta, value = (np.where(only, values, 0.0).sum(axis=1) for values in (law.slope, law.value))
+    has = only.any(axis=1)
+    weight = np.divide(1.0, beta, out=np.zeros(len(e)), where=has & np.isfinite(beta))
+    bounds[spaces.flux_dofs, 2] = weight * basis**2 / e
+    bounds[spaces.flux_dofs, 3] = -np.where(np.isinf(beta), value, weight * value) * basis
+    rows, columns = np.nonzero(steep & several[:, None])
+    first = spaces.mesh.comm.exscan(flux_size) or 0
+    infinite = np.full((len(e), 1), np.inf)
+    lowest, highest = np.hstack([law.flux, -infinite]), np.hstack([infinite, law.flux])
+    at = rows, columns
+    pieces = [
+        first + spaces.flux_dofs[rows],
+        basis[rows],
+        e[rows],
+        law.slope[at],
+        law.value[at],
+        lowest[at],
+        highest[at],
+    ]
+    return bounds, np.column_stack(pieces).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _Programme:
+    """Minimise ½xᵀHx + cᵀx subject to Bx = g, lower ≤ x ≤ upper (rank 0); `size` is about that of each unknown."""
+
+    hessian: scipy.sparse.csr_array
+    linear: Array
+    matrix: scipy.sparse.csr_array
+    right: Array
+    lower: Array
+    upper: Array
+    size: Array
+
+    def solve(self, max_iterations: int) -> tuple[Array, Array, str, int]:
+        """Solve by PIQP, with unknowns and rows of one size, whatever κ and the cells are like.
+
+        Returns:
+            x, the multipliers of Bx = g, PIQP's status and its number of iterations.
+        """
+        of_unknown = scipy.sparse.diags_array(self.size)
+        matrix = self.matrix @ of_unknown
+        of_row = 1 / np.sqrt(matrix.power(2).sum(axis=1))
+        linear, right = self.size * self.linear, of_row * self.right
+        ends = np.concatenate([self.lower / self.size, self.upper / self.size])
+        scale = max(float(np.abs(part).max(initial=0.0)) for part in (right, linear, ends[np.isfinite(ends)]))
+        if scale == 0:
+            return np.zeros(len(linear)), np.zeros(len(right)), piqp.PIQP_SOLVED.name, 0
+        solver = piqp.SparseSolver()
+        solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = LINEAR  # for data of size 1
+        solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = LINEAR  # for data of size 1
+        solver.settings.max_iter = max_iterations
+        lower, upper = np.split(ends / scale, 2)
+        solver.setup(
+            scipy.sparse.csc_matrix(of_unknown @ self.hessian @ of_unknown),
+            linear / scale,
+            scipy.sparse.csc_matrix(scipy.sparse.diags_array(of_row) @ matrix),
+            right / scale,
+            x_l=lower,
+            x_u=upper,
+        )
+        status = solver.solve()
+        result = solver.result
+        x, y = scale * self.size * np.asarray(result.x), scale * of_row * np.asarray(result.y)
+        return x, y, status.name, int(result.info.iter)
+
+
+def _with_laws(
+    hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, of_flux: Array, right: Array, pieces: Array
+) -> _Programme:
+    """The programme on rank 0: the flux, then the pieces, with a row for each facet that has some.
+
+    The pieces s_k of a facet lie in intervals that meet in corners of the graph, and τ·n = Σ s_k − Σ corners. As the
+    function is convex, it is lowest with all pieces but one at an end, so that τ·n is that one.
+    """
+    linear, lower, upper, quadratic, more = of_flux.T
+    basis, e, slope, value, lowest, highest = pieces.T[1:]
+    unknown = pieces[:, 0].astype(np.int64)
+    of_facet, first, row = np.unique(unknown, return_index=True, return_inverse=True)
+    meets_next = np.append(unknown[1:] == unknown[:-1], np.zeros(min(len(unknown), 1), dtype=bool))
+    corners = np.bincount(row, np.where(meets_next, e * np.where(meets_next, lowest, 0.0), 0.0), len(of_facet))
+    size = 1 / np.sqrt(hessian.diagonal())
+    hessian = hessian + scipy.sparse.diags_array(quadratic)
+    matrix = divergence
+    if len(unknown) > 0:
+        shape = len(of_facet), len(linear)
+        ties = scipy.sparse.coo_array((basis[first], (np.arange(len(of_facet)), of_facet)), shape)
+        shares = scipy.sparse.coo_array((-e, (row, np.arange(len(e)))), (len(of_facet), len(e)))
+        matrix = scipy.sparse.block_array([[divergence, None], [ties, shares]])
+        hessian = scipy.sparse.block_diag([hessian, scipy.sparse.diags_array(e / slope)])
+    return _Programme(
+        hessian=scipy.sparse.csr_array(hessian),
+        linear=np.concatenate([linear + more, -e * np.where(np.isinf(slope), value, value / slope)]),
+        matrix=scipy.sparse.csr_array(matrix),
+        right=np.concatenate([right, -corners]),
+        lower=np.concatenate([lower, lowest]),
+        upper=np.concatenate([upper, highest]),
+        size=np.concatenate([size, size[unknown] * np.abs(basis) / e]),
     )
-    status = solver.solve()
-    result = solver.result
-    values, balance, pressure = (
-        scale * factor * np.asarray(part)
-        for factor, part in ((of_flux, result.x), (of_row, result.y), (1 / of_flux, result.z_bl + result.z_bu))
-    )
-    return values, balance, pressure, status.name, int(result.info.iter)

@@ -37,6 +37,7 @@ def scene_of(
         regions=regions,
         labels={name: spaces.domain.parts[name].label for name in spaces.part_names},
         contact=solution.method.contact,
+        segments=solution.data.laws.names() if solution.data.laws.listed else [],
         history=solution.outcome.history,
     )
 

@@ -119,11 +119,10 @@ def _space(scene: Scene) -> tuple[list, list[Sheet]]:
     space = Space(scene)
     points, facets = scene.fields.points, scene.facets
     triangles, rows = thinned(points, facets.vertices, MOST_TRIANGLES)
-    touching = scene.touching[rows]
     contact = [
-        _surface(points, triangles[chosen], None, color, name=f"Γ<sub>S</sub>, {label}")
-        for chosen, color, label in ((touching, style.CONTACT, "contact"), (~touching, style.FREE, "no contact"))
-        if chosen.any()
+        _surface(points, triangles[group.facets[rows]], None, group.colour, name=f"Γ<sub>S</sub>, {group.name}")
+        for group in scene.groups
+        if group.facets[rows].any()
     ]
     cuts = space.slices().triangulate()
     cut_points, cut_triangles = np.asarray(cuts.points, dtype=np.float64), cuts.regular_faces.astype(np.int64)
@@ -171,10 +170,10 @@ def _surface(
 
 def _rims(scene: Scene, points: Array, others: Indices) -> list:
     """The boundary of a surface over the plane, Γ_S in the colours of its contact set."""
-    facets, touching = scene.facets, scene.touching
     found = [(others, "black", 3, "Γ<sub>D</sub>, Γ<sub>N</sub>")]
-    found += [(facets.vertices[touching], style.CONTACT, 8, "Γ<sub>S</sub>, contact")]
-    found += [(facets.vertices[~touching], style.FREE, 8, "Γ<sub>S</sub>, no contact")]
+    found += [
+        (scene.facets.vertices[group.facets], group.colour, 8, f"Γ<sub>S</sub>, {group.name}") for group in scene.groups
+    ]
     return [_edges(points, *look) for look in found if len(look[0])]
 
 

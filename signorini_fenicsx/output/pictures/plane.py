@@ -104,9 +104,9 @@ class Plane:
         axes.plot_trisurf(
             *points.T, scene.u, triangles=triangles, cmap=style.U_MAP, linewidth=0, antialiased=False, rasterized=True
         )
-        for chosen, color in ((scene.touching, style.CONTACT), (~scene.touching, style.FREE)):
-            for _, vertices in chains(scene.facets.vertices[chosen]):
-                axes.plot(*points[vertices].T, scene.u[vertices], color=color, linewidth=2, zorder=10)
+        for group in scene.groups:
+            for _, vertices in chains(scene.facets.vertices[group.facets]):
+                axes.plot(*points[vertices].T, scene.u[vertices], color=group.colour, linewidth=2, zorder=10)
         side = np.average(scene.facets.x[:, :2], axis=0, weights=scene.facets.measure) - points.mean(axis=0)
         far = np.linalg.norm(side) > 0.1 * np.ptp(self.box, axis=0).max()
         azimuth = np.degrees(np.arctan2(side[1], side[0])) if far else -90.0
@@ -154,10 +154,16 @@ class Plane:
         """The entries of the legend of a map."""
         scene = self.scene
         kinds = set(scene.boundary.kind.tolist())
-        contact = r"$\Gamma_S$, contact" + (" (seepage face)" if self.water else "")
+        seepage = " (seepage face)" if self.water else ""
         listed = [
-            (scene.touching.any(), contact, {"color": style.CONTACT, "linewidth": 3}),
-            (not scene.touching.all(), r"$\Gamma_S$, no contact", {"color": style.FREE, "linewidth": 3}),
+            (
+                True,
+                rf"$\Gamma_S$, {group.name}" + seepage * (group.name == "contact"),
+                {"color": group.colour, "linewidth": 3},
+            )
+            for group in scene.groups
+        ]
+        listed += [
             (DIRICHLET in kinds, r"$\Gamma_D$", {"color": "black", "linewidth": 1.2}),
             (NEUMANN in kinds, r"$\Gamma_N$", {"color": "black", "linewidth": 1.2, "linestyle": ":"}),
             (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
@@ -177,9 +183,9 @@ class Plane:
             for _, vertices in chains(scene.boundary.vertices[scene.boundary.kind == kind]):
                 axes.plot(*points[vertices].T, color="black", linewidth=1.2, linestyle=look, clip_on=False)
         edge = [patheffects.Stroke(linewidth=4.5, foreground="black"), patheffects.Normal()]
-        for chosen, color in ((~scene.touching, style.FREE), (scene.touching, style.CONTACT)):
-            for _, vertices in chains(scene.facets.vertices[chosen]):
-                line = axes.plot(*points[vertices].T, color=color, linewidth=3, clip_on=False, zorder=5)[0]
+        for group in reversed(scene.groups):
+            for _, vertices in chains(scene.facets.vertices[group.facets]):
+                line = axes.plot(*points[vertices].T, color=group.colour, linewidth=3, clip_on=False, zorder=5)[0]
                 line.set(solid_capstyle="butt", path_effects=edge)
         style.shape_axes(axes, title)
         pools = [] if self.water is None else self.water.pools

@@ -73,7 +73,7 @@ def _draw_traces(path: Path, scene: Scene) -> None:
     panels = figure.subplots(len(scene.labels), 2, squeeze=False)
     for part, row in enumerate(panels):
         _draw_part(scene, row, part, 2 * part)
-    style.legend_below(figure, traces.handles(), 6)
+    style.legend_below(figure, traces.handles(scene), 6)
     style.save(figure, path)
 
 
@@ -109,6 +109,6 @@ def _overview(plane: Plane) -> style.Page:
     axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2])
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, [*plane.handles(), *traces.handles(), *axes.get_legend_handles_labels()[0]], 6)
+    style.legend_below(figure, [*plane.handles(), *traces.handles(scene), *axes.get_legend_handles_labels()[0]], 6)
     figure.get_layout_engine().execute(figure)  # twice: the ticks it makes room for are those of the size before
     return figure

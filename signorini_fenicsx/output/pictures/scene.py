@@ -1,5 +1,6 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,6 +10,22 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
+from signorini_fenicsx.output.pictures import style
+
+
+@dataclass(frozen=True)
+class Group:
+    """Facets of Γ_S that pictures show alike.
+
+    Attributes:
+        name: What legends call them.
+        colour: Their colour.
+        facets: Which ones.
+    """
+
+    name: str
+    colour: str
+    facets: Mask
 
 
 @dataclass(frozen=True)
@@ -24,6 +41,7 @@ class Scene:
         regions: Mask of the cells in each region, shape (cells, regions), or None.
         labels: For each part of Γ_S the name of the coordinate along it.
         contact: Condition on the facets in contact.
+        segments: Names of the segments of all laws, if there are others than the Signorini law.
         history: Steps of the algorithm.
     """
 
@@ -35,6 +53,7 @@ class Scene:
     regions: Mask | None
     labels: dict[str, str]
     contact: Condition
+    segments: list[str]
     history: list[Step]
 
     @property
@@ -46,6 +65,19 @@ class Scene:
     def touching(self) -> Mask:
         """Mask of the facets of Γ_S in contact."""
         return self.facets.condition == self.contact
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """Γ_S in contact and not in contact, or by the segments of the laws; none of them empty."""
+        found = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
+        if self.segments:
+            names, name = np.unique(np.array(self.segments)[self.facets.segment], return_inverse=True)
+            others = itertools.cycle(style.SEGMENTS)
+            found = [
+                Group(each, style.OF_SEGMENT.get(each) or next(others), name == i)
+                for i, each in enumerate(names.tolist())
+            ]
+        return [group for group in found if group.facets.any()]
 
     @cached_property
     def measure(self) -> Array:

@@ -217,9 +217,7 @@ class Space:
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S."""
-        touching = self.scene.touching
-        listed = [(touching.any(), "contact", style.CONTACT), (not touching.all(), "no contact", style.FREE)]
-        return [Patch(color=color, label=rf"$\Gamma_S$, {label}") for there, label, color in listed if there]
+        return [Patch(color=group.colour, label=rf"$\Gamma_S$, {group.name}") for group in self.scene.groups]
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
@@ -228,11 +226,10 @@ class Space:
         return {"show_edges": self.gamma.n_cells <= EDGES_UP_TO, "line_width": 0.4, "edge_color": "dimgrey"}
 
     def _add_contact(self, plotter: pyvista.Plotter, opacity: float = 1.0) -> None:
-        for chosen, color in ((self.scene.touching, style.CONTACT), (~self.scene.touching, style.FREE)):
-            if chosen.any():
-                triangles = self._triangles(self.scene.facets.vertices[chosen])
-                edges = self._edges() if opacity == 1.0 else {}
-                plotter.add_mesh(triangles, color=color, opacity=opacity, lighting=False, **edges)
+        for group in self.scene.groups:
+            triangles = self._triangles(self.scene.facets.vertices[group.facets])
+            edges = self._edges() if opacity == 1.0 else {}
+            plotter.add_mesh(triangles, color=group.colour, opacity=opacity, lighting=False, **edges)
 
     def _add_hull(self, plotter: pyvista.Plotter) -> None:
         if self.hull.n_cells:

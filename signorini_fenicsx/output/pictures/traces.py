@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.scene import Scene, chains
+from signorini_fenicsx.output.pictures.scene import Group, Scene, chains
 
 PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     "u": {
@@ -26,6 +26,7 @@ PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
 """For each panel the columns of the table, with their labels and styles."""
 MARKERS = 40
 """Largest number of markers on a line."""
+SHADE = 0.13
 TITLES = {"u": "trace of $u$", "flux": "flux"}
 
 
@@ -79,9 +80,12 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> N
     """One panel: the traces of `PANELS` along a part."""
     lines, label = pieces(scene, part)
     for line in lines:
-        for run in np.split(np.arange(len(line.rows)), np.flatnonzero(np.diff(scene.touching[line.rows])) + 1):
-            if scene.touching[line.rows[run[0]]]:
-                axes.axvspan(line.ends[run[0]], line.ends[run[-1] + 1], color=style.CONTACT, alpha=0.13, linewidth=0)
+        for group in shaded(scene):
+            inside = group.facets[line.rows]
+            for run in np.split(np.arange(len(line.rows)), np.flatnonzero(np.diff(inside)) + 1):
+                if inside[run[0]]:
+                    ends = line.ends[run[0]], line.ends[run[-1] + 1]
+                    axes.axvspan(*ends, color=group.colour, alpha=SHADE, linewidth=0)
         for column, (_, look) in PANELS[panel].items():
             values = getattr(scene.facets, column)[line.rows]
             if "marker" in look:
@@ -95,13 +99,17 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> N
         axes.set_xticks(*_pi_ticks(np.concatenate([line.ends for line in lines])))
 
 
-def handles(panels: tuple[str, ...] = ("u", "flux")) -> list:
+def shaded(scene: Scene) -> list[Group]:
+    """What is shaded in the panels: contact, or the segments of all laws."""
+    return scene.groups if scene.segments else [Group("contact", style.CONTACT, scene.touching)]
+
+
+def handles(scene: Scene) -> list:
     """The entries of the legend of these panels."""
-    columns = {name: column for panel in panels for name, column in PANELS[panel].items()}
-    if {"psi", "q_S"} <= columns.keys():  # they look alike, each in its panel
-        columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])
+    columns = {name: column for panel in PANELS.values() for name, column in panel.items()}
+    columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])  # they look alike, each in its panel
     lines = [Line2D([], [], label=label, **look) for label, look in columns.values()]
-    return [*lines, Patch(color=style.CONTACT, alpha=0.13, label="contact")]
+    return [*lines, *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in shaded(scene))]
 
 
 def _pi_ticks(angles: Array) -> tuple[list[float], list[str]]:

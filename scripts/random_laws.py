@@ -1,0 +1,142 @@
+"""Random problems with several laws on Γ_S, against a quadratic programme: solved to KKT ≤ 1e-8, or an honest failure.
+
+uv run python scripts/random_laws.py --seeds 300
+
+Each seed draws what `random_problems.py` draws, and a law for each part of Γ_S: Signorini, friction, two-sided bounds,
+a wall, a regulator or a random monotone graph, with data that vary along the part. Some have no Γ_D.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+from random_problems import Result, distance, distort, random_case, random_data
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.tolerances import KKT
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.discrete.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
+
+AGREE = 1e-6
+"""Relative difference of p and σ that is left to the interior-point method where κ jumps."""
+
+
+def random_level(rng: np.random.Generator, size: float, low: float, high: float, power: int = 0) -> str:
+    """A number between two over a power of the size, plus a share of a wave: never negative if no number is."""
+    k, a = rng.uniform(1, 10, 2) / size, rng.uniform(0, 6)
+    wave = f"sin({k[0]}*x + {k[1]}*y + {a})"
+    return f"({rng.uniform(low, high) / size**power}*(1 + {rng.choice([0.0, 0.5, 1.0])}*{wave}))"
+
+
+def random_law(rng: np.random.Generator, part: str, size: float) -> Law:
+    """A law with data of order 1 on a domain of any size."""
+
+    def level(low: float, high: float, power: int = 0) -> str:
+        return random_level(rng, size, low, high, power)
+
+    kind = rng.integers(6)
+    if kind == 0:
+        return Signorini([part], psi=level(-0.5, 0.2), q_S=level(-1, 1, 1))
+    if kind == 1:
+        return Friction([part], g=level(0, 2, 1))
+    if kind == 2:
+        psi = level(-0.2, 0.2)
+        return TwoSided([part], psi=psi, psi_upper=f"{psi} + {level(0, 0.5)}", q_S=level(-1, 1, 1))
+    if kind == 3:
+        return Wall([part], beta=level(0, 10 ** rng.uniform(-2, 4), 1), level=level(-0.5, 0.5))
+    if kind == 4:
+        low = level(-1, 0.5, 1)
+        k = 10 ** rng.uniform(-2, 4) / size
+        return Regulator([part], k=k, g_low=low, g_high=f"{low} + {level(0, 2, 1)}", a=level(-0.2, 0.2))
+    return random_graph(rng, part, size)
+
+
+def random_graph(rng: np.random.Generator, part: str, size: float) -> Law:
+    """One to five corners, some of them on vertical or flat lines."""
+    number = rng.integers(1, 6)
+    steps = rng.exponential(0.2, (number, 2)) * (rng.random((number, 2)) < 0.7)
+    u, flux = rng.uniform(-0.5, 0) + np.cumsum(steps[:, 0]), (rng.uniform(0, 1) - np.cumsum(steps[:, 1])) / size
+    ends = [str(rng.choice(["vertical", "0", "3"])) for _ in range(2)]
+    return Corners([part], list(zip(u.tolist(), flux.tolist(), strict=True)), *ends)
+
+
+def random_problem(seed: int) -> tuple[Domain, Boundary, Problem, Options, str]:
+    """All that a solve needs, and a description."""
+    rng = np.random.default_rng([seed, 1])
+    case = random_case(rng)
+    domain = mesh_case(case, MPI.COMM_SELF)
+    bad = distort(rng, domain)
+    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.5 else 1.0
+    size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
+    everything = list(domain.parts)
+    with_law = everything if rng.random() < 0.2 else case.boundary.signorini
+    neumann = [part for part in case.boundary.neumann if part not in with_law]
+    laws = [random_law(rng, part, size) for part in with_law]
+    problem = replace(random_data(rng, domain, contrast, rough=rng.random() < 0.5), psi=0.0, q_S=0.0, laws=laws)
+    algorithm = str(rng.choice(["alg1", "alg2"]))
+    words = [case.geometry.shape or "", "bad cells" if bad else "", f"Γ_N {neumann}", f"κ 1 to {contrast:.0e}"]
+    words += [f"{law.name} on {law.parts[0]}" for law in laws] + [algorithm, case.solve.backend]
+    options = Options(algorithm=algorithm, backend=case.solve.backend, max_iterations=200)
+    return domain, Boundary([], neumann), problem, options, ", ".join(word for word in words if word)
+
+
+def examine(seed: int) -> Result | None:
+    """Solve the problem of a seed, and as a quadratic programme; None if it has no unique solution."""
+    domain, boundary, problem, options, words = random_problem(seed)
+    try:
+        found = solve(domain, boundary, problem, options)
+    except InputError as error:
+        if "no part of the boundary" in str(error):
+            return None
+        raise
+    except NumericalFailure as failure:
+        return Result(words, str(failure), np.inf, np.nan)
+    try:
+        expected = solve(domain, boundary, problem, replace(options, algorithm="qp"))
+    except (NumericalFailure, InputError):
+        difference = np.nan
+    else:
+        size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (found.p, found.u))
+        apart = float(np.abs(found.p.x.array - expected.p.x.array).max(initial=0.0))
+        difference = max(distance(found.sigma, expected.sigma), apart / size if size > 0 else 0.0)
+    return Result(words, found.outcome.reason, max(vars(found.kkt).values()), difference)
+
+
+def main() -> int:
+    """Examine the seeds and print each problem that is not as it should be; 1 if a solution is wrong."""
+    arguments = argparse.ArgumentParser(description=main.__doc__)
+    arguments.add_argument("--seeds", type=int, default=300)
+    arguments.add_argument("--first", type=int, default=0)
+    options = arguments.parse_args()
+    counts: Counter[str] = Counter()
+    began, worst_kkt, worst = time.monotonic(), 0.0, 0.0
+    for seed in range(options.first, options.first + options.seeds):
+        result = examine(seed)
+        if result is None:
+            counts["without a unique solution"] += 1
+            continue
+        solved = result.ending.startswith("the facet sets repeat")
+        wrong = solved and (result.kkt > KKT or result.difference > AGREE)
+        counts["wrong" if wrong else "good" if solved else "failed"] += 1
+        counts["by single changes"] += "single facets" in result.ending
+        counts["no reference"] += bool(np.isnan(result.difference))
+        worst_kkt = max(worst_kkt, result.kkt if solved else 0.0)
+        worst = max(worst, np.nan_to_num(result.difference))
+        if wrong or not solved:
+            print(f"seed {seed}: {result.problem}: {result.ending}; KKT {result.kkt:.1e}; {result.difference:.1e}")
+    print(f"{dict(counts)}; worst KKT {worst_kkt:.1e}, difference {worst:.1e}; {time.monotonic() - began:.0f} s")
+    return int(counts["wrong"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""`[boundary]`: the parts of the boundary with each kind of condition."""
+
+from collections import Counter
+from typing import Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from signorini_fenicsx.cases.complaints import keys_of
+from signorini_fenicsx.meshes.checks import key_of
+
+
+class Section(BaseModel):
+    """A section of a case file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Parts(Section):
+    """`[boundary]`: parts for each kind of condition; "dirichlet" may be left out, and then has all others."""
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The lists that are given, by their keys."""
+        return {key: list(value) for key, value in self if value is not None}
+
+    @model_validator(mode="after")
+    def _no_repetition(self) -> Self:
+        self.refuse_repetition()
+        return self
+
+    def refuse_repetition(self) -> None:
+        """Refuse a part that is listed twice.
+
+        Raises:
+            ValueError: If there is one.
+        """
+        repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
+        if repeated:
+            raise ValueError(f"'{repeated[0]}' is listed twice")
+
+    def check(self, known: list[str], where: str) -> None:
+        """Make sure that the named parts exist and, if parts of Γ_D are listed, that every part is named.
+
+        Args:
+            known: All parts of the boundary.
+            where: Name of the domain.
+
+        Raises:
+            ValueError: If not; the message names key and part.
+        """
+        for key, parts in self.named.items():
+            for part in parts:
+                if part not in known:
+                    raise ValueError(
+                        f"{key_of(key)}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
+                    )
+        left = [part for part in known if part not in self.listed()]
+        if "dirichlet" in self.named and left:
+            *others, last = keys_of(type(self))
+            raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
+
+    def listed(self) -> list[str]:
+        """All parts that the section names."""
+        return [part for parts in self.named.values() for part in parts]
+
+
+class Boundary(Parts):
+    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
+
+    Parts with a `[[law]]` belong to Γ_S and are not listed here.
+    """
+
+    signorini: list[str] = []
+    neumann: list[str] = []
+    dirichlet: list[str] | None = None
+
+
+class PartsWithLaws(Boundary):
+    """The same with the parts of each `[[law]]`."""
+
+    laws: dict[str, list[str]] = Field(exclude=True)
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The lists that are given, by their keys."""
+        return {key: parts for key, parts in super().named.items() if key != "laws"} | self.laws

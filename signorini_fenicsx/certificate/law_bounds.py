@@ -1,0 +1,102 @@
+"""The admissible function of `law_trace` as jets in points: u_D on Γ_D, and the bounds of u on Γ_S."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.admissible_trace import SAMPLES
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.points import Points, cut_off, facet_lattice, larger, quadratic_nodes
+from signorini_fenicsx.discrete.spaces import Spaces
+
+SAFE = 2.0
+"""Factor of what ℓ needs in sampled points."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound of u on some facets of Γ_S.
+
+    Attributes:
+        datum: The bound.
+        sign: 1 for a lower bound, −1 for an upper one.
+        near: 1 in the vertices of the facets and 0 in the others, linear.
+        depth: ℓ is so many times 1 − near.
+    """
+
+    datum: Datum
+    sign: float
+    near: fem.Function
+    depth: float
+
+    def apply(self, points: Points, jet: Array, *, gradient: bool) -> Array:
+        """The jet of a function, bounded (collective)."""
+        near = points.linear(self.near, gradient=gradient)
+        apart = near.copy()
+        apart[:, :, 0] -= 1.0
+        touched = self.near.x.array[self.near.function_space.dofmap.list[points.cells]].any(axis=1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            bound = self.sign * self.datum.jet(points, gradient=gradient) + self.depth * apart
+            limited = self.sign * larger(self.sign * jet, bound)
+        return np.where(touched[:, None, None], limited, jet)
+
+
+@dataclass(frozen=True)
+class LawTrace:
+    """The function of the module by its parts, as jets in points, see `discrete.points`.
+
+    Attributes:
+        u_D: The datum, and I_hu_D.
+        v: v_2.
+        near_dirichlet: χ_D.
+        moved: v_1.
+        bounds: Those of all parts.
+    """
+
+    u_D: tuple[Datum, fem.Function]
+    v: fem.Function
+    near_dirichlet: fem.Function
+    moved: fem.Function
+    bounds: list[Bound]
+
+    def jet(self, points: Points, *, gradient: bool = False, bounded: bool = True) -> Array:
+        """Its jet (collective)."""
+        datum, interpolant = self.u_D
+        found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
+        if datum.number is None:
+            missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
+            found = found + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed)
+        for bound in self.bounds if bounded else []:
+            found = bound.apply(points, found, gradient=gradient)
+        return found
+
+    def gradient(self, points: Points) -> Array:
+        """Its gradient (collective)."""
+        return self.jet(points, gradient=True)[:, :, 1:]
+
+
+def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:
+    """How steep ℓ has to be: away from the facets, and on Γ_D, the bound must not change v (collective)."""
+    mesh = spaces.mesh
+    dofs = near.function_space.dofmap.list
+    cells = np.flatnonzero(near.x.array[dofs].any(axis=1)).astype(np.int32)
+    bound = datum.at_nodes(trace.v.function_space, quadratic_nodes(mesh.basix_cell())).x.array
+    there = trace.v.function_space.dofmap.list[cells]
+    with np.errstate(invalid="ignore", over="ignore"):
+        over = sign * (
+            bound[there].max(axis=1, initial=-np.inf) if sign > 0 else bound[there].min(axis=1, initial=np.inf)
+        )
+        coefficients = trace.v.x.array[there]
+        under = coefficients.min(axis=1, initial=np.inf) if sign > 0 else -coefficients.max(axis=1, initial=-np.inf)
+        needed = float((over - under).max(initial=0.0))
+        on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
+        on_wall = on_wall.among(near.x.array[dofs].any(axis=1))
+        room = 1 - on_wall.linear(near)[:, :, 0]
+        above = sign * (datum.values(on_wall) - trace.jet(on_wall)[:, :, 0])
+        steep = np.where((room > 0) & (above > 0), above / np.where(room > 0, room, 1.0), 0.0).max(initial=0.0)
+    return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)

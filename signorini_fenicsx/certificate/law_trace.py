@@ -1,0 +1,279 @@
+"""A continuous function near u that is admissible under the laws on Γ_S: v = u_D on Γ_D, and within what they allow.
+
+v is quadratic on each cell, except near Γ_D and near parts of Γ_S with bounds of u, the vertical ends of a graph. There
+
+    v = min(max(v_2 + χ_D(u_D − I_hu_D) + v_1, b − ℓ), b' + ℓ)
+
+for each lower bound b and each upper bound b'. v_2 is quadratic, by Bernstein coefficients between those of I_hb and
+I_hb' on facets with bounds. χ_D and v_1 are linear on each cell; χ_D is 1 on Γ_D, and v_1 moves v by as much as it is
+beyond a bound in sampled points. ℓ is 0 on the facets with the bound and grows from there, so that the bound changes v
+only next to them.
+
+v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
+stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+from dolfinx import fem, la
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.certificate.admissible_trace import ROOM, SAMPLES, Indices, Trace, averaged, facet_nodes
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
+from signorini_fenicsx.certificate.laws import Goal
+from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.conditions import Kinds
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.points import (
+    FacetPoints,
+    facet_lattice,
+    facet_type,
+    quadratic_nodes,
+)
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.solving.solution import Solution
+
+STIFF = 1.0
+"""A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
+
+
+@dataclass(frozen=True)
+class OnGammaS:
+    """Γ_S with the pieces of the laws near which v is to be.
+
+    Attributes:
+        goal: The problem.
+        spaces: The discrete spaces.
+        segment: The segment of each facet.
+        piece: The sloped or flat segment that v is near on each facet; vertical only if no other is beside.
+        flux: y·n per facet.
+        level: σ·n + βp on the piece, per facet.
+        steep: The segments of each facet that hold v: vertical ones, and stiff ones, shape (facets, segments).
+    """
+
+    goal: Goal
+    spaces: Spaces
+    segment: Kinds
+    piece: Kinds
+    flux: Array
+    level: Array
+    steep: Mask
+
+    @classmethod
+    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
+        """Those of a solution and a flux."""
+        spaces, data, law = solution.spaces, solution.data, goal.chains
+        segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
+        piece = goal.pieces(segment, flux - data.q_Sh)
+        rows = np.arange(len(piece))
+        slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
+        level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
+        height = metric.volume[spaces.cells] / spaces.facet_measure
+        resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
+        steep = law.slope * (height * resistance)[:, None] > STIFF
+        return cls(goal, spaces, segment, piece, flux, level, steep)
+
+    def in_points(self, law: Chains, values: str, segment: Kinds) -> Array:
+        """β or the value of a segment of each facet, in points of the facets, shape (facets, points)."""
+        number = len(law.p) // max(len(segment), 1)
+        of_points = np.repeat(segment, number).astype(np.int64)
+        found = np.take_along_axis(getattr(law, values), of_points[:, None], axis=1)
+        return found.reshape(len(segment), -1)
+
+    def slope(self, law: Chains) -> Array:
+        """β of the piece in points; 0 on a vertical one."""
+        slope = self.in_points(law, "slope", self.piece)
+        return np.where(np.isinf(slope), 0.0, slope)
+
+    def flux_of_piece(self, law: Chains, v: Array) -> tuple[Array, Array]:
+        """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is vertical."""
+        vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.segment)), self.segment])[:, None]
+        slope = np.where(vertical, 0.0, self.slope(law))
+        return slope, np.where(vertical, 0.0, self.in_points(law, "value", self.piece) - slope * v)
+
+    def held(self, nodes: Chains) -> tuple[Array, Mask, Mask]:
+        """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
+        rows = np.arange(len(self.segment))
+        slope, value = (self.in_points(nodes, name, self.segment) for name in ("slope", "value"))
+        vertical = np.isinf(self.goal.chains.slope[rows, self.segment])
+        sloped = np.isfinite(slope) & (slope > 0)
+        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
+        stiff = self.steep[rows, self.segment] & ~vertical & sloped.all(axis=1)
+        return np.where(vertical[:, None], value, on_line), vertical, stiff
+
+    def ends(self, nodes: Chains) -> tuple[Array, Array, Array, Array]:
+        """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
+
+        Returns:
+            The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
+        """
+        shape = len(self.piece), len(nodes.p) // max(len(self.piece), 1)
+        low, high = (end.reshape(shape) for end in nodes.extent()[:2])
+        rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece.astype(np.int64)
+        steep = np.pad(self.steep, ((0, 0), (1, 1)))
+        left, right = steep[rows, piece], steep[rows, piece + 2]
+        corner = nodes.p.reshape(*shape, -1)
+        begin = corner[rows, :, np.maximum(piece - 1, 0)]
+        end = corner[rows, :, np.minimum(piece, law.corners - 1)]
+        only = np.isinf(law.slope[rows, piece])  # no other segment is beside
+        value = self.in_points(nodes, "value", self.piece)
+        begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
+        soft_low = np.where((left | only)[:, None], begin, -np.inf)
+        soft_high = np.where((right | only)[:, None], end, np.inf)
+        return low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)
+
+    def loads(self, points: FacetPoints, law: Chains) -> Array:
+        """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
+        slope = self.slope(law)
+        level = np.where(slope > 0, self.in_points(law, "value", self.piece), self.level[:, None])
+        vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.piece)), self.piece])
+        density = np.where(vertical[:, None], 0.0, self.flux[:, None] - level)
+        barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
+        first, second = np.array(_edges_of_facet(points)).T
+        basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
+        found: Array = points.scale[:, None] * ((density * points.weights) @ basis)
+        return found
+
+
+def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS) -> Trace:
+    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective)."""
+    spaces, data, goal = solution.spaces, solution.data, on.goal
+    mesh = spaces.mesh
+    v = averaged(solution, metric)
+    space = v.function_space
+    edges, nodes = all_edges(space), facet_nodes(space, spaces)
+    on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
+    facet = facet_type(mesh.topology.dim)
+    _, at_nodes = goal.at(spaces, quadratic_nodes(facet))
+    values, vertical, stiff = on.held(at_nodes)
+    for some in (stiff, vertical):
+        _set_means(v, nodes[some], values[some])
+    u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
+    v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
+    ends = on.ends(at_nodes)
+    feasible = _allows(v, nodes, ends[:2], on_dirichlet)
+    (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
+    hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
+    soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
+    for function in (v, u_D):
+        edges.to_bernstein(function.x.array)
+    box = Box.of(hard, soft, on_dirichlet)
+    box.project(v.x.array)
+    points, law = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
+    excess = fem.Function(space)
+    np.add.at(excess.x.array, nodes.ravel(), on.loads(points, law).ravel())
+    excess.x.scatter_reverse(la.InsertMode.add)
+    slope = spaces.multiplier(on.slope(law).mean(axis=1), "beta")
+    load = np.asarray(excess.x.array, dtype=np.float64)
+    relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
+    return _with_exact_data(on, data, v, u_D, feasible=feasible)
+
+
+def _allows(v: fem.Function, nodes: Indices, ends: tuple[Array, Array], on_dirichlet: Indices) -> bool:
+    """Whether the laws leave room for a continuous v that is u_D on Γ_D, in the nodes (collective)."""
+    comm = v.function_space.mesh.comm
+    low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
+    rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
+    at_wall = v.x.array[on_dirichlet]
+    within = (low[on_dirichlet] <= at_wall + rounding) & (at_wall <= high[on_dirichlet] + rounding)
+    return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
+
+
+def _edges_of_facet(points: FacetPoints) -> list[list[int]]:
+    """Vertices of each edge of the reference facet."""
+    return [list(edge) for edge in basix.topology(facet_type(points.mesh.topology.dim))[1]]
+
+
+def _coefficients(values: Array, facet: basix.CellType) -> Array:
+    """Bernstein coefficients of the quadratics with these values in the nodes of facets."""
+    corners = len(basix.topology(facet)[0])
+    first, second = np.array(basix.topology(facet)[1]).T
+    with np.errstate(invalid="ignore"):
+        middle = 2 * values[:, corners:] - (values[:, first] + values[:, second]) / 2
+    middle = np.where(np.isfinite(middle), middle, values[:, corners:])
+    return np.hstack([values[:, :corners], middle])
+
+
+def _set_means(function: fem.Function, nodes: Indices, values: Array) -> None:
+    """Set the nodes of some facets to the means of what the facets say (collective)."""
+    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
+    np.add.at(total.x.array, nodes.ravel(), values.ravel())
+    np.add.at(count.x.array, nodes.ravel(), 1.0)
+    for each in (total, count):
+        each.x.scatter_reverse(la.InsertMode.add)
+        each.x.scatter_forward()
+    found = count.x.array > 0
+    function.x.array[found] = total.x.array[found] / count.x.array[found]
+
+
+def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest: bool) -> Array:
+    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
+    sign = 1.0 if largest else -1.0
+    found = fem.Function(space)
+    found.x.array[:] = -np.inf
+    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
+    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    found.x.scatter_forward()
+    return np.asarray(sign * found.x.array, dtype=np.float64)
+
+
+def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
+    """The trace with u_D and the bounds themselves instead of their interpolants (collective)."""
+    spaces = on.spaces
+    mesh, linear = spaces.mesh, fem.functionspace(spaces.mesh, ("Lagrange", 1))
+    near_dirichlet, moved = fem.Function(linear), fem.Function(linear)
+    on_dirichlet = fem.locate_dofs_topological(linear, mesh.topology.dim - 1, spaces.dirichlet_facets)
+    near_dirichlet.x.array[on_dirichlet] = 1.0
+    trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, [])
+    near = np.zeros_like(near_dirichlet.x.array) if data.u_D.number is not None else near_dirichlet.x.array.copy()
+    corners = facet_nodes(linear, spaces)
+    known = [data.u_D]
+    for part in on.goal.parts:
+        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
+            if name is None or (part.data[name].number is not None and data.u_D.number is not None):
+                continue
+            datum, facets = part.data[name], spaces.facets[part.rows]
+            here = fem.Function(linear)
+            here.x.array[fem.locate_dofs_topological(linear, mesh.topology.dim - 1, facets)] = 1.0
+            lattice = facet_lattice(mesh, facets, SAMPLES)
+            short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
+            fixed = np.isin(corners[part.rows], on_dirichlet).any(axis=1)
+            lacking = np.where(fixed, *ROOM[::-1]) * np.maximum(short.max(axis=1, initial=0.0), 0.0)
+            moved.x.array[:] += sign * np.maximum(
+                _extreme(
+                    linear,
+                    corners[part.rows],
+                    lacking[:, None] + np.zeros((len(lacking), corners.shape[1])),
+                    largest=True,
+                ),
+                0.0,
+            )
+            moved.x.array[on_dirichlet] = 0.0
+            trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
+            near += here.x.array
+            known.append(datum)
+    cells, at_dirichlet = (
+        np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
+    )
+    nowhere, high = np.empty(0, dtype=np.int32), np.full(len(spaces.facets), np.inf)
+    degree = quadrature_degree(*known, data.kappa)
+    return Trace(
+        v=v,
+        exact=trace if len(known) > 1 or data.u_D.number is None else None,
+        above=lambda points: trace.jet(points)[:, :, 0],
+        cells=cells if len(known) > 1 or data.u_D.number is None else nowhere,
+        at_dirichlet=at_dirichlet,
+        touching=nowhere,
+        lowest=high,
+        feasible=feasible,
+        degree=degree,
+    )

@@ -1,0 +1,171 @@
+"""The certificate under every law: above the error and near it, for penalties' own solutions too, and its parts."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import signorini
+from mpi4py import MPI
+from random_bounds import difference
+from test_laws import EXACT, many, on_grid
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.laws import gap, with_mean
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.rigorous.proof import proof_of
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_solutions(name: str):
+    """On resolved data the bound is at most some per cent above the error."""
+    solution = on_grid(name, 32)
+    errors, certificate = solution.errors(), certify(solution)
+    assert errors is not None
+    assert errors["sigma_L2"] < certificate.sigma_bound < 1.05 * errors["sigma_L2"]
+    assert errors["sigma_L2"] < certificate.bound < 1.3 * errors["sigma_L2"]
+    assert certificate.by_quadrature == ()
+    assert certificate.guaranteed == (name != "friction")  # of its f the means are enclosed, and not finely enough
+
+
+@pytest.mark.parametrize("algorithm", ["alg3", "alg4"])
+def test_penalties_have_solutions_of_their_own(algorithm: str):
+    """With u exact for the penalty problem, from ε so large that it is another problem to a tiny one."""
+    s, plus, minus = "(x - 0.413)", "max(x - 0.413, 0)", "max(0.413 - x, 0)"
+    for eps in (10.0, 0.1, 1e-6):
+        if algorithm == "alg3":
+            u, f = f"{s}^3 - y*{1 / eps}*{minus}^3", f"-6*{s} + 6*y*{1 / eps}*{minus}"
+        else:
+            u, f = f"{plus}^3 - y*({minus}^3 - {eps}*{plus}^3)", f"-6*{plus} + 6*y*({minus} - {eps}*{plus})"
+        given = {"solve__algorithm": algorithm, "solve__eps": eps}
+        solution = on_grid("transition", 16, problem__f=f, problem__u_D=u, exact__u=u, **given)
+        errors, certificate = solution.errors(), certify(solution)
+        assert errors is not None
+        assert certificate.of_penalty
+        assert errors["sigma_L2"] < certificate.sigma_bound < 1.02 * errors["sigma_L2"], eps
+        assert not certify(solution, for_signorini=True).of_penalty
+
+
+PSI = {"psi": "-0.05*cos(y)", "psi_upper": "0.05 + 0.02*cos(9*y)", "q_S": "0.5*sin(6*y)"}
+CORNERS = [["-0.1*y", "0.4 + y"], ["-0.1*y", 0.1], ["0.1 + y/9", "0.1*cos(y)"], ["0.3 + y", "-y"]]
+LAWS: list[tuple[Law, ...]] = [
+    (Friction(["bottom"], "0.4 + 0.3*sin(9*x)"), Signorini(["left"], psi="0.1*sin(5*y) - 0.1", q_S="cos(7*y)")),
+    (TwoSided(["right"], **PSI), Friction(["top"], "x")),
+    (Wall(["bottom"], beta="exp(6*x)", level="0.2*sin(2*pi*x)"), Wall(["left"], beta=0.1, level="y")),
+    (Regulator(["top"], k="1 + 50*x", g_low="-0.3 - 0.1*x", g_high="0.2*(1 + sin(5*x))", a="0.1*cos(7*x)"),),
+    (Corners(["right"], CORNERS, 2, "vertical"),),
+]
+
+
+@pytest.mark.parametrize("laws", LAWS)
+def test_data_that_vary(laws: tuple[Law, ...]):
+    """Against a mesh with cells of a quarter of the size, where data vary within facets and u_D is not quadratic."""
+    coarse = build_domain(COMM, "square", 0.14, mesh="structured")
+    fine = coarse
+    for _ in range(2):
+        fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
+    problem = Problem("20*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D="0.1*sin(8*x*y)*x*y", laws=laws)
+    one, other = (solve(domain, Boundary([]), problem) for domain in (coarse, fine))
+    certificate, distance = certify(one), difference(one, other)
+    assert distance < certificate.sigma_bound < 1.2 * distance
+    assert certificate.by_quadrature != ()
+    assert not certificate.guaranteed
+
+
+def test_signorini_by_either_way():
+    """As a law it is certified like the short form; the ways differ in how v is kept above ψ."""
+    domain, f = build_domain(COMM, "square", 0.1, mesh="unstructured"), "20*(x - 0.6)"
+    for psi, q_S in [(0.0, 0.0), ("0.1*x - 0.05", "0.2*x"), ("0.05*sin(9*x) - 0.05", "sin(5*x)")]:
+        short = certify(solve(domain, Boundary(["bottom"]), Problem(f, psi=psi, q_S=q_S)))
+        long = certify(solve(domain, Boundary([]), Problem(f, laws=[Signorini(["bottom"], psi, q_S)])))
+        assert long.sigma_bound == pytest.approx(short.sigma_bound, rel=0.02)
+        assert long.oscillation == pytest.approx(short.oscillation, rel=0.02)
+
+
+def test_three_dimensions():
+    domain = build_domain(COMM, "cube", 0.5, mesh="structured")
+    fine = refine(domain, np.arange(domain.mesh.topology.index_map(3).size_local, dtype=np.int32))
+    laws = [Friction(["bottom"], "0.3 + x*y"), TwoSided(["left"], psi_upper=0.05, psi=-0.05), Wall(["top"], 3, "0.2*x")]
+    one, other = (solve(each, Boundary([]), Problem("20*(x - 0.5)", laws=laws)) for each in (domain, fine))
+    distance = difference(one, other)
+    assert distance < certify(one).sigma_bound < 2 * distance
+
+
+@pytest.mark.parallel([1, 3])
+def test_ranks_do_not_matter(folder: Path):
+    """Six laws and no Γ_D, a law whose facets some ranks do not have, and adaptive refinement."""
+    case = many(folder)
+    together, alone = (certify(solve_case(case, comm)) for comm in (COMM, MPI.COMM_SELF))
+    assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-8, abs=1e-10)
+    rows: list = []
+    adapt_case(load_case("friction").with_values({"solve.h": 0.25}), COMM, max_cells=600, on_row=rows.append)
+    assert rows[-1].bound < 0.6 * rows[0].bound
+    collect_garbage(COMM)
+
+
+def test_bounds_that_contradict():
+    """Where u_D is beyond a bound, or two laws leave no room, no function of finite energy exists."""
+    domain = build_domain(COMM, "square", 0.25, mesh="structured")
+    for laws, u_D in [([TwoSided(["bottom"], 0.1)], 1), ([Signorini(["bottom"], 0.2), TwoSided(["left"], 0.1)], 0)]:
+        assert certify(solve(domain, Boundary([]), Problem(1, u_D=u_D, laws=laws))).bound == math.inf
+
+
+def test_gap():
+    """φ(v) + φ*(−η) + ηv as it is written down for some laws."""
+    v, eta = np.array([0.3, -0.2, 0.0]), np.array([0.1, 0.5, -0.5])
+    friction = Chains.through(np.zeros((3, 2)), np.tile([0.5, -0.5], (3, 1)), np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(gap(friction, v, eta), 0.5 * np.abs(v) + eta * v, atol=1e-15)
+    wall = Chains.at_corner(3, before=4.0)  # φ = β[−v]_+²/2, φ*(−s) = s²/2β
+    flux = np.array([0.1, 0.5, 0.0])
+    np.testing.assert_allclose(gap(wall, v, flux), 2 * np.minimum(v, 0) ** 2 + flux**2 / 8 + flux * v, atol=1e-15)
+    two_sided = Chains.through(np.tile([-1.0, 2.0], (3, 1)), np.zeros((3, 2)), np.full(3, np.inf), np.full(3, np.inf))
+    np.testing.assert_allclose(gap(two_sided, v, eta), np.maximum(eta, -2 * eta) + eta * v, atol=1e-15)
+
+
+def test_mean_of_a_limited_function():
+    """The mean is as given and the limits hold, with one, both or neither of them infinite."""
+    rng = np.random.default_rng(1)
+    weights, base, low = rng.random(7), rng.normal(size=(200, 7)), rng.normal(size=(200, 7))
+    weights /= weights.sum()
+    for down, up in [
+        (low, low + rng.random((200, 7))),
+        (low, np.full_like(low, np.inf)),
+        (-np.inf * low**2, np.inf * low**2),
+    ]:
+        least = np.where(np.isfinite(down), down, -3.0) @ weights
+        most = np.where(np.isfinite(up), up, 5.0) @ weights
+        mean = least + (most - least) * rng.random(200)
+        found = with_mean(base, down, up, mean, weights)
+        np.testing.assert_allclose(found @ weights, mean, atol=1e-12)
+        assert np.all((found >= down) & (found <= up))
+
+
+def test_what_is_not_proved(folder: Path):
+    """The proof is for Signorini's law; the command says so before it solves."""
+    ended = signorini(folder, "solve", "friction", "--h", "1/4", "--rigorous")
+    assert ended.returncode == 2
+    assert "without [[law]]" in ended.stderr
+    solution = on_grid("wall", 4)
+    assert "Signorini alone" in proof_of(solution, certify(solution).v).reason
+    with pytest.raises(InputError, match="lists no part"):
+        solve(solution.spaces.domain, Boundary([]), Problem(1))
+
+
+def test_penalty_bounds_of_the_command_line(folder: Path):
+    """The line and the summary say which problem the bound is for."""
+    base = ["solve", "example1", "--h", "1/4", "--algorithm", "alg3", "--eps", "1e-2", "--output", "out"]
+    assert "to the exact solution of the penalty problem" in signorini(folder, *base).stdout
+    assert '"of_penalty": true' in (folder / "out" / "summary.json").read_text(encoding="utf-8")
+    assert "penalty problem" not in signorini(folder, *base, "--for-signorini").stdout

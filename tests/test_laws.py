@@ -1,0 +1,329 @@
+"""The laws on Γ_S: exact solutions, several laws at once, every method against another, what is refused."""
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run
+from mpi4py import MPI
+from random_laws import examine
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.laws import Corners, Friction, Graph, Law, Signorini, TwoSided, Values
+from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, Present
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+EXACT = ("friction", "two_sided", "wall", "regulator", "staircase")
+
+MANY = """
+title = "All laws at once"
+[geometry]
+shape = "lshape"
+[boundary]
+signorini = ["bottom"]
+[[law]]
+parts = ["left"]
+kind = "friction"
+g = "0.3 + 0.1*y"
+[[law]]
+parts = ["right"]
+kind = "two-sided"
+psi = "-0.05"
+psi_upper = "0.05 + 0.01*y"
+[[law]]
+parts = ["top"]
+kind = "wall"
+beta = "2 + x"
+level = "0.1*x"
+[[law]]
+parts = ["notch_x"]
+kind = "regulator"
+k = 3
+g_low = "-0.1"
+g_high = 0.2
+[[law]]
+parts = ["notch_y"]
+kind = "graph"
+corners = [[-0.1, 0.4], [0, "1/10"], [0, -0.1], [0.2, -0.3]]
+beyond = "vertical"
+[problem]
+f = "10*sin(7*x)*cos(5*y)"
+u_D = "0"
+[solve]
+h = "1/4"
+"""
+
+
+def many(folder: Path, **values: object) -> Case:
+    """A case with six laws and no Γ_D."""
+    path = folder / "many.toml"
+    if COMM.rank == 0:
+        path.write_text(MANY, encoding="utf-8")
+    COMM.barrier()
+    return load_case(path).with_values(values)
+
+
+def on_grid(name: str, n: int, **values: object) -> Solution:
+    """An exact case on a structured mesh of n × n squares."""
+    given = {"geometry.mesh": "structured", "solve.h": 1.0001 * math.sqrt(2) / n}
+    return solve_case(load_case(name).with_values(given | {key.replace("__", "."): to for key, to in values.items()}))
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_solutions(name: str):
+    """Order 1 in σ, u and p, a few steps, and values on Γ_S that are in the graph to rounding."""
+    coarse, fine = (on_grid(name, n) for n in (24, 48))
+    before, after = (solution.errors() for solution in (coarse, fine))
+    assert before is not None
+    assert after is not None
+    rates = {key: math.log2(before[key] / after[key]) for key in ("sigma_L2", "u_L2", "p_L2")}
+    assert min(rates.values()) > 0.95, rates
+    assert len(fine.outcome.history) <= 9
+    assert max(vars(fine.kkt).values()) < 1e-12
+    (segments,) = fine.segments_of_parts().values()
+    assert min(segment["facets"] for segment in segments.values()) > 4
+    assert sum(segment["measure"] for segment in segments.values()) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_other_ways_to_the_same_solution(name: str):
+    """Both backends and algorithms, an interior-point method, and SNESVI where the law is a bound."""
+    expected = on_grid(name, 12)
+    ways = [("alg1", "mixed", 1e-10), ("alg2", "hybrid", 1e-10), ("qp", "hybrid", 1e-8)]
+    for algorithm, backend, tolerance in [*ways, ("vi", "hybrid", 1e-10)]:
+        if algorithm == "vi" and name != "two_sided":
+            with pytest.raises(InputError, match=r"vi does not take the law .* it takes signorini and two-sided"):
+                on_grid(name, 12, solve__algorithm=algorithm)
+            continue
+        found = on_grid(name, 12, solve__algorithm=algorithm, solve__backend=backend)
+        for key in ("sigma", "u", "p"):
+            one, other = (getattr(solution, key).x.array for solution in (found, expected))
+            size = np.abs(getattr(expected, "u" if key == "p" else key).x.array).max()
+            np.testing.assert_allclose(one, other, rtol=0, atol=tolerance * size, err_msg=f"{algorithm} {key}")
+        np.testing.assert_array_equal(found.segments().segment, expected.segments().segment)
+
+
+@pytest.mark.parallel([1, 3])
+def test_all_laws_at_once(folder: Path):
+    """Without Γ_D, on ranks without facets of some laws; multigrid and a prediction change nothing; a file keeps it."""
+    case = many(folder)
+    solution = solve_case(case, COMM)
+    alone = (
+        solve_case(case, MPI.COMM_SELF) if COMM.size > 1 else solve_case(case.with_values({"solve.algorithm": "alg2"}))
+    )
+    assert max(vars(solution.kkt).values()) < 1e-10
+    assert solution.norms() == pytest.approx(alone.norms(), rel=1e-9)
+    assert solution.segments_of_parts() == alone.segments_of_parts()
+    large = solve_case(case, COMM, tuning=Tuning(direct_up_to=0, predict_from=0, coarsen_from=0))
+    assert large.norms() == pytest.approx(solution.norms(), rel=1e-8)
+    write_solution(solution, folder, fields=True)
+    read = load_solution(folder, COMM)
+    assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
+    assert read.segments_of_parts() == solution.segments_of_parts()
+    again = solve_case(case, COMM, domain=read.spaces.domain, start=read)
+    assert len(again.outcome.history) <= 2
+    header, *rows = (folder / "facets.csv").read_text(encoding="utf-8").splitlines()
+    assert header.endswith(",condition,segment")
+    names = {row.split(",")[0]: set() for row in rows}
+    for row in rows:
+        names[row.split(",")[0]].add(row.rsplit(",", 1)[1])
+    found = {
+        part: {name for name, on in segments.items() if on["facets"]}
+        for part, segments in solution.segments_of_parts().items()
+    }
+    assert names == found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_problem(seed: int):
+    result = examine(seed)
+    assert result is None or (result.good and result.difference < 1e-6) or np.isnan(result.difference), result
+
+
+def test_rules_walk_along_a_chain():
+    """Algorithms 1 and 2 differ in ties only; a site moves by one segment, towards what p and σ·n ask for."""
+    friction = Chains.through(np.zeros((6, 2)), np.tile([1.0, -1.0], (6, 1)), np.zeros(6), np.zeros(6))
+    p, flux = np.array([-1.0, 0.0, 0.0, 0.0, 2.0, 0.0]), np.array([1.0, 1.0, 0.5, -1.0, -1.0, -3.0])
+    np.testing.assert_array_equal(ALGORITHM_1.following(friction, p, flux, 1.0), [0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(ALGORITHM_2.following(friction, p, flux, 1.0), [0, 1, 1, 2, 2, 2])
+    first = Present(np.zeros(6, dtype=np.int8), 1e-12, 1e-12)
+    np.testing.assert_array_equal(ALGORITHM_2.following(friction, p, flux, 1.0, first), [0, 0, 1, 1, 1, 1])
+
+
+def test_corners_that_coincide():
+    """Twice the same corner, and a two-sided bound without room, which is a Dirichlet condition."""
+    domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
+    f = "20*(x - 0.6)"
+    corners = [(-0.05, 0.3), (-0.05, 0.3), (0, 0.1), (0, 0.1), (0, 0.1)]
+    twice, once = (
+        solve(domain, Boundary([]), Problem(f, laws=[Corners(["bottom"], some, "vertical", 2)]))
+        for some in (corners, corners[1:3])
+    )
+    np.testing.assert_allclose(twice.sigma.x.array, once.sigma.x.array, atol=1e-12)
+    assert max(vars(twice.kkt).values()) < 1e-12
+    for algorithm in ("alg1", "alg2", "qp", "vi"):
+        closed = Problem(f, laws=[TwoSided(["bottom"], psi_upper="0.1*x", psi="0.1*x")], u_D="0.1*x")
+        found = solve(domain, Boundary([]), closed, Options(algorithm=algorithm))
+        assert max(vars(found.kkt).values()) < 1e-8
+        assert found.outcome.iterate.p == pytest.approx(0, abs=1e-10)
+
+
+def test_distance_to_a_graph():
+    """Zero on it; beside a segment how far, beyond its end how far from the end, and sloped lines at their angle."""
+    chain = Chains.through(np.array([[0.0, 1.0]]), np.array([[2.0, 1.0]]), np.array([np.inf]), np.array([0.0]))
+    for p, flux, expected in [
+        (0.0, 5.0, (0, 0, 0)),
+        (0.5, 1.5, (0, 0, 0)),
+        (3.0, 1.0, (0, 0, 0)),
+        (0.5, 2.5, (0, 0, 0.5)),
+        (-1.0, 4.0, (-1, 0, 1)),
+        (3.0, 0.0, (0, -1, 1)),
+        (2.0, 3.0, (0, 0, 1.5)),
+    ]:
+        found = [float(part[0]) for part in chain.distances(np.array([p]), np.array([flux]), np.array([1.0]))]
+        assert found == pytest.approx(expected), (p, flux)
+
+
+@dataclass(frozen=True)
+class Spring(Law):
+    """A law of one's own: κ∇u·n = −stiffness u."""
+
+    stiffness: float = 1.0
+    segments = ("spring",)
+
+    def graph(self, values: Values) -> Graph:
+        """A line has a corner too, without a bend."""
+        return Graph((0.0, 0.0), [(0.0, 0.0)], values["stiffness"], values["stiffness"])
+
+
+def test_laws_in_python():
+    """Objects as data; a law of one's own is the graph with the same line; a Signorini law is the short form."""
+    domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
+    f = "20*(x - 0.6)"
+    spring = solve(domain, Boundary([]), Problem(f, laws=[Spring(["bottom"], stiffness=3.0)]))
+    line = solve(domain, Boundary([]), Problem(f, laws=[Corners(["bottom"], [(0, 0), (1, -3)], 3, 3)]))
+    np.testing.assert_allclose(spring.sigma.x.array, line.sigma.x.array, atol=1e-12)
+    assert spring.spaces.normal_flux(spring.sigma) == pytest.approx(-3 * spring.outcome.iterate.p, abs=1e-12)
+    short = solve(domain, Boundary(["bottom", "left"]), Problem(f, psi="0.01*x", q_S=0.1))
+    for boundary, laws in [
+        (Boundary([]), [Signorini(["bottom", "left"], "0.01*x", 0.1)]),
+        (Boundary(["bottom"]), [TwoSided(["left"], psi_upper=1e3, psi="0.01*x", q_S=0.1)]),
+    ]:
+        long = solve(domain, boundary, Problem(f, psi="0.01*x", q_S=0.1, laws=laws))
+        assert long.norms() == pytest.approx(short.norms(), rel=1e-12)
+        assert [step.changed for step in long.outcome.history] == [step.changed for step in short.outcome.history]
+
+
+def test_results_of_python_are_kept(folder: Path):
+    """Laws that are numbers and texts are in the file, others are asked for."""
+    domain, f = build_domain(COMM, "square", 0.4, mesh="unstructured"), "20*(x - 0.6)"
+    problem = Problem(f, laws=(Corners(["bottom"], ((0, 1), (0, -1))), Friction(["left"], "0.1 + y")))
+    write_solution(solve(domain, Boundary(["top"]), problem), folder, fields=False)
+    assert load_solution(folder, COMM).problem == problem
+    other = replace(problem, laws=[Friction(["left"], g=lambda x: 0.1 + x[1])])
+    write_solution(solve(domain, Boundary(["top"]), other), folder, fields=False)
+    with pytest.raises(InputError, match="laws: given in Python"):
+        load_solution(folder, COMM)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (
+            {"kind": "friction", "g": "x - 1/2"},
+            r"law.0 \(friction\): g must not be negative, as at \(0",
+        ),
+        ({"kind": "two-sided", "psi_upper": "-y - 1"}, "psi must not be above psi_upper, as at"),
+        ({"kind": "wall", "beta": "-1"}, "beta must not be negative"),
+        ({"kind": "regulator", "k": "0", "g_low": 0, "g_high": 1}, "k must be positive"),
+        ({"kind": "regulator", "k": "1", "g_low": 2, "g_high": 1}, "g_low must not be above g_high"),
+        ({"kind": "graph", "corners": [[0, 1], [-1, 0]]}, "u must not fall from corner 0 to 1"),
+        ({"kind": "graph", "corners": [[0, 1], [1, 2]]}, "κ∇u·n must not grow from corner 0 to 1"),
+        ({"kind": "graph", "corners": [[0, 1]], "before": -1}, "before must not be negative"),
+        ({"kind": "graph", "corners": [0, 1]}, "law.0: corners: must be pairs"),
+        ({"kind": "frction", "g": "1"}, r"law.0.kind: unknown law 'frction'; .* \(did you mean 'friction'\?\)"),
+        ({"kind": "friction", "G": "1"}, "law.0: unknown key 'G' of the law 'friction'; known are g"),
+        ({"kind": "wall"}, "law.0: missing key 'beta' of the law 'wall'"),
+        ({"kind": "friction", "g": "1 +"}, "law.0.g: "),
+        ({"kind": "friction", "g": True}, "g: must be an expression"),
+        ({"kind": "friction", "g": "1", "parts": ["bottm"]}, "law.0.parts: unknown part 'bottm'"),
+        ({"kind": "friction", "g": "1", "parts": ["left"]}, "'left' is listed twice"),
+        ({"kind": "friction", "g": "1/(x - x)"}, "law.0.g: not finite everywhere on its parts"),
+    ],
+)
+def test_what_is_refused(law: dict[str, object], message: str):
+    """One sentence that says what, and where."""
+    case = load_case("example1").with_values({"solve.h": 0.3, "boundary.signorini": ["left"]})
+    with pytest.raises(InputError, match=message):
+        solve_case(case.with_values({"law": [{"parts": ["bottom"]} | law]}))
+
+
+def test_what_methods_refuse(folder: Path):
+    """Penalties and classical methods are for Signorini's law; with nothing to hold u there is no solution."""
+    for algorithm in ("alg3", "snes2", "uzawa", "mixed-uzawa1"):
+        with pytest.raises(InputError, match=f"{algorithm} does not take the law 'friction' of law.0"):
+            solve_case(load_case("friction").with_values({"solve.algorithm": algorithm, "solve.h": 0.3}))
+    closed = {
+        "boundary.signorini": [],
+        "law": [{"parts": ["bottom", "left", "top", "right"], "kind": "friction", "g": 1}],
+    }
+    case = load_case("example1").with_values({"solve.h": 0.3} | closed)
+    for f in (5, -5, 4):
+        with pytest.raises(InputError, match="∫f \\+ ∫g_N plus the flux that the laws allow is between"):
+            solve_case(case.with_values({"problem.f": f}))
+    assert solve_case(case.with_values({"problem.f": "3 + sin(9*x)*cos(3*y)"})).converged
+    with pytest.raises(InputError, match=r"lists no part, and there is no"):
+        case.with_values({"law": []})
+    with pytest.raises(InputError, match=r"law.1.g: there is no number 1"):
+        case.with_values({"law.1.g": 2})
+
+
+def test_command_line(folder: Path):
+    """`--set` reaches a law, refusals have status 2, a run that does not settle status 1."""
+    base = ["signorini", "solve", "friction", "--h", "1/4", "--quiet", "--output", str(folder / "out")]
+    assert run(folder, *base, "--set", "law.0.g=0.2", ranks=1).returncode == 0
+    assert ",0.2,no_flux,slip+" in (folder / "out" / "facets.csv").read_text(encoding="utf-8")
+    refused = run(folder, *base, "--set", "law.0.g=-1", ranks=1)
+    assert refused.returncode == 2
+    assert "g must not be negative" in refused.stderr
+    failed = run(folder, *base, "--set", "solve.max_iterations=1", ranks=1)
+    assert failed.returncode == 1
+
+
+def test_safeguard_ends_cycles():
+    """κ and laws drawn at random on few facets: from any sets whatever, each run ends in the only solution."""
+    rng = np.random.default_rng(5)
+    domain = build_domain(COMM, "square", 0.5, mesh="unstructured")
+    for _ in range(6):
+        corners = [
+            (float(u), float(-u + s)) for u, s in zip(np.cumsum(rng.random(3)) - 1, [0.5, 0.5, 0.2], strict=True)
+        ]
+        problem = Problem(
+            "20*sin(9*x)", laws=[Corners(["bottom", "right"], corners, 2, "vertical"), Friction(["left"], 0.2)]
+        )
+        results = [
+            solve(domain, Boundary([]), problem, Options(algorithm=name, backend=backend)).norms()
+            for name, backend in itertools.product(("alg1", "alg2"), ("hybrid", "mixed"))
+        ]
+        for result in results[1:]:
+            assert result == pytest.approx(results[0], rel=1e-9)
+
+
+def test_failure_is_told():
+    with pytest.raises(NumericalFailure, match="facets still change after 1 iterations"):
+        on_grid("staircase", 12, solve__max_iterations=1)
