@@ -19,6 +19,7 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import flux_mass_diagonal
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
@@ -196,3 +197,23 @@ def test_mass_diagonal(folder: Path, shape: str):
     found = flux_mass_diagonal(spaces, np.linalg.inv(kappa.x.array.reshape(-1, dim, dim)))
     expected = matrix.getDiagonal().array_r
     np.testing.assert_allclose(found[: len(expected)], expected, rtol=1e-12)
+
+
+@pytest.mark.parallel([1, 3])
+def test_one_factorisation_for_any_conditions(folder: Path):
+    """All kinds at once, with a β and a value on each site, as by a factorisation for these conditions alone."""
+    case = make_case(folder, shape="lshape", parts=["bottom", "left"], f="x - y", h=0.3)
+    spaces = solve_case(case, COMM).spaces
+    data = project_data(spaces, case.with_values({"problem.psi": "0.1*x", "problem.u_D": "x"}).data(2))
+    backend = HybridBackend(spaces, data)
+    assert backend.renew(data)
+    rng = np.random.default_rng(COMM.rank)
+    for _ in range(4):
+        number = len(spaces.facets)
+        values = rng.uniform(-1, 1, number)
+        conditions = SiteConditions(rng.integers(0, 3, number).astype(np.int8), rng.uniform(0.1, 9, number), values)
+        one, other = backend.solve(conditions), HybridBackend(spaces, data).solve(conditions)
+        np.testing.assert_allclose(one.p, other.p, atol=1e-12)
+        np.testing.assert_allclose(one.flux, other.flux, atol=1e-11)
+        for a, b in ((one.sigma, other.sigma), (one.u, other.u)):
+            np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-12)

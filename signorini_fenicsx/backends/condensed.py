@@ -1,11 +1,11 @@
 """The facet system under any conditions on Γ_S with one factorisation, for repeated solves.
 
-Let A be the matrix with σ·n given on all of Γ_S, E the inclusion of the Γ_S unknowns and C = EᵀA⁻¹E. Under any
-conditions on Γ_S
+Let A be the matrix and b the right side with σ·n = q_S on all of Γ_S, E the inclusion of the Γ_S unknowns and C =
+EᵀA⁻¹E. Under any conditions on Γ_S
 
-    u = A⁻¹(b + Eλ)   with   λ = 0 on NO_FLUX, u = 0 on ZERO_TRACE, λ = −β|e|u on ROBIN facets,
+    u = A⁻¹(b + Eλ)   with   λ = v|e| on NO_FLUX, u = v on ZERO_TRACE, λ = |e|(v − βu) on ROBIN facets,
 
-so that on the last two, I, (C_II + D)λ = −(A⁻¹b)_I with D = 0 or 1/(β|e|).
+so that on the last two, I, (C_II + D)λ = w − u_I for λ = 0 there, with D = 0 and w = v, or D = 1/(β|e|) and w = v/β.
 """
 
 import numpy as np
@@ -58,15 +58,21 @@ class Condensed:
         Raises:
             LinearSolveFailure: If the solve fails.
         """
-        kind = self._gathered(conditions.kind)
+        everywhere = np.ones(len(conditions.kind), dtype=bool)
+        local = conditions.kind, conditions.beta_where(everywhere), conditions.values_where(everywhere)
+        kind, beta, value = self._gathered(np.stack(local, axis=1).astype(np.float64)).T
+        beta = np.where(kind == Condition.ROBIN, beta, 1.0)
+        flux = np.where(kind == Condition.NO_FLUX, value * self._measure, 0.0)
         inside = np.flatnonzero(kind != Condition.NO_FLUX)
         robin = kind[inside] == Condition.ROBIN
-        added = np.where(robin, 1 / (conditions.beta * self._measure[inside]), 0.0)
-        flux = np.zeros(len(kind))
-        flux[inside] = np.linalg.solve(self._compliance[np.ix_(inside, inside)] + np.diag(added), -self._free[inside])
+        added = np.where(robin, 1 / (beta * self._measure)[inside], 0.0)
+        wanted = np.where(robin, (value / beta)[inside], value[inside])
+        matrix = self._compliance[np.ix_(inside, inside)] + np.diag(added)
+        flux[inside] = np.linalg.solve(matrix, wanted - (self._free + self._compliance @ flux)[inside])
         self._traces(flux)
         x.array_w[:] = self._x.array_r
-        x.array_w[self._dofs[conditions.kind == Condition.ZERO_TRACE]] = 0.0
+        held = conditions.kind == Condition.ZERO_TRACE
+        x.array_w[self._dofs[held]] = conditions.values_where(held)
 
     def _traces(self, flux: Array) -> Array:
         """U on all Γ_S facets for this λ, and the present b; `_x` is the solution (collective)."""
@@ -76,6 +82,6 @@ class Condensed:
         b.array_w[self._dofs] = before
         return self._gathered(self._x.array_r[self._dofs])
 
-    def _gathered[T: np.generic](self, values: npt.NDArray[T]) -> npt.NDArray[T]:
+    def _gathered(self, values: Array) -> Array:
         """Values of the Γ_S facets of all ranks (collective)."""
         return np.concatenate(self._comm.allgather(values))
