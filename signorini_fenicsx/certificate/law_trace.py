@@ -82,50 +82,48 @@ class OnGammaS:
         steep = law.slope * (height * resistance)[:, None] > STIFF
         return cls(goal, spaces, segment, piece, flux, level, steep)
 
-    def in_points(self, law: Chains, values: str, segment: Kinds) -> Array:
+    def in_points(self, points: FacetPoints, law: Chains, values: str, segment: Kinds) -> Array:
         """β or the value of a segment of each facet, in points of the facets, shape (facets, points)."""
-        number = len(law.p) // max(len(segment), 1)
-        of_points = np.repeat(segment, number).astype(np.int64)
+        of_points = np.repeat(segment, points.shape[1]).astype(np.int64)
         found = np.take_along_axis(getattr(law, values), of_points[:, None], axis=1)
-        return found.reshape(len(segment), -1)
+        return found.reshape(points.shape)
 
-    def slope(self, law: Chains) -> Array:
+    def slope(self, points: FacetPoints, law: Chains) -> Array:
         """β of the piece in points; 0 on a vertical one."""
-        slope = self.in_points(law, "slope", self.piece)
+        slope = self.in_points(points, law, "slope", self.piece)
         return np.where(np.isinf(slope), 0.0, slope)
 
-    def flux_of_piece(self, law: Chains, v: Array) -> tuple[Array, Array]:
+    def flux_of_piece(self, points: FacetPoints, law: Chains, v: Array) -> tuple[Array, Array]:
         """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is vertical."""
         vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.segment)), self.segment])[:, None]
-        slope = np.where(vertical, 0.0, self.slope(law))
-        return slope, np.where(vertical, 0.0, self.in_points(law, "value", self.piece) - slope * v)
+        slope = np.where(vertical, 0.0, self.slope(points, law))
+        return slope, np.where(vertical, 0.0, self.in_points(points, law, "value", self.piece) - slope * v)
 
-    def held(self, nodes: Chains) -> tuple[Array, Mask, Mask]:
+    def held(self, points: FacetPoints, nodes: Chains) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
         rows = np.arange(len(self.segment))
-        slope, value = (self.in_points(nodes, name, self.segment) for name in ("slope", "value"))
+        slope, value = (self.in_points(points, nodes, name, self.segment) for name in ("slope", "value"))
         vertical = np.isinf(self.goal.chains.slope[rows, self.segment])
         sloped = np.isfinite(slope) & (slope > 0)
         on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
         stiff = self.steep[rows, self.segment] & ~vertical & sloped.all(axis=1)
         return np.where(vertical[:, None], value, on_line), vertical, stiff
 
-    def ends(self, nodes: Chains) -> tuple[Array, Array, Array, Array]:
+    def ends(self, points: FacetPoints, nodes: Chains) -> tuple[Array, Array, Array, Array]:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
             The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
         """
-        shape = len(self.piece), len(nodes.p) // max(len(self.piece), 1)
-        low, high = (end.reshape(shape) for end in nodes.extent()[:2])
+        low, high = (end.reshape(points.shape) for end in nodes.extent()[:2])
         rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece.astype(np.int64)
         steep = np.pad(self.steep, ((0, 0), (1, 1)))
         left, right = steep[rows, piece], steep[rows, piece + 2]
-        corner = nodes.p.reshape(*shape, -1)
+        corner = nodes.p.reshape(*points.shape, nodes.corners)
         begin = corner[rows, :, np.maximum(piece - 1, 0)]
         end = corner[rows, :, np.minimum(piece, law.corners - 1)]
         only = np.isinf(law.slope[rows, piece])  # no other segment is beside
-        value = self.in_points(nodes, "value", self.piece)
+        value = self.in_points(points, nodes, "value", self.piece)
         begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
         soft_low = np.where((left | only)[:, None], begin, -np.inf)
         soft_high = np.where((right | only)[:, None], end, np.inf)
@@ -133,8 +131,8 @@ class OnGammaS:
 
     def loads(self, points: FacetPoints, law: Chains) -> Array:
         """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
-        slope = self.slope(law)
-        level = np.where(slope > 0, self.in_points(law, "value", self.piece), self.level[:, None])
+        slope = self.slope(points, law)
+        level = np.where(slope > 0, self.in_points(points, law, "value", self.piece), self.level[:, None])
         vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.piece)), self.piece])
         density = np.where(vertical[:, None], 0.0, self.flux[:, None] - level)
         barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
@@ -153,13 +151,13 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     edges, nodes = all_edges(space), facet_nodes(space, spaces)
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
-    _, at_nodes = goal.at(spaces, quadratic_nodes(facet))
-    values, vertical, stiff = on.held(at_nodes)
+    at_nodes = goal.at(spaces, quadratic_nodes(facet))
+    values, vertical, stiff = on.held(*at_nodes)
     for some in (stiff, vertical):
         _set_means(v, nodes[some], values[some])
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
-    ends = on.ends(at_nodes)
+    ends = on.ends(*at_nodes)
     feasible = _allows(v, nodes, ends[:2], on_dirichlet)
     (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
     hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
@@ -172,7 +170,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), on.loads(points, law).ravel())
     excess.x.scatter_reverse(la.InsertMode.add)
-    slope = spaces.multiplier(on.slope(law).mean(axis=1), "beta")
+    slope = spaces.multiplier(on.slope(points, law).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
     return _with_exact_data(on, data, v, u_D, feasible=feasible)
