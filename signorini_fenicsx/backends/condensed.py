@@ -3,9 +3,9 @@
 Let A be the matrix with σ·n given on all of Γ_S, E the inclusion of the Γ_S unknowns and C = EᵀA⁻¹E. Under any
 conditions on Γ_S
 
-    u = A⁻¹(b + Eλ)   with   λ = 0 on NO_FLUX, u = 0 on ZERO_TRACE, λ = −β|e|u on ROBIN facets,
+    u = A⁻¹(b + Eλ)   with   λ = |e|v on NO_FLUX, u = v on ZERO_TRACE, λ + β|e|u = |e|v on ROBIN facets,
 
-so that on the last two, I, (C_II + D)λ = −(A⁻¹b)_I with D = 0 or 1/(β|e|).
+so that on the last two, I, (C_II + D)λ = w − (A⁻¹b)_I − C_INλ_N with D = 0, w = v or D = 1/(β|e|), w = v/β.
 """
 
 import numpy as np
@@ -58,15 +58,21 @@ class Condensed:
         Raises:
             LinearSolveFailure: If the solve fails.
         """
+        everywhere = np.ones(len(conditions.kind), dtype=bool)
         kind = self._gathered(conditions.kind)
+        beta, value = (self._gathered(one(everywhere)) for one in (conditions.beta_where, conditions.values_where))
         inside = np.flatnonzero(kind != Condition.NO_FLUX)
         robin = kind[inside] == Condition.ROBIN
-        added = np.where(robin, 1 / (conditions.beta * self._measure[inside]), 0.0)
-        flux = np.zeros(len(kind))
-        flux[inside] = np.linalg.solve(self._compliance[np.ix_(inside, inside)] + np.diag(added), -self._free[inside])
+        flux = np.where(kind == Condition.NO_FLUX, value * self._measure, 0.0)
+        added = np.where(robin, 1 / (beta * self._measure)[inside], 0.0)
+        wanted = np.where(robin, (value / beta)[inside], value[inside]) - self._free[inside]
+        if conditions.has_values:
+            wanted -= self._compliance[inside] @ flux
+        flux[inside] = np.linalg.solve(self._compliance[np.ix_(inside, inside)] + np.diag(added), wanted)
         self._traces(flux)
         x.array_w[:] = self._x.array_r
-        x.array_w[self._dofs[conditions.kind == Condition.ZERO_TRACE]] = 0.0
+        held = conditions.kind == Condition.ZERO_TRACE
+        x.array_w[self._dofs[held]] = conditions.values_where(held)
 
     def _traces(self, flux: Array) -> Array:
         """U on all Γ_S facets for this λ, and the present b; `_x` is the solution (collective)."""
