@@ -14,7 +14,8 @@ from random_laws import examine
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.laws import Corners, Friction, Graph, Law, Signorini, TwoSided, Values
 from signorini_fenicsx.discrete.problem import Problem
@@ -25,7 +26,7 @@ from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
 EXACT = ("friction", "two_sided", "wall", "regulator", "staircase")
@@ -327,3 +328,20 @@ def test_safeguard_ends_cycles():
 def test_failure_is_told():
     with pytest.raises(NumericalFailure, match="facets still change after 1 iterations"):
         on_grid("staircase", 12, solve__max_iterations=1)
+
+
+@pytest.mark.parallel([1, 2])
+def test_one_problem_after_another(folder: Path):
+    """A `Solver` goes on with other loads and other data of the laws, by one factorisation on few facets."""
+    case = many(folder, **{"boundary.signorini": [], "law.0.g": "0.3"})
+    domain = mesh_case(case, COMM)
+    solver = Solver(domain, boundary_of(case))
+    for load, g in [(10, 0.3), (-4, 0.1), (7, 0.5), (3, 0.2)]:
+        problem = case.with_values({"problem.f": f"{load}*sin(7*x)*cos(5*y)", "law.0.g": g}).data(2)
+        kept, fresh = solver.solve(problem), solve(domain, boundary_of(case), problem)
+        assert kept.norms() == pytest.approx(fresh.norms(), rel=1e-10)
+        assert kept.segments_of_parts() == fresh.segments_of_parts()
+    with pytest.raises(InputError, match=r"law.0.parts: 'bottom' is not a part of Γ_S"):
+        solver.solve(replace(problem, laws=[Friction(["bottom"], 1)]))
+    with pytest.raises(InputError, match=r"law.1.parts: 'left' is listed twice"):
+        solver.solve(replace(problem, laws=[Friction(["left"], 1), Friction(["left"], 1)]))

@@ -149,12 +149,12 @@ def _with_exact_data(
     if data.psi.number is None:
         near += near_signorini.x.array
         touches = (w.x.array[facet_nodes(w.function_space, spaces)] == 0).all(axis=1)
-        touching.x.array[:] = near_signorini.x.array - _largest_around(linear, corners, 1.0 - touches)
+        touching.x.array[:] = near_signorini.x.array - largest_around(linear, corners, 1.0 - touches)
     exact = ExactTrace(data, w, w_D, psi, near_dirichlet, near_signorini, touching, raised, floor)
     if data.psi.number is None:
         low = exact.unlimited(facet_lattice(mesh, spaces.facets, SAMPLES))[:, :, 0].min(axis=1, initial=0.0)
         fixed = np.isin(corners, on_dirichlet).any(axis=1)
-        raised.x.array[:] = _largest_around(linear, corners, -np.where(fixed, *ROOM[::-1]) * low)
+        raised.x.array[:] = largest_around(linear, corners, -np.where(fixed, *ROOM[::-1]) * low)
         raised.x.array[on_dirichlet] = 0.0
     cells, at_dirichlet, touched = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32)
@@ -245,7 +245,7 @@ def facet_nodes(space: fem.FunctionSpace, spaces: Spaces) -> Indices:
     return np.take_along_axis(space.dofmap.list[points.cells], closures[points.local], axis=1)
 
 
-def _largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> Array:
+def largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> Array:
     """For values ≥ 0 per facet, the largest value of the facets around each node, or 0 without facets (collective)."""
     largest = fem.Function(space)
     np.maximum.at(largest.x.array, nodes.ravel(), np.repeat(values, nodes.shape[1]))

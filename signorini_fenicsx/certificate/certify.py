@@ -209,9 +209,9 @@ def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Funct
     spaces = solution.spaces
     on = OnGammaS.of(solution, goal, metric, y)
     trace = law_trace(solution, metric, y, on)
-    points, law = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
-    v = trace.above(points)
-    found = LawGap.of(spaces, metric, points, law, v, on.flux, on.flux_of_piece(points, law, v))
+    at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
+    v = trace.above(at.points)
+    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_of_piece(at, v))
     return trace, found.per_cell(len(metric.volume)), found.load
 
 

@@ -24,17 +24,23 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.admissible_trace import ROOM, SAMPLES, Indices, Trace, averaged, facet_nodes
+from signorini_fenicsx.certificate.admissible_trace import (
+    ROOM,
+    SAMPLES,
+    Indices,
+    Trace,
+    averaged,
+    facet_nodes,
+    largest_around,
+)
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
-from signorini_fenicsx.certificate.laws import Goal
+from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
-from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import (
-    FacetPoints,
     facet_lattice,
     facet_type,
     quadratic_nodes,
@@ -82,61 +88,53 @@ class OnGammaS:
         steep = law.slope * (height * resistance)[:, None] > STIFF
         return cls(goal, spaces, segment, piece, flux, level, steep)
 
-    def in_points(self, points: FacetPoints, law: Chains, values: str, segment: Kinds) -> Array:
-        """β or the value of a segment of each facet, in points of the facets, shape (facets, points)."""
-        of_points = np.repeat(segment, points.shape[1]).astype(np.int64)
-        found = np.take_along_axis(getattr(law, values), of_points[:, None], axis=1)
-        return found.reshape(points.shape)
-
-    def slope(self, points: FacetPoints, law: Chains) -> Array:
+    def slope(self, at: LawPoints) -> Array:
         """β of the piece in points; 0 on a vertical one."""
-        slope = self.in_points(points, law, "slope", self.piece)
+        slope, _ = at.on(self.piece)
         return np.where(np.isinf(slope), 0.0, slope)
 
-    def flux_of_piece(self, points: FacetPoints, law: Chains, v: Array) -> tuple[Array, Array]:
+    def flux_of_piece(self, at: LawPoints, v: Array) -> tuple[Array, Array]:
         """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is vertical."""
         vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.segment)), self.segment])[:, None]
-        slope = np.where(vertical, 0.0, self.slope(points, law))
-        return slope, np.where(vertical, 0.0, self.in_points(points, law, "value", self.piece) - slope * v)
+        slope = np.where(vertical, 0.0, self.slope(at))
+        return slope, np.where(vertical, 0.0, at.on(self.piece)[1] - slope * v)
 
-    def held(self, points: FacetPoints, nodes: Chains) -> tuple[Array, Mask, Mask]:
+    def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
         rows = np.arange(len(self.segment))
-        slope, value = (self.in_points(points, nodes, name, self.segment) for name in ("slope", "value"))
+        slope, value = nodes.on(self.segment)
         vertical = np.isinf(self.goal.chains.slope[rows, self.segment])
         sloped = np.isfinite(slope) & (slope > 0)
         on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
         stiff = self.steep[rows, self.segment] & ~vertical & sloped.all(axis=1)
         return np.where(vertical[:, None], value, on_line), vertical, stiff
 
-    def ends(self, points: FacetPoints, nodes: Chains) -> tuple[Array, Array, Array, Array]:
+    def ends(self, nodes: LawPoints) -> list[Array]:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
             The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
         """
-        low, high = (end.reshape(points.shape) for end in nodes.extent()[:2])
-        rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece.astype(np.int64)
+        low, high = nodes.extent()[:2]
+        rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece
         steep = np.pad(self.steep, ((0, 0), (1, 1)))
         left, right = steep[rows, piece], steep[rows, piece + 2]
-        corner = nodes.p.reshape(*points.shape, nodes.corners)
-        begin = corner[rows, :, np.maximum(piece - 1, 0)]
-        end = corner[rows, :, np.minimum(piece, law.corners - 1)]
+        begin, end = (nodes.trace_at(np.clip(corner, 0, law.corners - 1)) for corner in (piece - 1, piece))
         only = np.isinf(law.slope[rows, piece])  # no other segment is beside
-        value = self.in_points(points, nodes, "value", self.piece)
+        value = nodes.on(piece)[1]
         begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
         soft_low = np.where((left | only)[:, None], begin, -np.inf)
         soft_high = np.where((right | only)[:, None], end, np.inf)
-        return low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)
+        return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
 
-    def loads(self, points: FacetPoints, law: Chains) -> Array:
+    def loads(self, at: LawPoints) -> Array:
         """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
-        slope = self.slope(points, law)
-        level = np.where(slope > 0, self.in_points(points, law, "value", self.piece), self.level[:, None])
+        points, slope = at.points, self.slope(at)
+        level = np.where(slope > 0, at.on(self.piece)[1], self.level[:, None])
         vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.piece)), self.piece])
         density = np.where(vertical[:, None], 0.0, self.flux[:, None] - level)
         barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
-        first, second = np.array(_edges_of_facet(points)).T
+        first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
         basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
         found: Array = points.scale[:, None] * ((density * points.weights) @ basis)
         return found
@@ -152,12 +150,12 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
-    values, vertical, stiff = on.held(*at_nodes)
+    values, vertical, stiff = on.held(at_nodes)
     for some in (stiff, vertical):
         _set_means(v, nodes[some], values[some])
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
-    ends = on.ends(*at_nodes)
+    ends = on.ends(at_nodes)
     feasible = _allows(v, nodes, ends[:2], on_dirichlet)
     (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
     hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
@@ -166,17 +164,17 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         edges.to_bernstein(function.x.array)
     box = Box.of(hard, soft, on_dirichlet)
     box.project(v.x.array)
-    points, law = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
+    at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
-    np.add.at(excess.x.array, nodes.ravel(), on.loads(points, law).ravel())
+    np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
     excess.x.scatter_reverse(la.InsertMode.add)
-    slope = spaces.multiplier(on.slope(points, law).mean(axis=1), "beta")
+    slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
     return _with_exact_data(on, data, v, u_D, feasible=feasible)
 
 
-def _allows(v: fem.Function, nodes: Indices, ends: tuple[Array, Array], on_dirichlet: Indices) -> bool:
+def _allows(v: fem.Function, nodes: Indices, ends: list[Array], on_dirichlet: Indices) -> bool:
     """Whether the laws leave room for a continuous v that is u_D on Γ_D, in the nodes (collective)."""
     comm = v.function_space.mesh.comm
     low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
@@ -184,11 +182,6 @@ def _allows(v: fem.Function, nodes: Indices, ends: tuple[Array, Array], on_diric
     at_wall = v.x.array[on_dirichlet]
     within = (low[on_dirichlet] <= at_wall + rounding) & (at_wall <= high[on_dirichlet] + rounding)
     return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
-
-
-def _edges_of_facet(points: FacetPoints) -> list[list[int]]:
-    """Vertices of each edge of the reference facet."""
-    return [list(edge) for edge in basix.topology(facet_type(points.mesh.topology.dim))[1]]
 
 
 def _coefficients(values: Array, facet: basix.CellType) -> Array:
@@ -246,15 +239,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
             fixed = np.isin(corners[part.rows], on_dirichlet).any(axis=1)
             lacking = np.where(fixed, *ROOM[::-1]) * np.maximum(short.max(axis=1, initial=0.0), 0.0)
-            moved.x.array[:] += sign * np.maximum(
-                _extreme(
-                    linear,
-                    corners[part.rows],
-                    lacking[:, None] + np.zeros((len(lacking), corners.shape[1])),
-                    largest=True,
-                ),
-                0.0,
-            )
+            moved.x.array[:] += sign * largest_around(linear, corners[part.rows], lacking)
             moved.x.array[on_dirichlet] = 0.0
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             near += here.x.array

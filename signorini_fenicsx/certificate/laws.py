@@ -56,6 +56,35 @@ class Penalised(Signorini):
 
 
 @dataclass(frozen=True)
+class LawPoints:
+    """Points in all facets of Γ_S and the law in each, measured from u = 0 and σ·n = 0.
+
+    Attributes:
+        points: The points.
+        law: The law of each, facet after facet.
+    """
+
+    points: FacetPoints
+    law: Chains
+
+    def extent(self) -> list[Array]:
+        """That of the law, in arrays of shape (facets, points)."""
+        return [end.reshape(self.points.shape) for end in self.law.extent()]
+
+    def on(self, segment: Kinds) -> tuple[Array, Array]:
+        """β and value of a segment of each facet, shape (facets, points)."""
+        column = np.repeat(segment.astype(np.int64), self.points.shape[1])[:, None]
+        chosen = (np.take_along_axis(values, column, axis=1) for values in (self.law.slope, self.law.value))
+        slope, value = (values.reshape(self.points.shape) for values in chosen)
+        return slope, value
+
+    def trace_at(self, corner: Kinds) -> Array:
+        """U at a corner of each facet's law, shape (facets, points)."""
+        column = np.repeat(corner.astype(np.int64), self.points.shape[1])[:, None]
+        return np.take_along_axis(self.law.p, column, axis=1).reshape(self.points.shape)
+
+
+@dataclass(frozen=True)
 class Goal:
     """The problem to whose solution a certificate bounds the distance.
 
@@ -81,15 +110,15 @@ class Goal:
         parts = tuple(replace(part, law=Penalised(part.law.parts, 0.0, 0.0, *slopes)) for part in laws.of_parts)
         return cls(parts, solution.law, plain=False, of_penalty=True)
 
-    def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> tuple[FacetPoints, Chains]:
-        """Points in all facets of Γ_S and the law in each, measured from u = 0 and σ·n = 0 (collective)."""
+    def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> LawPoints:
+        """Points in all facets of Γ_S with the law in each (collective)."""
         of_parts, number = [], len(points)
         for part in self.parts:
             some = in_facets(spaces.mesh, spaces.facets[part.rows], points, weights)
             rows = (number * part.rows[:, None] + np.arange(number)).ravel()
             of_parts.append((rows, part.chains(some)))
         everywhere = in_facets(spaces.mesh, spaces.facets, points, weights)
-        return everywhere, joined(of_parts, number * len(spaces.facets))
+        return LawPoints(everywhere, joined(of_parts, number * len(spaces.facets)))
 
     def degree(self) -> int:
         """Degree of a quadrature on Γ_S."""
@@ -181,8 +210,7 @@ class LawGap:
         cls,
         spaces: Spaces,
         metric: CellMetric,
-        points: FacetPoints,
-        law: Chains,
+        at: LawPoints,
         v: Array,
         flux: Array,
         piece: tuple[Array, Array],
@@ -192,20 +220,19 @@ class LawGap:
         Args:
             spaces: The discrete spaces.
             metric: Metric of the owned cells.
-            points: Points of a quadrature in all facets of Γ_S.
-            law: The law in these points.
+            at: Points of a quadrature in all facets of Γ_S.
             v: v there, shape (facets, points).
             flux: y·n per facet.
             piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
         """
-        shape = points.shape
+        points = at.points
         constant = facet_constants(metric, points.cells, spaces.facet_measure)
         slope, wanted = piece
         theta = 1 / (1 + slope.mean(axis=1) * constant**2)
-        low, high = (end.reshape(shape) for end in law.extent()[2:])
+        low, high = at.extent()[2:]
         eta = with_mean(theta[:, None] * wanted, low, high, flux, points.weights)
-        density = gap(law, v.ravel(), eta.ravel()).reshape(shape)
-        return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(shape[0])))
+        density = gap(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
+        return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(points.shape[0])))
 
     def per_cell(self, number: int) -> Array:
         """Twice its integral, per owned cell of so many."""
