@@ -1,23 +1,36 @@
-"""The elastic backend: the facet system, factorised, with a contact condition per facet vertex of Γ_C."""
+"""The elastic backend: the facet system with a contact condition per facet vertex of Γ_C.
+
+Small systems are factorised, larger ones solved by CG with multigrid. Where ν is near ½ CG needs too many iterations,
+and large systems are factorised too.
+"""
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
+from signorini_fenicsx.backends.elastic_coarse import DEFAULTS, ElasticCoarse
 from signorini_fenicsx.backends.elastic_system import ElasticSystem
 from signorini_fenicsx.backends.facets import FieldChange
-from signorini_fenicsx.backends.petsc import direct_solver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolveFailure, LinearSolver
+from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+
+LARGEST_POISSON = 0.491
+"""Where ν is larger in the mean, a factorisation costs less than the iterations."""
+MOST_ITERATIONS = 400
+"""CG that needs more gives way to a factorisation."""
 
 
 class ElasticBackend:
@@ -31,12 +44,13 @@ class ElasticBackend:
     inexact: Inexact | None = None
     precise: Callable[[], Backend[Iterate]] | None = None
 
-    def __init__(self, spaces: ElasticSpaces, data: ElasticData, prefix: str = "facet_"):
-        """Assemble (collective).
+    def __init__(self, spaces: ElasticSpaces, data: ElasticData, tuning: Tuning | None = None, prefix: str = "facet_"):
+        """Assemble and choose the solver (collective).
 
         Args:
             spaces: The spaces.
             data: The data.
+            tuning: Has the size from which CG with multigrid is the default.
             prefix: Of its PETSc options.
 
         Raises:
@@ -48,14 +62,18 @@ class ElasticBackend:
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]
-        self._solver = direct_solver(self._operator.matrix, "cholesky", prefix)
+        self._prefix, self._remark = prefix, ""
+        large = self.dofs > (tuning or Tuning()).elastic_direct_up_to[spaces.dim]
+        if large and (poisson := data.mean_poisson(spaces)) > LARGEST_POISSON:
+            large, self._remark = False, f" because poisson is {poisson:.4g}"
+        self._choose_solver(multigrid=large)
         self._x, self._b = self._operator.matrix.createVecs()
         self._x.set(0.0)
         self._largest = 0.0, 0.0
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
+        return self._solver.name() + self._remark
 
     def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says (collective).
@@ -73,8 +91,28 @@ class ElasticBackend:
         self._b.array_w[:] = self.system.load
         self._b.array_w[essential] = 0.0
         self._x.array_w[essential] = 0.0
-        self._solver.solve(self._b, self._x)
+        self._solve(essential)
         return self._recovered(conditions)
+
+    def _choose_solver(self, *, multigrid: bool) -> None:
+        self._solver = LinearSolver(self._operator.matrix, self._prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
+        self._solver.ksp.setTolerances(max_it=MOST_ITERATIONS)
+        make = partial(ElasticCoarse, self.spaces, self._operator.matrix)
+        self._coarse = set_up(self._solver, make if multigrid else None)
+
+    def _solve(self, essential: npt.NDArray[np.int32]) -> None:
+        """Solve; if CG with multigrid fails, factorise now and from now on (collective)."""
+        if self._coarse is not None:
+            with self._solver.options():
+                self._coarse.update(self._data.fixed, essential)
+        try:
+            self._solver.solve(self._b, self._x)
+        except LinearSolveFailure as failure:
+            if self._coarse is None:
+                raise
+            self._remark = f" because {failure}"
+            self._choose_solver(multigrid=False)
+            self._solver.solve(self._b, self._x)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:
         spaces = self.spaces

@@ -69,7 +69,7 @@ def solve_elastic(
         spaces = build_elastic_spaces(domain, boundary)
         data = elastic_data(spaces, problem)
         held_by_contact = check_rigid_motions(spaces, data)
-        backend = ElasticBackend(spaces, data)
+        backend = ElasticBackend(spaces, data, options.tuning)
     with watch.phase("solve"):
         first = _first(spaces, start, held_by_contact=held_by_contact)
         try:
