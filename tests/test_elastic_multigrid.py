@@ -7,6 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case, solve_elastic_case
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -71,3 +72,17 @@ def test_factorisation_where_iterations_would_be_too_many():
     solver = found.summary()["linear_solver"]
     assert solver.startswith("preonly+cholesky+mumps because the linear solver cg+mg stopped with PETSc's reason -3")
     assert found.norms() == pytest.approx(pressed(COMM, 2, 4, 0.3, DIRECT).norms(), rel=1e-10)
+
+
+@pytest.mark.parallel([1, 2])
+def test_sets_predicted_from_coarser_meshes():
+    """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result."""
+    case = load_any_case("hertz")
+    assert isinstance(case, ElasticCase)
+    cold = solve_elastic_case(case, COMM, tuning=Tuning(predict_from=10**9))
+    warm = solve_elastic_case(case, COMM, tuning=Tuning(predict_from=1000))
+    assert "prediction" in warm.timings
+    assert "prediction" not in cold.timings
+    assert len(warm.outcome.history) < len(cold.outcome.history)
+    np.testing.assert_array_equal(warm.touching, cold.touching)
+    assert warm.norms() == pytest.approx(cold.norms(), rel=1e-10)

@@ -8,7 +8,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.domains import coarser_meshes, mesh_case
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -47,16 +47,13 @@ def solve_case(
     with watch.phase("mesh"):
         fine = domain or mesh_case(case, comm)
 
-    def coarser(factor: float) -> Domain:
-        return fine.ancestor(factor) or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
-
     return solve(
         fine,
         boundary_of(case),
         case.data(fine.mesh.geometry.dim),
         options_of(case, tuning),
         start=start,
-        remesh=coarser if domain is None else None,
+        remesh=coarser_meshes(case, fine) if domain is None else None,
         name=case.name,
         title=case.title,
         source=case,
