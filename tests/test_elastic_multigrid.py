@@ -86,3 +86,16 @@ def test_sets_predicted_from_coarser_meshes():
     assert len(warm.outcome.history) < len(cold.outcome.history)
     np.testing.assert_array_equal(warm.touching, cold.touching)
     assert warm.norms() == pytest.approx(cold.norms(), rel=1e-10)
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("tuning", [MULTIGRID, DIRECT])
+def test_sets_that_do_not_hold_the_body(tuning: Tuning):
+    """Pressed off the middle of a ridge, the body may turn about a single vertex; springs hold it for that step."""
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"], fixed={"y1": "x"})
+    load = {"y1": ["0", "-0.1*exp(-100*(x - 0.6)^2)"]}
+    problem = ElasticProblem(1.0, 0.3, g_N=load, gap="abs(x - 0.5)")
+    solution = solve_elastic(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), boundary, problem, Options(tuning=tuning))
+    assert [step.zero_trace for step in solution.outcome.history] == [4, 2, 1, 4, 3, 2]
+    assert solution.outcome.linear_solver == ("cg+mg" if tuning is MULTIGRID else "preonly+cholesky+mumps")
+    assert np.abs(solution.resultants()["sum"]).max() < 1e-12

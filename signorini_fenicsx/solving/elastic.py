@@ -74,8 +74,9 @@ def solve_elastic(
         check_parts(domain, boundary.named)
         spaces = build_elastic_spaces(domain, boundary)
         data = elastic_data(spaces, problem)
-        held_by_contact = check_rigid_motions(spaces, data)
-        backend = ElasticBackend(spaces, data, options.tuning)
+        motions = check_rigid_motions(spaces, data)
+        held_by_contact = motions.shape[1] > 0
+        backend = ElasticBackend(spaces, data, options.tuning, motions)
     if start is None and remesh is not None and options.predict and backend.dofs >= options.tuning.predict_from:
         with watch.phase("prediction"):
             start = _on_coarser_mesh(remesh, boundary, problem, options)
