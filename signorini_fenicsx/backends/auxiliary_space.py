@@ -6,6 +6,7 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
@@ -26,55 +27,39 @@ class AuxiliarySpace:
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
         self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
-        self._full_interpolation = facet_means(self._space, data.u_lift.function_space)
-        self._interpolation = self._full_interpolation.duplicate(copy=True)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
 
-        pc.setMGLevels(2)
-        pc.setMGInterpolation(1, self._interpolation)
-        smoother, coarse = pc.getMGSmoother(1), pc.getMGCoarseSolve()
-        smoother.setType("chebyshev")
-        smoother.getPC().setType("jacobi")
-        coarse.setOperators(self._operator.matrix)
-        coarse.setType("preonly")
-        coarse.getPC().setType("gamg")
+        self._levels = TwoLevel(pc, facet_means(self._space, data.u_lift.function_space), "jacobi")
+        self._levels.coarse.setOperators(self._operator.matrix)
 
-    def update(self, pc: PETSc.PC, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
+    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
         """Take over new facet conditions (collective).
 
         Args:
-            pc: The multigrid preconditioner.
             conditions: Conditions of the Γ_S facets.
             essential: Owned Crouzeix-Raviart unknowns that are fixed.
         """
         if not self._has_hierarchy:
-            self._build_hierarchy(pc.getMGCoarseSolve())
+            self._build_hierarchy()
         fixed = np.union1d(
             self._dirichlet, owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
         )
         self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
+        self._levels.leave_out(essential, fixed)
 
-        keep_vertices, keep_facets = self._full_interpolation.createVecs()
-        for keep, out in ((keep_vertices, fixed), (keep_facets, essential)):
-            keep.set(1.0)
-            keep.array_w[out] = 0.0
-        self._full_interpolation.copy(self._interpolation, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._interpolation.diagonalScale(keep_facets, keep_vertices)
-        pc.setMGInterpolation(1, self._interpolation)
-
-    def _build_hierarchy(self, coarse: PETSc.KSP) -> None:
+    def _build_hierarchy(self) -> None:
         """Build GAMG's interpolations once; later only its operators are renewed.
 
         The interpolations come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
         errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
         """
         self._operator.impose(self._dirichlet, self._all, self._tied_down())
-        coarse.setFromOptions()
-        coarse.setUp()
+        self._levels.coarse.setFromOptions()
+        self._levels.coarse.setUp()
         self._has_hierarchy = True
 
     def _tied_down(self) -> npt.NDArray[np.float64]:
@@ -103,11 +88,8 @@ def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc
         vertices: P1.
         facets: Crouzeix-Raviart functions on the same mesh.
     """
-    of_cell, columns, rows = facets.dofmap.list, vertices.dofmap.index_map, facets.dofmap.index_map
-    of_facet = np.empty((rows.size_local + rows.num_ghosts, of_cell.shape[1] - 1), dtype=np.int32)
-    for facet in range(of_cell.shape[1]):  # facet i of a cell lies opposite to its vertex i
-        of_facet[of_cell[:, facet]] = np.delete(vertices.dofmap.list, facet, axis=1)
-    owned, d = of_facet[: rows.size_local], of_facet.shape[1]
+    owned, columns, rows = facet_vertices(vertices, facets), vertices.dofmap.index_map, facets.dofmap.index_map
+    d = owned.shape[1]
     indices = np.sort(columns.local_to_global(owned.ravel()).reshape(owned.shape), axis=1).astype(PETSc.IntType)
     return PETSc.Mat().createAIJ(
         [(space.size_local, space.size_global) for space in (rows, columns)],

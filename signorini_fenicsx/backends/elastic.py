@@ -1,24 +1,44 @@
-"""The elastic backend: the facet system, factorised, with a contact condition per facet vertex of Γ_C."""
+"""The elastic backend: the facet system with a contact condition per facet vertex of Γ_C.
+
+Small systems are factorised, larger ones solved by CG with multigrid. Where ν is near ½ CG needs too many iterations,
+and large systems are factorised too.
+
+Where only contact holds the body, a set on the way may be too small for that. Then weak springs hold the free sites;
+under the load they give way so far that the next set is larger. No result has springs: its residuals would be large.
+"""
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
+from signorini_fenicsx.backends.elastic_coarse import DEFAULTS, ElasticCoarse
 from signorini_fenicsx.backends.elastic_system import ElasticSystem
 from signorini_fenicsx.backends.facets import FieldChange
-from signorini_fenicsx.backends.petsc import direct_solver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolveFailure, LinearSolver
+from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+
+LARGEST_POISSON = 0.491
+"""Where ν is larger in the mean, a factorisation costs less than the iterations."""
+MOST_ITERATIONS = 400
+"""CG that needs more gives way to a factorisation."""
+HELD = 1e-12
+"""Sites hold a motion of size 1 if the squares of its means add up to more."""
+SPRING = 1e-6
+"""Share of a site's diagonal entry that is its spring."""
 
 
 class ElasticBackend:
@@ -32,13 +52,16 @@ class ElasticBackend:
     inexact: Inexact | None = None
     precise: Callable[[], Backend[Iterate]] | None = None
 
-    def __init__(self, spaces: ElasticSpaces, data: ElasticData, prefix: str = "facet_"):
-        """Assemble (collective).
+    def __init__(
+        self, spaces: ElasticSpaces, data: ElasticData, tuning: Tuning | None = None, motions: Array | None = None
+    ):
+        """Assemble and choose the solver (collective).
 
         Args:
             spaces: The spaces.
             data: The data.
-            prefix: Of its PETSc options.
+            tuning: Has the size from which CG with multigrid is the default.
+            motions: Means of r_n at the sites for each rigid motion that only contact prevents; None for none.
 
         Raises:
             InputError: If PETSc refuses an option.
@@ -50,14 +73,20 @@ class ElasticBackend:
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]
-        self._solver = direct_solver(self._operator.matrix, "cholesky", prefix)
+        self._remark = ""
+        large = self.dofs > (tuning or Tuning()).elastic_direct_up_to[spaces.dim]
+        if large and (poisson := data.mean_poisson(spaces)) > LARGEST_POISSON:
+            large, self._remark = False, f" because poisson is {poisson:.4g}"
+        self._choose_solver(multigrid=large)
         self._x, self._b = self._operator.matrix.createVecs()
         self._x.set(0.0)
         self._largest = 0.0, 0.0
+        self._motions = np.zeros((self.sites, 0)) if motions is None else motions
+        self._springs = SPRING * self.system.matrix.getDiagonal().array_r[spaces.sites]
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
+        return self._solver.name() + self._remark
 
     def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says (collective).
@@ -70,13 +99,44 @@ class ElasticBackend:
             raise InputError("elastic contact takes no penalty; use alg1 or alg2")
         contact = conditions.kind == Condition.ZERO_TRACE
         essential = np.concatenate([self._data.fixed, self.spaces.sites[contact]])
-        none = np.empty(0, dtype=np.int32)
-        self._operator.impose(essential, none, none)
+        loose = self._loose(contact)
+        sprung = ~contact & loose
+        self._operator.impose(essential, self.spaces.sites[sprung], self._springs[sprung])
         self._b.array_w[:] = self.system.load
         self._b.array_w[essential] = 0.0
         self._x.array_w[essential] = 0.0
-        self._solver.solve(self._b, self._x)
-        return self._recovered(conditions)
+        self._solve(essential)
+        iterate = self._recovered(conditions)
+        if loose:
+            self._x.set(0.0)  # so far away it is no start for the next solve
+        return iterate
+
+    def _loose(self, contact: Mask) -> bool:
+        """Whether these sites leave a rigid motion free (collective)."""
+        if self._motions.shape[1] == 0:
+            return False
+        rows = self._motions[contact]
+        return bool(np.linalg.eigvalsh(self.comm.allreduce(rows.T @ rows))[0] <= HELD)
+
+    def _choose_solver(self, *, multigrid: bool) -> None:
+        self._solver = LinearSolver(self._operator.matrix, "facet_", defaults=MUMPS_WORKSPACE | DEFAULTS)
+        self._solver.ksp.setTolerances(max_it=MOST_ITERATIONS)
+        make = partial(ElasticCoarse, self.spaces, self._operator.matrix)
+        self._coarse = set_up(self._solver, make if multigrid else None)
+
+    def _solve(self, essential: npt.NDArray[np.int32]) -> None:
+        """Solve; if CG with multigrid fails, factorise now and from now on (collective)."""
+        if self._coarse is not None:
+            with self._solver.options():
+                self._coarse.update(self._data.fixed, essential)
+        try:
+            self._solver.solve(self._b, self._x)
+        except LinearSolveFailure as failure:
+            if self._coarse is None:
+                raise
+            self._remark = f" because {failure}"
+            self._choose_solver(multigrid=False)
+            self._solver.solve(self._b, self._x)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:
         spaces = self.spaces

@@ -12,9 +12,9 @@ from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import LinearSolver, options_of, set_direct
+from signorini_fenicsx.backends.petsc import LinearSolver
+from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import Data
@@ -59,7 +59,8 @@ class HybridBackend(FacetBackend):
         self.dofs = self._system.dofs
         self._solver = LinearSolver(self._system.matrix, prefix)
         self._ksp = self._solver.ksp
-        self._auxiliary = self._set_up_solver(multigrid=multigrid or self._system.large)
+        iterative = multigrid or self._system.large
+        self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
         self._early_stop = _EarlyStop()
         if self.inexact is not None:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
@@ -155,27 +156,11 @@ class HybridBackend(FacetBackend):
         else:
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
-                with options_of(self._solver.prefix):
-                    self._auxiliary.update(self._ksp.getPC(), conditions, essential)
+                with self._solver.options():
+                    self._auxiliary.update(conditions, essential)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
-
-    def _set_up_solver(self, *, multigrid: bool) -> AuxiliarySpace | None:
-        """Set defaults by size, then the user's options; return the coarse space if the result is multigrid."""
-        ksp, pc = self._ksp, self._ksp.getPC()
-        if multigrid:
-            ksp.setType("cg")
-            ksp.setTolerances(rtol=LINEAR / 10)  # LINEAR often costs the certificate one more solve
-            ksp.setInitialGuessNonzero(True)
-            pc.setType("mg")
-        else:
-            set_direct(ksp, "cholesky")
-        auxiliary = AuxiliarySpace(self.spaces, self.data, pc) if multigrid else None
-        self._solver.take_options()
-        if ksp.getType() == "preonly":
-            ksp.setInitialGuessNonzero(False)
-        return auxiliary if pc.getType() == "mg" else None
 
 
 class _EarlyStop:

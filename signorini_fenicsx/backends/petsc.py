@@ -62,18 +62,29 @@ class LinearSolver:
         ksp: The solver.
     """
 
-    def __init__(self, matrix: PETSc.Mat | None, prefix: str, comm: PETSc.Comm | None = None):
+    def __init__(
+        self,
+        matrix: PETSc.Mat | None,
+        prefix: str,
+        comm: PETSc.Comm | None = None,
+        defaults: Mapping[str, str] = MUMPS_WORKSPACE,
+    ):
         """Create it, without a type (collective).
 
         Args:
             matrix: Its operator; None if it is set later.
             prefix: Prefix of its options.
             comm: Communicator, if there is no matrix.
+            defaults: See `options_of`.
         """
-        self.prefix = prefix
+        self.prefix, self._defaults = prefix, defaults
         self.ksp = PETSc.KSP().create(comm if matrix is None else matrix.getComm())
         if matrix is not None:
             self.ksp.setOperators(matrix)
+
+    def options(self) -> contextlib.AbstractContextManager[None]:
+        """While a part of it is set up, see `options_of`."""
+        return options_of(self.prefix, self._defaults)
 
     def take_options(self) -> None:
         """Let the user's options change the defaults (collective).
@@ -81,7 +92,7 @@ class LinearSolver:
         Raises:
             InputError: If PETSc refuses an option.
         """
-        take_options(self.ksp, self.prefix)
+        take_options(self.ksp, self.prefix, self._defaults)
         if self.ksp.getType() != "preonly":  # it would compute a norm for it
             self.ksp.setMonitor(lambda ksp, number, norm: progress.detail("linear iterations", number))
 
@@ -97,7 +108,7 @@ class LinearSolver:
             LinearSolveFailure: If the solver does not converge or PETSc gives up.
         """
         try:
-            with options_of(self.prefix):
+            with self.options():
                 self.ksp.solve(b, x)
         except PETSc.Error as error:
             refuse_options(error)

@@ -12,6 +12,8 @@ class Tuning:
     Attributes:
         direct_up_to: Facet systems with at most this many facets are factorised, which takes tenths of a second for any
             κ and any cells. Larger ones are solved by CG with multigrid.
+        elastic_direct_up_to: For each dimension, the same for elastic systems, in unknowns. In space a factorisation
+            fills in far more.
         predict_from: From this number of facets of the mesh on the sets are predicted; on smaller meshes a cold start
             takes tenths of a second.
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
@@ -28,6 +30,7 @@ class Tuning:
     """
 
     direct_up_to: int = 60_000
+    elastic_direct_up_to: Mapping[int, int] = MappingProxyType({2: 200_000, 3: 40_000})
     predict_from: int = 60_000
     coarsening: float = 4.0
     coarsen_from: int = 30_000

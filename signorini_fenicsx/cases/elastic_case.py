@@ -8,8 +8,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
-from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.domains import coarser_meshes, mesh_case
 from signorini_fenicsx.cases.parts import Parts, Section
 from signorini_fenicsx.cases.values import Expression, choice
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem, Plane
@@ -135,13 +136,18 @@ def load_any_case(name_or_path: str | Path) -> Case | ElasticCase:
 
 
 def solve_elastic_case(
-    case: ElasticCase, comm: MPI.Comm = MPI.COMM_WORLD, *, on_step: OnStep = lambda step: None
+    case: ElasticCase,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    tuning: Tuning | None = None,
+    on_step: OnStep = lambda step: None,
 ) -> ElasticSolution:
     """Solve a case of elastic contact (collective).
 
     Args:
         case: The problem, its discretisation and algorithm.
         comm: Communicator.
+        tuning: Sizes from which the program works differently; None for the defaults.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -155,7 +161,8 @@ def solve_elastic_case(
         domain,
         case.boundary.read(),
         case.data(),
-        Options(algorithm=case.solve.algorithm, max_iterations=case.solve.max_iterations),
+        Options(algorithm=case.solve.algorithm, max_iterations=case.solve.max_iterations, tuning=tuning or Tuning()),
+        remesh=coarser_meshes(case, domain),
         name=case.name,
         title=case.title,
         source=case,

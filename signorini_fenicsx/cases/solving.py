@@ -8,7 +8,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.domains import coarser_meshes, mesh_case
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -49,15 +49,11 @@ def solve_case(
     with watch.phase("assembly"):
         solver = place if isinstance(place, Solver) else Solver(place, boundary_of(case))
 
-    def coarser(factor: float) -> Domain:
-        mesh = solver.spaces.domain.ancestor(factor)
-        return mesh or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
-
     return solver.solve(
         case.data(solver.spaces.mesh.geometry.dim),
         options_of(case, tuning),
         start=start,
-        remesh=coarser if domain is None else None,
+        remesh=coarser_meshes(case, solver.spaces.domain) if domain is None else None,
         name=case.name,
         title=case.title,
         source=case,

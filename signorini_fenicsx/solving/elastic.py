@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -23,6 +25,7 @@ from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
+from signorini_fenicsx.solving.solver import Remesh
 
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
@@ -35,6 +38,7 @@ def solve_elastic(
     options: Options | None = None,
     *,
     start: ElasticSolution | None = None,
+    remesh: Remesh | None = None,
     name: str = "problem",
     title: str = "",
     source: object = None,
@@ -47,8 +51,10 @@ def solve_elastic(
         domain: The mesh with its parts.
         boundary: Which parts are in contact, loaded or fixed.
         problem: The data.
-        options: The algorithm, alg1 or alg2, and its number of iterations.
+        options: The algorithm, alg1 or alg2, its number of iterations, and whether large problems start from predicted
+            sets.
         start: Solution whose contact set is taken for the first one, on any mesh of the domain.
+        remesh: Makes coarser meshes, from which the sets of a large problem are predicted.
         name: What results are called.
         title: The same in more words.
         source: What the problem was read from.
@@ -68,8 +74,12 @@ def solve_elastic(
         check_parts(domain, boundary.named)
         spaces = build_elastic_spaces(domain, boundary)
         data = elastic_data(spaces, problem)
-        held_by_contact = check_rigid_motions(spaces, data)
-        backend = ElasticBackend(spaces, data)
+        motions = check_rigid_motions(spaces, data)
+        held_by_contact = motions.shape[1] > 0
+        backend = ElasticBackend(spaces, data, options.tuning, motions)
+    if start is None and remesh is not None and options.predict and backend.dofs >= options.tuning.predict_from:
+        with watch.phase("prediction"):
+            start = _on_coarser_mesh(remesh, boundary, problem, options)
     with watch.phase("solve"):
         first = _first(spaces, start, held_by_contact=held_by_contact)
         try:
@@ -99,6 +109,20 @@ def solve_elastic(
     if solution.converged:
         return solution
     raise NumericalFailure(solution.outcome.reason, solution)
+
+
+def _on_coarser_mesh(
+    remesh: Remesh, boundary: ElasticBoundary, problem: ElasticProblem, options: Options
+) -> ElasticSolution | None:
+    """The solution on a coarser mesh, itself predicted from a coarser one; None if there is none (collective)."""
+    factor = options.tuning.coarsening
+
+    def coarser(further: float) -> Domain:
+        return remesh(factor * further)
+
+    with contextlib.suppress(InputError, NumericalFailure):
+        return solve_elastic(remesh(factor), boundary, problem, options, remesh=coarser)
+    return None
 
 
 def _first(spaces: ElasticSpaces, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:

@@ -22,14 +22,14 @@ SLACK = 1e-10
 """A load does no work on a motion if it does less than this share of what it could."""
 
 
-def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> bool:
+def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """Make sure that each rigid motion is prevented, by what is given of u or by contact under the loads (collective).
 
     For a motion r that what is given of u lets free, and that does not go into the foundation, r_n ≤ 0 on Γ_C, the work
     of the loads must be negative: then contact holds the body against it.
 
     Returns:
-        Whether contact is needed for that.
+        The motions that contact has to prevent, a basis: means of r_n at the sites, shape (sites, motions).
 
     Raises:
         InputError: If a motion is not prevented; it is told.
@@ -43,7 +43,7 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> bool:
 
     free = _not_given(spaces, moved)
     if free.shape[1] == 0:
-        return False
+        return np.zeros((len(spaces.sites), 0))
     work = _work(spaces, data, moved) @ free
     into = np.einsum("nai,nair->nar", _at(spaces.contact.normals, spaces.dim), moved(spaces.contact.vertices)) @ free
     rows = gather_rows(spaces.mesh.comm, into.reshape(-1, free.shape[1]))
@@ -55,7 +55,8 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> bool:
             raise InputError(f"the body can move rigidly, {_in_words(free @ found, middle, size)}: {HELD_BY}")
 
     on_root(spaces.mesh.comm, complain)
-    return True
+    means = (into + into.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
+    return means.reshape(-1, free.shape[1])
 
 
 HELD_BY = "neither the parts where u is given nor contact under these loads prevent that"

@@ -1,0 +1,101 @@
+"""CG with multigrid for elastic systems: flat iterations, the same results, the way back to a factorisation."""
+
+import numpy as np
+import pytest
+from elastic import box
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case, solve_elastic_case
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.solving.options import Options
+
+COMM = MPI.COMM_WORLD
+MULTIGRID, DIRECT = (Tuning(elastic_direct_up_to={2: size, 3: size}) for size in (0, 10**9))
+
+
+def pressed(comm: MPI.Comm, dim: int, n: int, nu: float, tuning: Tuning = MULTIGRID) -> ElasticSolution:
+    """A block that is pressed onto a curved foundation; only contact holds it up."""
+    low, high = ([-1.0, 0.0], [1.0, 1.0]) if dim == 2 else ([0.0] * 3, [1.0] * 3)
+    last = "xyz"[dim - 1]
+    fixed = {"x0": "n"} if dim == 2 else {"x0": "n", "y0": "y"}
+    boundary = ElasticBoundary([f"{last}0"], neumann=[f"{last}1", "x1"], fixed=fixed)
+    load = {f"{last}1": ["0"] * (dim - 1) + ["-0.1"]}
+    problem = ElasticProblem("1 + x^2", nu, g_N=load, gap="0.5*(x - 0.1)^2")
+    return solve_elastic(box(comm, n, low, high), boundary, problem, Options(tuning=tuning))
+
+
+def iterations(solution: ElasticSolution) -> int:
+    """The most that a solve took."""
+    assert solution.outcome.linear_solver == "cg+mg"
+    return max(step.linear_iterations for step in solution.outcome.history)
+
+
+@pytest.mark.parametrize(("dim", "nu", "most"), [(2, 0.3, 21), (2, 0.45, 31), (3, 0.3, 26), (3, 0.45, 36)])
+def test_iterations_do_not_grow(dim: int, nu: float, most: int):
+    """From mesh to mesh they stay the same, down to a residual of 1e-13."""
+    found = [iterations(pressed(MPI.COMM_SELF, dim, n, nu)) for n in ((8, 16, 32) if dim == 2 else (3, 5))]
+    assert max(found) <= most
+    assert found[-1] <= 1.25 * found[0] + 2
+
+
+@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_same_as_factorisation(dim: int):
+    """Sets and norms are those of a factorisation by one process."""
+    n = {2: 6, 3: 2}[dim]
+    direct, found = pressed(MPI.COMM_SELF, dim, n, 0.45, DIRECT), pressed(COMM, dim, n, 0.45)
+    assert (direct.outcome.linear_solver, iterations(found) > 1) == ("preonly+cholesky+mumps", True)
+    sets = [[(step.no_flux, step.zero_trace) for step in one.outcome.history] for one in (direct, found)]
+    assert sets[0] == sets[1]
+    assert 0 < found.contact()[0] == direct.contact()[0] < found.spaces.scalar.Lambda.dofmap.index_map.size_global * dim
+    assert found.norms() == pytest.approx(direct.norms(), rel=1e-9)
+    if COMM.size == 1:
+        np.testing.assert_allclose(found.stresses, direct.stresses, atol=1e-8)
+
+
+@pytest.mark.parallel([1, 2])
+def test_factorisation_where_iterations_would_be_too_many():
+    """Near ν = ½, or if CG stops before its tolerance, the system is factorised, and the summary says why."""
+    direct = pressed(COMM, 2, 4, 0.4999, DIRECT)
+    found = pressed(COMM, 2, 4, 0.4999)
+    assert found.outcome.linear_solver == "preonly+cholesky+mumps because poisson is 0.4999"
+    assert found.norms() == pytest.approx(direct.norms(), rel=1e-10)
+    PETSc.Options().setValue("facet_ksp_max_it", "3")
+    try:
+        found = pressed(COMM, 2, 4, 0.3)
+    finally:
+        PETSc.Options().delValue("facet_ksp_max_it")
+    solver = found.summary()["linear_solver"]
+    assert solver.startswith("preonly+cholesky+mumps because the linear solver cg+mg stopped with PETSc's reason -3")
+    assert found.norms() == pytest.approx(pressed(COMM, 2, 4, 0.3, DIRECT).norms(), rel=1e-10)
+
+
+@pytest.mark.parallel([1, 2])
+def test_sets_predicted_from_coarser_meshes():
+    """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result."""
+    case = load_any_case("hertz")
+    assert isinstance(case, ElasticCase)
+    cold = solve_elastic_case(case, COMM, tuning=Tuning(predict_from=10**9))
+    warm = solve_elastic_case(case, COMM, tuning=Tuning(predict_from=1000))
+    assert "prediction" in warm.timings
+    assert "prediction" not in cold.timings
+    assert len(warm.outcome.history) < len(cold.outcome.history)
+    np.testing.assert_array_equal(warm.touching, cold.touching)
+    assert warm.norms() == pytest.approx(cold.norms(), rel=1e-10)
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("tuning", [MULTIGRID, DIRECT])
+def test_sets_that_do_not_hold_the_body(tuning: Tuning):
+    """Pressed off the middle of a ridge, the body may turn about a single vertex; springs hold it for that step."""
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"], fixed={"y1": "x"})
+    load = {"y1": ["0", "-0.1*exp(-100*(x - 0.6)^2)"]}
+    problem = ElasticProblem(1.0, 0.3, g_N=load, gap="abs(x - 0.5)")
+    solution = solve_elastic(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), boundary, problem, Options(tuning=tuning))
+    assert [step.zero_trace for step in solution.outcome.history] == [4, 2, 1, 4, 3, 2]
+    assert solution.outcome.linear_solver == ("cg+mg" if tuning is MULTIGRID else "preonly+cholesky+mumps")
+    assert np.abs(solution.resultants()["sum"]).max() < 1e-12
