@@ -11,6 +11,15 @@ with ⟨·,·⟩ on Γ_S and the energy norms |∇w|² = (κ∇w, ∇w), ‖τ�
 Proof: ½‖κ∇v − y‖² = ½|∇(v − u)|² + ½‖σ − y‖² + (∇(v − u), σ − y). As ∇·(σ − y) = 0, v = u on Γ_D and (σ − y)·n = 0 on
 Γ_N, the last term is ⟨(σ − y)·n, v − u⟩, which is ⟨σ·n − q_S, v − ψ⟩ − ⟨y·n − q_S, v − ψ⟩ + ⟨y·n − q_S, u − ψ⟩ because
 (u − ψ)(σ·n − q_S) = 0. All terms on the left are ≥ 0.
+
+*Other laws.* Let −σ·n ∈ ∂φ(u) on Γ_S with φ convex in each point, and φ* its conjugate. For any v with v = u_D on Γ_D and
+any y with ∇·y = −f and y·n = g_N on Γ_N the same expansion gives
+
+    ½‖κ∇v − y‖² + ∫ φ(v) + φ*(−y·n) + (y·n)v = ½|∇(v − u)|² + ½‖y − σ‖²
+        + ∫ [φ(v) − φ(u) + σ·n(v − u)] + ∫ [φ*(−y·n) − φ*(−σ·n) + u(y·n − σ·n)],
+
+integrals over Γ_S, since φ(u) + φ*(−σ·n) = −(σ·n)u. By the inequality of Fenchel and Young and the definition of the
+subdifferential no term is negative. For the Signorini law φ(v) = −q_S v where v ≥ ψ, φ*(−s) = (q_S − s)ψ where s ≥ q_S.
 """
 
 from ufl import div, dot, inv
