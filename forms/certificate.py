@@ -12,8 +12,8 @@ Proof: ½‖κ∇v − y‖² = ½|∇(v − u)|² + ½‖σ − y‖² + (∇(v
 Γ_N, the last term is ⟨(σ − y)·n, v − u⟩, which is ⟨σ·n − q_S, v − ψ⟩ − ⟨y·n − q_S, v − ψ⟩ + ⟨y·n − q_S, u − ψ⟩ because
 (u − ψ)(σ·n − q_S) = 0. All terms on the left are ≥ 0.
 
-*Other laws.* Let −σ·n ∈ ∂φ(u) on Γ_S with φ convex in each point, and φ* its conjugate. For any v with v = u_D on Γ_D and
-any y with ∇·y = −f and y·n = g_N on Γ_N the same expansion gives
+*Other laws.* Let −σ·n ∈ ∂φ(u) on Γ_S with φ convex in each point, and φ* its conjugate. For any v with v = u_D on Γ_D
+and any y with ∇·y = −f and y·n = g_N on Γ_N the same expansion gives
 
     ½‖κ∇v − y‖² + ∫ φ(v) + φ*(−y·n) + (y·n)v = ½|∇(v − u)|² + ½‖y − σ‖²
         + ∫ [φ(v) − φ(u) + σ·n(v − u)] + ∫ [φ*(−y·n) − φ*(−σ·n) + u(y·n − σ·n)],
