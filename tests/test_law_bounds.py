@@ -58,6 +58,15 @@ def test_penalties_have_solutions_of_their_own(algorithm: str):
         assert not certify(solution, for_signorini=True).of_penalty
 
 
+@pytest.mark.parametrize("algorithm", ["alg3", "alg4"])
+def test_tiny_penalties(algorithm: str):
+    """Nearly rigid, with ψ and q_S that vary and without Γ_D: the bound is that for the Signorini problem."""
+    case = load_case("example1").with_values({"solve.h": 0.2, "solve.algorithm": algorithm, "problem.f": "3*x - 2"})
+    parts = {"boundary.signorini": ["bottom"], "boundary.neumann": ["left", "right", "top"]}
+    solution = solve_case(case.with_values(parts | {"problem.psi": "0.1*sin(20*x)", "solve.eps": 1e-11}))
+    assert certify(solution).bound < 1.02 * certify(solution, for_signorini=True).bound
+
+
 PSI = {"psi": "-0.05*cos(y)", "psi_upper": "0.05 + 0.02*cos(9*y)", "q_S": "0.5*sin(6*y)"}
 CORNERS = [["-0.1*y", "0.4 + y"], ["-0.1*y", 0.1], ["0.1 + y/9", "0.1*cos(y)"], ["0.3 + y", "-y"]]
 LAWS: list[tuple[Law, ...]] = [

@@ -55,6 +55,7 @@ class LawTrace:
         v: v_2.
         near_dirichlet: χ_D.
         moved: v_1.
+        levels: Data b that hold u, with I_hb and χ_b.
         bounds: Those of all parts.
     """
 
@@ -62,16 +63,22 @@ class LawTrace:
     v: fem.Function
     near_dirichlet: fem.Function
     moved: fem.Function
+    levels: list[tuple[Datum, fem.Function, fem.Function]]
     bounds: list[Bound]
 
-    def jet(self, points: Points, *, gradient: bool = False, bounded: bool = True) -> Array:
+    def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """Its jet (collective)."""
         datum, interpolant = self.u_D
         found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
-        if datum.number is None:
+        kept = np.zeros_like(found)
+        for level, quadratic, near in self.levels:
+            missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
+            kept += cut_off(points.linear(near, gradient=gradient), missed)
+        found = found + kept
+        if datum.number is None or self.levels:
             missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
-            found = found + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed)
-        for bound in self.bounds if bounded else []:
+            found = found + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed - kept)
+        for bound in self.bounds:
             found = bound.apply(points, found, gradient=gradient)
         return found
 
@@ -88,11 +95,8 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
     bound = datum.at_nodes(trace.v.function_space, quadratic_nodes(mesh.basix_cell())).x.array
     there = trace.v.function_space.dofmap.list[cells]
     with np.errstate(invalid="ignore", over="ignore"):
-        over = sign * (
-            bound[there].max(axis=1, initial=-np.inf) if sign > 0 else bound[there].min(axis=1, initial=np.inf)
-        )
-        coefficients = trace.v.x.array[there]
-        under = coefficients.min(axis=1, initial=np.inf) if sign > 0 else -coefficients.max(axis=1, initial=-np.inf)
+        over = (sign * bound[there]).max(axis=1, initial=-np.inf)
+        under = (sign * trace.v.x.array[there]).min(axis=1, initial=np.inf)
         needed = float((over - under).max(initial=0.0))
         on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
         on_wall = on_wall.among(near.x.array[dofs].any(axis=1))

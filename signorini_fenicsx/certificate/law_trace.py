@@ -2,12 +2,13 @@
 
 v is quadratic on each cell, except near Γ_D and near parts of Γ_S with bounds of u, the vertical ends of a graph. There
 
-    v = min(max(v_2 + χ_D(u_D − I_hu_D) + v_1, b − ℓ), b' + ℓ)
+    v = min(max(v_2 + χ_a(a − I_ha) + χ_D(u_D − I_hu_D − χ_a(a − I_ha)) + v_1, b − ℓ), b' + ℓ)
 
 for each lower bound b and each upper bound b'. v_2 is quadratic, by Bernstein coefficients between those of I_hb and
-I_hb' on facets with bounds. χ_D and v_1 are linear on each cell; χ_D is 1 on Γ_D, and v_1 moves v by as much as it is
-beyond a bound in sampled points. ℓ is 0 on the facets with the bound and grows from there, so that the bound changes v
-only next to them.
+I_hb' on facets with bounds. χ_a, χ_D and v_1 are linear on each cell. χ_D is 1 on Γ_D. χ_a is 1 in vertices of Γ_S all
+of whose facets are on a steep segment, where u is about a: a bound, or the level outside of a wall. v_1 moves v by as
+much as it is beyond a bound in sampled points. ℓ is 0 on the facets with the bound and grows from there, so that the
+bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
 stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
@@ -37,9 +38,10 @@ from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
+from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     facet_lattice,
     facet_type,
@@ -48,6 +50,8 @@ from signorini_fenicsx.discrete.points import (
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
+RIGID = 1e4
+"""A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""
 STIFF = 1.0
 """A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
 
@@ -60,10 +64,11 @@ class OnGammaS:
         goal: The problem.
         spaces: The discrete spaces.
         segment: The segment of each facet.
-        piece: The sloped or flat segment that v is near on each facet; vertical only if no other is beside.
+        piece: The sloped or flat segment that v is near on each facet; rigid only if no other is beside.
         flux: y·n per facet.
         level: σ·n + βp on the piece, per facet.
         steep: The segments of each facet that hold v: vertical ones, and stiff ones, shape (facets, segments).
+        rigid: Those of them that hold v as vertical ones do.
     """
 
     goal: Goal
@@ -73,20 +78,21 @@ class OnGammaS:
     flux: Array
     level: Array
     steep: Mask
+    rigid: Mask
 
     @classmethod
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
         """Those of a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
         segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
-        piece = goal.pieces(segment, flux - data.q_Sh)
+        height = metric.volume[spaces.cells] / spaces.facet_measure
+        resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
+        steepness = law.slope * (height * resistance)[:, None]
+        piece = goal.pieces(segment, flux - data.q_Sh, steepness > RIGID)
         rows = np.arange(len(piece))
         slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
         level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
-        height = metric.volume[spaces.cells] / spaces.facet_measure
-        resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
-        steep = law.slope * (height * resistance)[:, None] > STIFF
-        return cls(goal, spaces, segment, piece, flux, level, steep)
+        return cls(goal, spaces, segment, piece, flux, level, steepness > STIFF, steepness > RIGID)
 
     def slope(self, at: LawPoints) -> Array:
         """β of the piece in points; 0 on a vertical one."""
@@ -94,20 +100,20 @@ class OnGammaS:
         return np.where(np.isinf(slope), 0.0, slope)
 
     def flux_of_piece(self, at: LawPoints, v: Array) -> tuple[Array, Array]:
-        """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is vertical."""
-        vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.segment)), self.segment])[:, None]
-        slope = np.where(vertical, 0.0, self.slope(at))
-        return slope, np.where(vertical, 0.0, at.on(self.piece)[1] - slope * v)
+        """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is rigid."""
+        rigid = self.rigid[np.arange(len(self.segment)), self.segment][:, None]
+        slope = np.where(rigid, 0.0, self.slope(at))
+        return slope, np.where(rigid, 0.0, at.on(self.piece)[1] - slope * v)
 
     def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
         rows = np.arange(len(self.segment))
         slope, value = nodes.on(self.segment)
-        vertical = np.isinf(self.goal.chains.slope[rows, self.segment])
-        sloped = np.isfinite(slope) & (slope > 0)
-        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
-        stiff = self.steep[rows, self.segment] & ~vertical & sloped.all(axis=1)
-        return np.where(vertical[:, None], value, on_line), vertical, stiff
+        vertical = np.isinf(slope)
+        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=~vertical & (slope > 0))
+        fully = self.rigid[rows, self.segment]
+        nearly = self.steep[rows, self.segment] & ~fully & (slope > 0).all(axis=1)
+        return np.where(vertical, value, on_line), fully, nearly
 
     def ends(self, nodes: LawPoints) -> list[Array]:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
@@ -120,7 +126,7 @@ class OnGammaS:
         steep = np.pad(self.steep, ((0, 0), (1, 1)))
         left, right = steep[rows, piece], steep[rows, piece + 2]
         begin, end = (nodes.trace_at(np.clip(corner, 0, law.corners - 1)) for corner in (piece - 1, piece))
-        only = np.isinf(law.slope[rows, piece])  # no other segment is beside
+        only = self.rigid[rows, piece]  # no other segment is beside
         value = nodes.on(piece)[1]
         begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
         soft_low = np.where((left | only)[:, None], begin, -np.inf)
@@ -131,8 +137,8 @@ class OnGammaS:
         """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
         points, slope = at.points, self.slope(at)
         level = np.where(slope > 0, at.on(self.piece)[1], self.level[:, None])
-        vertical = np.isinf(self.goal.chains.slope[np.arange(len(self.piece)), self.piece])
-        density = np.where(vertical[:, None], 0.0, self.flux[:, None] - level)
+        only = self.rigid[np.arange(len(self.piece)), self.piece]
+        density = np.where(only[:, None], 0.0, self.flux[:, None] - level)
         barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
         first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
         basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
@@ -150,8 +156,8 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
-    values, vertical, stiff = on.held(at_nodes)
-    for some in (stiff, vertical):
+    values, fully, nearly = on.held(at_nodes)
+    for some in (nearly, fully):
         _set_means(v, nodes[some], values[some])
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
@@ -218,23 +224,26 @@ def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest
 
 
 def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
-    """The trace with u_D and the bounds themselves instead of their interpolants (collective)."""
+    """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
     mesh, linear = spaces.mesh, fem.functionspace(spaces.mesh, ("Lagrange", 1))
+    facet_dim = mesh.topology.dim - 1
     near_dirichlet, moved = fem.Function(linear), fem.Function(linear)
-    on_dirichlet = fem.locate_dofs_topological(linear, mesh.topology.dim - 1, spaces.dirichlet_facets)
+    on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
     near_dirichlet.x.array[on_dirichlet] = 1.0
-    trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, [])
-    near = np.zeros_like(near_dirichlet.x.array) if data.u_D.number is not None else near_dirichlet.x.array.copy()
+    trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, _levels(on, v.function_space, linear), [])
+    changed = [near for _, _, near in trace.levels]
+    if data.u_D.number is None or trace.levels:
+        changed.append(near_dirichlet)
     corners = facet_nodes(linear, spaces)
-    known = [data.u_D]
+    known = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
-        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
-            if name is None or (part.data[name].number is not None and data.u_D.number is not None):
+        for sign, name in zip((1.0, -1.0), _bounds(on, part), strict=True):
+            if name is None or (part.data[name].number is not None and not changed):
                 continue
             datum, facets = part.data[name], spaces.facets[part.rows]
             here = fem.Function(linear)
-            here.x.array[fem.locate_dofs_topological(linear, mesh.topology.dim - 1, facets)] = 1.0
+            here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
             fixed = np.isin(corners[part.rows], on_dirichlet).any(axis=1)
@@ -242,21 +251,58 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             moved.x.array[:] += sign * largest_around(linear, corners[part.rows], lacking)
             moved.x.array[on_dirichlet] = 0.0
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
-            near += here.x.array
+            changed.append(here)
             known.append(datum)
+    near = sum((each.x.array for each in changed), np.zeros_like(moved.x.array))
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
     )
-    nowhere, high = np.empty(0, dtype=np.int32), np.full(len(spaces.facets), np.inf)
-    degree = quadrature_degree(*known, data.kappa)
     return Trace(
         v=v,
-        exact=trace if len(known) > 1 or data.u_D.number is None else None,
+        exact=trace if changed else None,
         above=lambda points: trace.jet(points)[:, :, 0],
-        cells=cells if len(known) > 1 or data.u_D.number is None else nowhere,
+        cells=cells,
         at_dirichlet=at_dirichlet,
-        touching=nowhere,
-        lowest=high,
+        touching=np.empty(0, dtype=np.int32),
+        lowest=np.full(len(spaces.facets), np.inf),
         feasible=feasible,
-        degree=degree,
+        degree=quadrature_degree(*known),
     )
+
+
+def _bounds(on: OnGammaS, part: PartLaw) -> list[str | None]:
+    """The data that bound u below and above, at vertical ends of the graph or at rigid ones (collective)."""
+    ends = 0, len(part.law.segments) - 1
+    yielding = np.array([np.count_nonzero(~on.rigid[part.rows, end]) for end in ends])
+    counts = on.spaces.mesh.comm.allreduce(yielding).tolist()
+    levels = [None if count > 0 else part.law.level_of(end) for end, count in zip(ends, counts, strict=True)]
+    return [name or level for name, level in zip(part.law.bounds(), levels, strict=True)]
+
+
+def _levels(
+    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
+) -> list[tuple[Datum, fem.Function, fem.Function]]:
+    """The data that hold u on steep segments, I_h of them, and χ: 1 in vertices all of whose facets they hold.
+
+    Collective. Only data that are not numbers are among them.
+    """
+    spaces, corners = on.spaces, facet_nodes(linear, on.spaces)
+    found = []
+    everywhere = fem.Function(linear)
+    everywhere.x.array[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
+    steep = on.steep[np.arange(len(on.segment)), on.segment]
+    for part in on.goal.parts:
+        for segment in range(len(part.law.segments)):
+            name = part.law.level_of(segment)
+            if name is None or part.data[name].number is not None:
+                continue
+            held = np.zeros(len(steep), dtype=bool)
+            held[part.rows] = (steep & (on.segment == segment))[part.rows]
+            near, quadratic = (
+                fem.Function(linear),
+                part.data[name].at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell())),
+            )
+            near.x.array[:] = everywhere.x.array - largest_around(linear, corners, 1.0 - held)
+            all_edges(space).to_bernstein(quadratic.x.array)
+            found.append((part.data[name], quadratic, near))
+    return found

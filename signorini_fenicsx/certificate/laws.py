@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
@@ -124,14 +124,14 @@ class Goal:
         """Degree of a quadrature on Γ_S."""
         return max(quadrature_degree(*part.data.values(), power=2) for part in self.parts)
 
-    def pieces(self, segment: Kinds, flux: Array) -> Kinds:
-        """The segment near which v is on each facet: its own, or that beside a vertical one which σ·n is nearer to."""
+    def pieces(self, segment: Kinds, flux: Array, rigid: Mask) -> Kinds:
+        """The segment near which v is on each facet: its own, or that beside a rigid one which σ·n is nearer to."""
         law, rows = self.chains, np.arange(len(segment))
         left, right = np.maximum(segment - 1, 0), np.minimum(segment, law.corners - 1)
         above, below = law.flux[rows, left] - flux, flux - law.flux[rows, right]
         before = (segment > 0) & ((segment == law.count) | (above < below))
         beside = np.where(before, segment - 1, np.minimum(segment + 1, law.count))
-        return np.where(np.isinf(law.slope[rows, segment]), beside, segment).astype(np.int8)
+        return np.where(rigid[rows, segment], beside, segment).astype(np.int8)
 
 
 def with_mean(base: Array, low: Array, high: Array, mean: Array, weights: Array) -> Array:

@@ -79,6 +79,10 @@ class Law:
         """The names of the data that are the least and the largest u, if the graph ends in vertical segments."""
         return None, None
 
+    def level_of(self, segment: int) -> str | None:
+        """The name of the datum with which u varies on a vertical or steep segment; None if it is not one datum."""
+        return None
+
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """What the data must not be, in words, and where they are: a number > 0 there."""
         yield from ()
@@ -111,6 +115,10 @@ class Signorini(Law):
     def bounds(self) -> tuple[str | None, str | None]:
         """The lower one is ψ."""
         return "psi", None
+
+    def level_of(self, segment: int) -> str | None:
+        """ψ in contact."""
+        return "psi" if segment == 0 else None
 
 
 @dataclass(frozen=True)
@@ -160,6 +168,10 @@ class TwoSided(Law):
         """Both."""
         return "psi", "psi_upper"
 
+    def level_of(self, segment: int) -> str | None:
+        """The bound that holds u."""
+        return ("psi", None, "psi_upper")[segment]
+
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """Bounds in the wrong order."""
         yield "psi must not be above psi_upper", values["psi"] - values["psi_upper"]
@@ -184,6 +196,10 @@ class Wall(Law):
         """The corner is the reference."""
         corner = values["level"], np.zeros_like(values["level"])
         return Graph(corner, [corner], before=values["beta"])
+
+    def level_of(self, segment: int) -> str | None:
+        """The level outside, where water flows in."""
+        return "level" if segment == 0 else None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """A negative β."""
@@ -214,6 +230,10 @@ class Regulator(Law):
         k, a, low, high = (values[name] for name in ("k", "a", "g_low", "g_high"))
         flux = np.clip(0.0, low, high)
         return Graph((a - flux / k, flux), [(a - high / k, high), (a - low / k, low)])
+
+    def level_of(self, segment: int) -> str | None:
+        """The temperature that is wanted, where the regulator is not at a limit."""
+        return "a" if segment == 1 else None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """A k that is not positive, bounds in the wrong order."""
@@ -266,6 +286,10 @@ class Corners(Law):
             "corners.0.0" if self.before == VERTICAL else None,
             f"corners.{last}.0" if self.beyond == VERTICAL else None,
         )
+
+    def level_of(self, segment: int) -> str | None:
+        """That of the corner before it, or of the first."""
+        return f"corners.{max(segment - 1, 0)}.0"
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """A graph that is not monotone."""
