@@ -41,7 +41,7 @@ is ⟨v − u, (σ − y)n⟩, which is on Γ_C alone and there ⟨v_n − u_n, 
 ⟨−y_nn, g − u_n⟩, because (g − u_n)σ_nn = 0. All terms on the left are ≥ 0.
 """
 
-from ufl import Form, Identity, Measure, div, dot, grad, inner, sym, tr
+from ufl import Form, Identity, Measure, div, grad, inner, sym, tr
 from ufl.core.expr import Expr
 
 
@@ -69,11 +69,6 @@ def stress_product(sigma: Expr, tau: Expr, mu2: Expr, theta: Expr, dx: Measure) 
 def hellinger_reissner(sigma: Expr, u: Expr, tau: Expr, v: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
     """(𝔸σ, τ) + (u, ∇·τ) + (∇·σ, v): on a cell the left sides of the hybrid form."""
     return stress_product(sigma, tau, mu2, theta, dx) + inner(u, div(tau)) * dx + inner(div(sigma), v) * dx
-
-
-def traction_work(u: Expr, sigma: Expr, n: Expr, ds: Measure) -> Form:
-    """⟨u, σn⟩."""
-    return inner(u, dot(sigma, n)) * ds
 
 
 def strain_energy(u: Expr, v: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:

@@ -8,7 +8,6 @@ a wall, a regulator or a random monotone graph, with data that vary along the pa
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import argparse
 import sys
 import time
 from collections import Counter
@@ -16,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
-from random_problems import Result, distance, distort, random_case, random_data
+from random_problems import Result, distance, distort, random_case, random_data, seeds_asked_for
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tolerances import KKT
@@ -114,13 +113,9 @@ def examine(seed: int) -> Result | None:
 
 def main() -> int:
     """Examine the seeds and print each problem that is not as it should be; 1 if a solution is wrong."""
-    arguments = argparse.ArgumentParser(description=main.__doc__)
-    arguments.add_argument("--seeds", type=int, default=300)
-    arguments.add_argument("--first", type=int, default=0)
-    options = arguments.parse_args()
     counts: Counter[str] = Counter()
     began, worst_kkt, worst = time.monotonic(), 0.0, 0.0
-    for seed in range(options.first, options.first + options.seeds):
+    for seed in seeds_asked_for(main.__doc__):
         result = examine(seed)
         if result is None:
             counts["without a unique solution"] += 1

@@ -170,15 +170,20 @@ def distance(found: fem.Function, expected: fem.Function) -> float:
     return float(np.abs(a - b).max(initial=0.0) / largest) if largest > 0 else 0.0
 
 
-def main() -> int:
-    """Examine the seeds and print each problem with a wrong result; return 1 if there is one."""
-    arguments = argparse.ArgumentParser(description=main.__doc__)
+def seeds_asked_for(about: str | None) -> range:
+    """The seeds of the command line, 300 from 0 by default."""
+    arguments = argparse.ArgumentParser(description=about)
     arguments.add_argument("--seeds", type=int, default=300)
     arguments.add_argument("--first", type=int, default=0)
     options = arguments.parse_args()
+    return range(options.first, options.first + options.seeds)
+
+
+def main() -> int:
+    """Examine the seeds and print each problem with a wrong result; return 1 if there is one."""
     counts: Counter[str] = Counter()
     began, worst_kkt, worst = time.monotonic(), 0.0, 0.0
-    for seed in range(options.first, options.first + options.seeds):
+    for seed in seeds_asked_for(main.__doc__):
         result = examine(seed)
         counts["good" if result.good else "bad"] += 1
         counts["by single changes"] += "single facets" in result.ending

@@ -13,7 +13,8 @@ from signorini_fenicsx.cases.elastic_case import ElasticCase, solve_elastic_case
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.cli.common import failure_kept, results_place
-from signorini_fenicsx.cli.report import Report
+from signorini_fenicsx.cli.report import Report, named
+from signorini_fenicsx.cli.solution_report import bounds_in_words
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.elastic import write_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -44,14 +45,14 @@ class ElasticReport(Report):
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['contact_facets']} Γ_C facets",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             "contact": f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}",
-            "norms": _named(summary["norms"], ".6g"),
+            "norms": named(summary["norms"], ".6g"),
             "forces": f"{'  '.join(forces)}; all together {np.abs(total).max():.1e}",
-            "KKT": _named(summary["kkt"], ".1e"),
+            "KKT": named(summary["kkt"], ".1e"),
         }
         if "errors" in summary:
-            lines["errors"] = _named(summary["errors"], ".4e")
+            lines["errors"] = named(summary["errors"], ".4e")
         lines["certified"] = bound(certificate)
-        lines["seconds"] = _named(summary["timings"], ".2f")
+        lines["seconds"] = named(summary["timings"], ".2f")
         self.entries(lines)
 
 
@@ -59,17 +60,9 @@ def bound(certificate: Certificate) -> str:
     """The error bound in words, and why it is not guaranteed if it is not."""
     if not np.isfinite(certificate.bound):
         return "no error bound: what is given of u passes the foundation"
-    parts = "gap {gap:.3e}, oscillation {oscillation:.1e}, remainder {remainder:.1e}".format(**certificate.summary())
     names = ", ".join(certificate.by_quadrature)
     why = f"; not guaranteed: {names} not in the discrete spaces" if names else ""
-    return (
-        f"energy error ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
-        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts}){why}"
-    )
-
-
-def _named(values: dict[str, float], form: str) -> str:
-    return "  ".join(f"{name} {value:{form}}" for name, value in values.items())
+    return f"energy error {bounds_in_words(certificate)}{why}"
 
 
 def _row(values: list[float]) -> str:

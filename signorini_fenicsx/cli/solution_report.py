@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
+from signorini_fenicsx.cli.report import named
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.solving.solution import Solution
 
@@ -52,25 +53,25 @@ class SolutionReport(CaseReport):
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
-            "norms": "  ".join(f"{name} {value:.6g}" for name, value in summary["norms"].items()),
-            "KKT": "  ".join(f"{name} {value:.1e}" for name, value in summary["kkt"].items()),
+            "norms": named(summary["norms"], ".6g"),
+            "KKT": named(summary["kkt"], ".1e"),
         }
         for part, segments in summary.get("segments", {}).items():
             counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
             lines[f"on {part}"] = f"facets on each segment: {counts}"
         if "errors" in summary:
-            lines["errors"] = "  ".join(f"{name} {value:.4e}" for name, value in summary["errors"].items())
+            lines["errors"] = named(summary["errors"], ".4e")
         if "violation" in summary:
-            left = "  ".join(f"{VIOLATIONS[name]} {value:.3e}" for name, value in summary["violation"].items())
+            left = named({VIOLATIONS[name]: value for name, value in summary["violation"].items()}, ".3e")
             lines["ε"] = f"{summary['eps']:g} leaves {left}"
         if "own_residual" in summary:
             lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
         if summary["details"]:
-            lines["chosen"] = "  ".join(f"{DETAILS[name]} {value:.6g}" for name, value in summary["details"].items())
+            lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
         lines["certified"] = bound(certificate)
         if proof is not None and proof.proven is not None:
             lines["proved"] = proved(proof.proven, proof.seconds)
-        lines["seconds"] = "  ".join(f"{name} {value:.2f}" for name, value in summary["timings"].items())
+        lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
 
@@ -80,11 +81,16 @@ def bound(certificate: Certificate) -> str:
     if not math.isfinite(certificate.bound):
         reasons = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
         return f"no error bound: {reasons}{_reservation(certificate)}"
-    parts = ", ".join(f"{words} {getattr(certificate, name):.1e}" for name, words in PARTS.items())
     of = " to the exact solution of the penalty problem" if certificate.of_penalty else ""
+    return f"energy error{of} {bounds_in_words(certificate)}{_reservation(certificate)}"
+
+
+def bounds_in_words(certificate: Certificate) -> str:
+    """The bounds of a certificate and what they are made of."""
+    parts = ", ".join(f"{words} {getattr(certificate, name):.1e}" for name, words in PARTS.items())
     return (
-        f"energy error{of} ≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
-        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts}){_reservation(certificate)}"
+        f"≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
+        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
     )
 
 

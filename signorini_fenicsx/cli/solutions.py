@@ -32,7 +32,10 @@ from signorini_fenicsx.cli.options import (
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.certificate.certify import Certificate
     from signorini_fenicsx.methods.history import Step
+    from signorini_fenicsx.rigorous.proof import Proof
+    from signorini_fenicsx.solving.solution import Solution
 
 MIN_THETA = 1e-3
 
@@ -73,7 +76,6 @@ def solve(
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
-    from signorini_fenicsx.rigorous.proof import proof_of
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
 
@@ -97,7 +99,7 @@ def solve(
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
-        proof = proof_of(solution, certificate.v) if rigorous else None
+        proof = _proof(solution, certificate) if rigorous else None
         write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
         folder.publish()
         report.solution(solution, certificate, proof)
@@ -105,6 +107,13 @@ def solve(
         report.summary(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def _proof(solution: "Solution", certificate: "Certificate") -> "Proof":
+    """The proof of a bound, whose library takes a second to load (collective)."""
+    from signorini_fenicsx.rigorous.proof import proof_of
+
+    return proof_of(solution, certificate.v)
 
 
 def _check_provable(case: "Case") -> None:

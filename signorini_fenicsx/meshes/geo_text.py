@@ -218,8 +218,11 @@ def _plain(statements: _Statements, index: int) -> int:
             f"line {token.line}: '{statements.text(index - 1)}.{statements.text(index + 1)}' is not allowed: the only "
             "options are those of Mesh and Geometry that are numbers"
         )
-    chosen = "?" in map(statements.text, range(index - 9, index))  # then the colon belongs to a ? b : c
-    if token.text == ":" and not chosen and max(map(statements.number, (index - 1, index + 1))) > LARGEST_IN_RANGE:
+    if (
+        token.text == ":"
+        and max(map(statements.number, (index - 1, index + 1))) > LARGEST_IN_RANGE
+        and "?" not in map(statements.text, range(index - 9, index))  # after which the colon belongs to a ? b : c
+    ):
         raise InputError(f"line {token.line}: numbers beside ':' are at most {LARGEST_IN_RANGE:g}")
     if token.kind == "word":
         _check_word(statements, index)

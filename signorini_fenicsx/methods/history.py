@@ -84,6 +84,21 @@ class Outcome:
     rough_steps: int = 0
     kkt: KKTResiduals | None = None
 
+    @classmethod
+    def interrupted(cls, by: LoopInterruption, backend: str, dofs: int = 0, linear_solver: str = "interrupted") -> Self:
+        """The last state of a run that was told to end; the last two where they are known."""
+        iterate, conditions, history = by.state
+        return cls(
+            iterate=iterate,
+            conditions=conditions,
+            history=history,
+            reason=str(by),
+            converged=False,
+            backend=backend,
+            dofs=dofs,
+            linear_solver=linear_solver,
+        )
+
     def ended(self, failure: str | None) -> Self:
         """The outcome after its residuals have been judged."""
         return replace(self, converged=failure is None, reason=failure or self.reason)

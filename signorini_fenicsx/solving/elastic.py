@@ -85,10 +85,7 @@ def solve_elastic(
         try:
             outcome = iterate_sets(backend, rule, parameters, start=first, on_step=on_step)
         except LoopInterruption as interruption:
-            iterate, conditions, history = interruption.state
-            outcome = Outcome(
-                iterate, conditions, history, str(interruption), False, backend.name, backend.dofs, backend.solver()
-            )
+            outcome = Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
     with watch.phase("kkt"):
         kkt = elastic_kkt(spaces, data, spaces.split.values(outcome.iterate.sigma), outcome.iterate.p)
         PETSc.garbage_cleanup(domain.mesh.comm)  # in parallel PETSc only queues what Python lets go

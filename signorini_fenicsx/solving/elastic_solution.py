@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition
@@ -20,15 +19,15 @@ from signorini_fenicsx.discrete.errors import EXACT_CONTACT
 from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.methods.history import Outcome
-from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solved import Solved
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
 
 
-@dataclass(frozen=True)
-class ElasticSolution:
+@dataclass(frozen=True, repr=False)
+class ElasticSolution(Solved):
     """A discrete elastic solution and how it was found.
 
     Attributes:
@@ -58,32 +57,6 @@ class ElasticSolution:
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
-
-    @property
-    def sigma(self) -> fem.Function:
-        """Stress σ_h: symmetric, linear on each subcell, on `spaces.split.mesh`."""
-        return self.outcome.iterate.sigma
-
-    @property
-    def u(self) -> fem.Function:
-        """Displacement u_h, linear on each cell."""
-        return self.outcome.iterate.u
-
-    @property
-    def converged(self) -> bool:
-        """Whether the sets repeated and all residuals are small."""
-        return self.outcome.converged
-
-    @property
-    def method(self) -> Method:
-        """The method that solved it."""
-        return self.options.method
-
-    def __repr__(self) -> str:
-        cells = self.spaces.scalar.Q.dofmap.index_map.size_global
-        ended = "converged" if self.converged else "failed"
-        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {len(self.outcome.history)} iterations"
-        return f"<ElasticSolution of {self.name}: {about}>"
 
     @cached_property
     def stresses(self) -> Array:

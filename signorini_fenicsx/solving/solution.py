@@ -27,8 +27,8 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.history import Outcome
-from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,8 +48,8 @@ class PointValues(NamedTuple):
     sigma: Array
 
 
-@dataclass(frozen=True)
-class Solution:
+@dataclass(frozen=True, repr=False)
+class Solution(Solved):
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
 
     A notebook shows it as a table and a picture. Some examples:
@@ -100,32 +100,6 @@ class Solution:
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
-
-    @property
-    def sigma(self) -> fem.Function:
-        """Flux σ_h in RT0."""
-        return self.outcome.iterate.sigma
-
-    @property
-    def u(self) -> fem.Function:
-        """u_h in P0."""
-        return self.outcome.iterate.u
-
-    @property
-    def converged(self) -> bool:
-        """Whether the facet sets repeated and all residuals are small."""
-        return self.outcome.converged
-
-    @property
-    def method(self) -> Method:
-        """The method that solved it."""
-        return self.options.method
-
-    def __repr__(self) -> str:
-        cells = self.spaces.Q.dofmap.index_map.size_global
-        ended = "converged" if self.converged else "failed"
-        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {len(self.outcome.history)} iterations"
-        return f"<Solution of {self.name}: {about}>"
 
     def _repr_html_(self) -> str | None:
         """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""

@@ -200,17 +200,7 @@ def _run(task: Task, options: Options) -> Outcome:
     try:
         return options.method.run(task)
     except LoopInterruption as interruption:
-        iterate, conditions, history = interruption.state
-        return Outcome(
-            iterate=iterate,
-            conditions=conditions,
-            history=history,
-            reason=str(interruption),
-            converged=False,
-            backend=options.backend_name,
-            dofs=0,
-            linear_solver="interrupted",
-        )
+        return Outcome.interrupted(interruption, options.backend_name)
 
 
 def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
