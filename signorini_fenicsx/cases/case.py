@@ -19,7 +19,7 @@ from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, W
 from signorini_fenicsx.discrete.given import Given
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
-from signorini_fenicsx.meshes.domain import coordinate_element
+from signorini_fenicsx.meshes.domain import coordinate_element, other_side
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
 from signorini_fenicsx.methods.registry import METHODS, Method
@@ -178,7 +178,9 @@ class CaseFile(Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        self.parts.check(list(shape.parts), self.geometry.name)
+        lower = {other_side(name) for name, part in shape.parts.items() if part.side > 0}
+        inside = [name for name, part in shape.parts.items() if part.side > 0]
+        self.parts.check([name for name in shape.parts if name not in lower], self.geometry.name, inside)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -223,6 +225,12 @@ class Case(CaseFile):
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
         self.parts.refuse_repetition()
+        for part in self.boundary.inner:
+            if part not in self.law_parts:
+                raise ValueError(f"[boundary] inner: '{part}' needs a [[law]] between the jump of u and σ·n")
+        for part in self.boundary.sides:
+            if part not in self.boundary.inner or self.geometry.file is None:
+                raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
         if not self.boundary.signorini and not self.law:
             raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
         return self

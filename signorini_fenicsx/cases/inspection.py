@@ -11,6 +11,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
+from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
@@ -116,7 +117,8 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
     with doing("mesh"):
         domain = mesh_case(case, comm)
     with doing("assembly"):
-        spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
+        boundary = boundary_of(case)
+        spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
     topology = domain.mesh.topology
     counts = [

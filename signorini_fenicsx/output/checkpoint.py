@@ -169,7 +169,7 @@ def load_solution(
     marks, is_shape = _marks(about, arrays, dim), found.shape is not None
     domain = marked_domain(mesh, _parts(found), marks, curvature=about.bend, name=found.domain, is_shape=is_shape)
     boundary = gamma_s(boundary, problem)
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
     sigma, u = _fields(spaces, arrays)
     sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux
