@@ -10,7 +10,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.jumps import with_jumps
+from signorini_fenicsx.backends.jumps import jumps_of_facets
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
@@ -52,13 +52,12 @@ class FacetSystem:
         self.space = spaces.crouzeix_raviart
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
-        numbers = self.space.dofmap.index_map
-        self.dofs = numbers.size_global
+        self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
         self._named = self.trace_dofs[spaces.inner.rows]
         self._across = cells_and_dofs(self.space, spaces.inner.facets)[1]
-        basis = with_jumps(spaces, numbers.size_local, self._named, self._across)
-        self._operator = ConstrainedMatrix(spaces.kept(_stiffness, data.kappa_h), PETSc.Mat.Option.SPD, basis)
+        form = spaces.kept(_stiffness, data.kappa_h)
+        self._operator = ConstrainedMatrix(form, PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
         self.matrix = self._operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)

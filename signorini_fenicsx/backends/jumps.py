@@ -10,29 +10,28 @@ jump.
 """
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from signorini_fenicsx.discrete.matrices import identity_with
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 
 
-def with_jumps(
-    spaces: Spaces, size: int, named: npt.NDArray[np.int32], across: npt.NDArray[np.int32]
-) -> PETSc.Mat | None:
-    """The matrix from (jump, u⁻) to (u⁺, u⁻); None without inner facets (collective).
+def jumps_of_facets(spaces: Spaces, *, back: bool = False) -> PETSc.Mat | None:
+    """The matrix from (jump, u⁻) to (u⁺, u⁻) in Crouzeix-Raviart functions, or its inverse (collective).
+
+    None without inner facets.
 
     Args:
         spaces: The discrete spaces.
-        size: Number of owned unknowns.
-        named: Owned unknowns of the named sides.
-        across: Those of the other sides.
+        back: Whether it is the inverse.
     """
     if not spaces.inner.present:
         return None
-    comm = spaces.mesh.comm
-    first = int(comm.exscan(size) or 0)
-    return identity_with(comm, size, first + named, first + across, np.ones(len(named)))
+    space, comm, inner = spaces.crouzeix_raviart, spaces.mesh.comm, spaces.inner
+    numbers = space.dofmap.index_map
+    facets = spaces.facets[inner.rows], inner.facets
+    named, across = (numbers.local_range[0] + cells_and_dofs(space, some)[1] for some in facets)
+    return identity_with(comm, numbers.size_local, named, across, np.full(len(named), -1.0 if back else 1.0))
 
 
 def with_one_flux(spaces: Spaces, size: int) -> PETSc.Mat | None:

@@ -170,10 +170,7 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
     residual = assembled(spaces.kept(_flux_residual, data.kappa_h, sigma, u, p, data.u_lift))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
-    if spaces.inner.present:  # the two sides of an inner facet have one equation for their common flux
-        across, opposite = spaces.across
-        residual[spaces.flux_dofs[spaces.inner.rows]] += opposite * residual[across]
-        residual[across] = 0.0
+    spaces.join_across(residual)
     size = spaces.V.dofmap.index_map.size_local
     owned = residual[:size]
     M = spaces.mass_diagonal[:size]

@@ -125,6 +125,16 @@ class Spaces:
             sigma.x.array[dofs] = opposite * sigma.x.array[self.flux_dofs[self.inner.rows]]
             sigma.x.scatter_forward()
 
+    def join_across(self, values: Array) -> None:
+        """Make of a linear function of σ, given in all degrees of freedom, one of fluxes equal on both sides, in place.
+
+        Collective when first used. The other sides of inner facets get 0.
+        """
+        if self.inner.present:
+            dofs, opposite = self.across
+            values[self.flux_dofs[self.inner.rows]] += opposite * values[dofs]
+            values[dofs] = 0.0
+
     @cached_property
     def cell_measures(self) -> Array:
         """|T| of the owned cells; there are no ghosts."""

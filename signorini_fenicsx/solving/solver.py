@@ -261,6 +261,9 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
     method = options.method
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    if spaces.inner.present and not method.takes_inner:
+        usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
+        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
