@@ -43,6 +43,7 @@ class Scene:
         contact: Condition on the facets in contact.
         segments: Names of the segments of all laws, if there are others than the Signorini law.
         history: Steps of the algorithm.
+        strength: What |σ_h| is called.
     """
 
     title: str
@@ -55,6 +56,7 @@ class Scene:
     contact: Condition
     segments: list[str]
     history: list[Step]
+    strength: str = r"$|\sigma_h|$"
 
     @property
     def dim(self) -> int:
