@@ -60,6 +60,7 @@ def _draw_u(path: Path, plane: Plane) -> None:
     title = "head of water $H = -u_h$" if plane.water else "$u_h$"
     plane.draw_u(figure, axes, title if plane.wide else f"(a) {title}")
     style.legend_below(figure, plane.handles())
+    _lay_out(figure)
     style.save(figure, path)
 
 
@@ -115,5 +116,10 @@ def _overview(plane: Plane) -> style.Page:
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     style.legend_below(figure, [*plane.handles(), *traces.handles(scene), *axes.get_legend_handles_labels()[0]], 6)
-    figure.get_layout_engine().execute(figure)  # twice: the ticks it makes room for are those of the size before
+    _lay_out(figure)
     return figure
+
+
+def _lay_out(figure: Figure) -> None:
+    """Arrange the panels once before they are drawn: the layout makes room for the ticks of the sizes before."""
+    figure.get_layout_engine().execute(figure)
