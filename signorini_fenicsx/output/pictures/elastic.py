@@ -42,6 +42,7 @@ def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | N
         segments=[],
         history=solution.outcome.history,
         strength="von Mises stress",
+        gamma=r"$\Gamma_C$",
     )
 
 

@@ -225,7 +225,7 @@ class Space:
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S."""
-        return [Patch(color=group.colour, label=rf"$\Gamma_S$, {group.name}") for group in self.scene.groups]
+        return [Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in self.scene.groups]
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
