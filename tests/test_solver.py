@@ -209,4 +209,4 @@ def test_a_study_over_eps_is_set_up_once(folder: Path, monkeypatch: pytest.Monke
     case = make_case(folder, parts=["bottom"], f="20*(x - 0.6)", h=0.2).with_values({"solve.algorithm": "alg3"})
     rows = convergence_study(case, Vary.EPS, [1, 2, 3], 0)
     assert len(made) == 1
-    assert rows[0].sigma_V > rows[1].sigma_V > rows[2].sigma_V
+    assert rows[0].errors["sigma_V"] > rows[1].errors["sigma_V"] > rows[2].errors["sigma_V"]
