@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.meshes.domain import Domain, other_side
+from signorini_fenicsx.meshes.domain import Domain, facet_pairs
 
 
 @dataclass(frozen=True)
@@ -29,21 +27,15 @@ class InnerFacets:
 
 
 def inner_facets(domain: Domain, facets: npt.NDArray[np.int32], inner: Sequence[str]) -> InnerFacets:
-    """Those of the Γ_S facets of this rank that are on inner parts, each with the one that lies on it.
+    """Those of the Γ_S facets of this rank that are on inner parts, each with the one that lies on it (collective).
 
-    Both have the same vertices but for their numbers, and so exactly the same sums of coordinates.
+    Raises:
+        InputError: If the two sides of an inner part do not consist of the same facets on each rank.
     """
     rows, across = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.int32)]
     for name in inner:
-        row = np.flatnonzero(np.isin(facets, domain.facets[name]))
-        other = domain.facets[other_side(name)]
-        here, there = (np.lexsort(_places(domain.mesh, some).T) for some in (facets[row], other))
-        rows.append(row[here])
-        across.append(other[there])
+        named, other = facet_pairs(domain, name)
+        order = np.argsort(facets)
+        rows.append(order[np.searchsorted(facets[order], named)])
+        across.append(other)
     return InnerFacets(np.concatenate(rows), np.concatenate(across), bool(inner))
-
-
-def _places(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
-    """Sums of the coordinates of the vertices of facets; they identify a facet."""
-    nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
-    return np.asarray(np.sort(mesh.geometry.x[nodes], axis=1).sum(axis=1), dtype=np.float64)

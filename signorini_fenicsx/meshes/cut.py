@@ -11,7 +11,8 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours, rows_of
+from signorini_fenicsx.base.rows import rows_of
+from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.seams import unit_normals
 

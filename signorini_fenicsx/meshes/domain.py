@@ -14,7 +14,7 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import fetch_rows, marked_rows
+from signorini_fenicsx.base.rows import fetch_rows, find_rows
 
 AXES = "xyz"
 
@@ -157,28 +157,36 @@ def distribute(
         cells: Some cells on each rank, by the numbers of their points.
         dim: Dimension.
         stay: Leave each cell on the rank that gives it; otherwise DOLFINx chooses a partition with few neighbours.
-        together: Pairs of cells of this rank, by their place in `cells`, that go to the same rank; None on all ranks
-            if there are none.
+        together: Pairs of cells that go to the same rank, numbered like the points; all ranks may list some. None on
+            all ranks if there are none.
     """
     default = dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none, 2)  # type: ignore[call-arg]  # overload
 
     def chosen(*graph: Any) -> object:
         ranks = np.full(len(cells), comm.rank, dtype=np.int32) if stay else default(*graph).array.copy()
         if together is not None:
-            _bring_together(ranks, together)
+            _bring_together(comm, ranks, together)
         return dolfinx.graph.adjacencylist(ranks[:, None])._cpp_object
 
     own = stay or together is not None
     return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, chosen if own else None)
 
 
-def _bring_together(ranks: npt.NDArray[np.int32], pairs: Indices) -> None:
-    """Give the cells of each pair the lower one of their ranks, in place, until all pairs agree."""
-    one, other = pairs.T
-    while np.any(ranks[one] != ranks[other]):
-        lower = np.minimum(ranks[one], ranks[other])
-        for cells in (one, other):
-            np.minimum.at(ranks, cells, lower)
+def _bring_together(comm: MPI.Comm, ranks: npt.NDArray[np.int32], pairs: Indices) -> None:
+    """Give the cells of each pair the lower one of their ranks, in place, until all pairs agree (collective)."""
+    pairs = np.concatenate(comm.allgather(pairs))
+    cells, place = np.unique(pairs, return_inverse=True)
+    one, other = place.reshape(pairs.shape).T
+    own = cells - sum(comm.allgather(len(ranks))[: comm.rank])
+    here = (own >= 0) & (own < len(ranks))
+    lowest = np.full(len(cells), comm.size, dtype=np.int32)
+    lowest[here] = ranks[own[here]]
+    comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
+    while np.any(lowest[one] != lowest[other]):
+        lower = np.minimum(lowest[one], lowest[other])
+        for ends in (one, other):
+            np.minimum.at(lowest, ends, lower)
+    ranks[own[here]] = lowest[here]
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
@@ -224,7 +232,7 @@ def found(
     Returns:
         For each name the facets of this rank, ascending.
     """
-    inside = marked_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values()))
+    inside = find_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values())) >= 0
     return {name: among[inside[:, column]] for column, name in enumerate(marked)}
 
 
@@ -232,6 +240,35 @@ def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> In
     """Vertices of facets of this rank, ascending, in the original numbering of the mesh, shape (facets, dim)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
     return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
+
+
+def facet_pairs(domain: Domain, name: str) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """The facets of an inner part on this rank, and the one of the other side that lies on each (collective).
+
+    Both have the same vertices but for their numbers, and so exactly the same sums of coordinates.
+
+    Raises:
+        InputError: If the sides do not consist of the same facets on each rank.
+    """
+    mesh = domain.mesh
+    sides = [domain.facets[part] for part in (name, other_side(name))]
+    nodes = [dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets) for facets in sides]
+    places = [np.sort(mesh.geometry.x[some], axis=1).sum(axis=1).reshape(-1, 3) for some in nodes]
+    orders = [np.lexsort(some.T) for some in places]
+    first, second = (some[order] for some, order in zip(places, orders, strict=True))
+    same = np.array_equal(first, second)
+    if not mesh.comm.allreduce(same, MPI.LAND):
+        raise InputError(f"the two sides of '{name}' do not consist of the same facets")
+    named, across = (facets[order] for facets, order in zip(sides, orders, strict=True))
+    return named, across
+
+
+def cells_behind(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """The cell behind each boundary facet."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    links = mesh.topology.connectivity(dim - 1, dim)
+    return np.asarray(links.array[links.offsets[facets]], dtype=np.int32)
 
 
 def membership(domain: Domain) -> Mask:

@@ -112,7 +112,8 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
 
 def _opened(shape_name: str, points: Array, cells: Indices) -> tuple[Array, Indices, Indices | None]:
     """The mesh of a named shape, cut along its inner parts, and the pairs of cells there, see `distribute`."""
-    inner = [part for part in SHAPES[shape_name].parts.values() if part.side > 0]
+    shape = SHAPES[shape_name]
+    inner = [shape.parts[name] for name in shape.inside]
     if not inner:
         return points, cells, None
     everything, along = faces(cells), np.zeros((points.shape[1], len(points)))

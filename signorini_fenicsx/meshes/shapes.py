@@ -47,6 +47,16 @@ class Shape:
     outline: Callable[[], None]
     grid: Callable[[float, str, Share], Simplices] | None = None
 
+    @property
+    def names(self) -> list[str]:
+        """The parts, each inner one once."""
+        return [name for name, part in self.parts.items() if part.side >= 0]
+
+    @property
+    def inside(self) -> list[str]:
+        """The inner parts."""
+        return [name for name, part in self.parts.items() if part.side > 0]
+
 
 def _plane(axis: int, value: float) -> NamedPart:
     other = 1 - min(axis, 1)
