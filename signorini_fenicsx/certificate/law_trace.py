@@ -12,6 +12,9 @@ bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
 stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
+
+On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
+jump, see `discrete.nodes`. Bounds there are polynomials, which coefficients obey, so that only v_2 has a jump.
 """
 
 from __future__ import annotations
