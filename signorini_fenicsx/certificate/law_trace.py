@@ -36,7 +36,7 @@ from signorini_fenicsx.certificate.admissible_trace import (
     Trace,
     averaged,
 )
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey, with_jumps
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
@@ -46,7 +46,6 @@ from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.nodes import Jumps, facet_nodes, largest_around
 from signorini_fenicsx.discrete.points import (
-    Points,
     facet_lattice,
     facet_type,
     quadratic_nodes,
@@ -54,8 +53,6 @@ from signorini_fenicsx.discrete.points import (
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
-QUADRATIC = 2
-"""Largest degree of bounds of jumps."""
 RIGID = 1e4
 """A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""
 STIFF = 1.0
@@ -200,27 +197,9 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     jump = v.copy()
     jump.x.array[tips] = 0.0
     jumps.undone(v)
-    feasible = feasible and jumps.alone and _within_coefficients(on)
+    feasible = feasible and jumps.alone and jumps_obey(goal.parts, spaces)
     trace = _with_exact_data(on, data, v, u_D, feasible=feasible)
-    return replace(trace, above=partial(_with_jumps, spaces, trace, jump))
-
-
-def _with_jumps(spaces: Spaces, trace: Trace, jump: fem.Function, points: Points) -> Array:
-    """v, or its jump, in points of all facets of Γ_S (collective)."""
-    found = trace.above(points)
-    found[spaces.inner.rows] = points.quadratic(jump)[spaces.inner.rows, :, 0]
-    return found
-
-
-def _within_coefficients(on: OnGammaS) -> bool:
-    """Whether bounds of jumps are polynomials that coefficients of quadratics obey (collective)."""
-    inner = on.spaces.inner.rows
-    return all(
-        name is None or ((degree := part.data[name].polynomial) is not None and degree <= QUADRATIC)
-        for part in on.goal.parts
-        if max(on.spaces.mesh.comm.allgather(bool(np.isin(part.rows, inner).any())))
-        for name in part.law.bounds()
-    )
+    return replace(trace, above=partial(with_jumps, spaces, trace.above, jump))
 
 
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
