@@ -144,8 +144,10 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
     with doing("assembly"):
         contact = "signorini"
         if isinstance(case, ElasticCase):
-            contact, elastic = "contact", build_elastic_spaces(domain, case.boundary.read())
-            check_rigid_motions(elastic, elastic_data(elastic, case.data()))
+            problem = case.data()
+            boundary_of_body = case.boundary.read().touching_on(problem.rough)
+            contact, elastic = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
+            check_rigid_motions(elastic, elastic_data(elastic, problem))
             spaces = elastic.scalar
         else:
             boundary = boundary_of(case)
