@@ -15,13 +15,10 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving.solver import check_solvability
 
-FACETS_PER_CELL = {2: 1.5, 3: 2.0}
-PROCESS_BYTES = 180 * 2**20
-BYTES_PER_FACET = {2: 830.0, 3: 940.0}
-"""For alg1 to alg4 with the hybrid backend, certificate and output included; measured on at least 395 000 facets."""
 SOLVER_RATE = {2: 177e3, 3: 196e3}
 """Facets per second and core from the assembled problem to the solution; see docs/measured/speed.md."""
 RUN_RATE = 5e4

@@ -73,8 +73,8 @@ def write_solution(
         folder: The folder; files with the same names are overwritten.
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
-        plot: Also draw PNGs.
-        html: Also write `solution.html`, pictures that the mouse can turn.
+        plot: Also draw PNGs, if one rank can draw the mesh, see `is_drawable`.
+        html: Also write `solution.html`, pictures that the mouse can turn; likewise.
         fields: Also write the fields for ParaView.
 
     Raises:
@@ -87,7 +87,7 @@ def write_solution(
         comm = solution.spaces.mesh.comm
         write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
         write_table_of_facets(folder, solution)
-        if plot or html:
+        if (plot or html) and is_drawable(solution):
             with doing("drawing"):
                 draw(folder, solution, certificate, plot=plot, html=html)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
@@ -101,6 +101,11 @@ def write_solution(
             summary["certificate"] |= proof.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
+
+
+def is_drawable(solution: Solution) -> bool:
+    """Whether one rank can draw the mesh."""
+    return bool(solution.spaces.Q.dofmap.index_map.size_global <= solution.options.tuning.on_one_rank_up_to)
 
 
 def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
@@ -151,8 +156,13 @@ def write_convergence(
 
 
 def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
-    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
-    table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective).
+
+    There is no `mesh.png` if one rank cannot draw the mesh.
+    """
+    table = cells = boundary = None
+    if is_drawable(solution):
+        table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
 
     def write() -> None:
         from signorini_fenicsx.output import pictures
