@@ -20,8 +20,9 @@ Solving it:
 
 Elastic contact:
 
-- `ElasticBoundary` and `ElasticProblem` say what is given; `solve_elastic` gives an `ElasticSolution`;
-- `certify_elastic` bounds its error, `write_elastic` writes its files.
+- `ElasticBoundary` and `ElasticProblem` say what is given, `Friction` and `Coulomb` are laws of friction;
+- `solve_elastic` gives an `ElasticSolution`;
+- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too.
 
 Algorithms and backends, and how to replace them:
 
@@ -48,6 +49,7 @@ __all__ = [
     "Boundary",
     "Condition",
     "Corners",
+    "Coulomb",
     "Data",
     "Domain",
     "ElasticBoundary",
@@ -89,7 +91,6 @@ __all__ = [
     "solve",
     "solve_case",
     "solve_elastic",
-    "write_elastic",
     "write_solution",
 ]
 

@@ -82,7 +82,7 @@ from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.laws import (
     Corners,
     Friction,
@@ -102,7 +102,6 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.elastic import write_elastic
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -116,6 +115,7 @@ __all__ = [
     "Boundary",
     "Condition",
     "Corners",
+    "Coulomb",
     "Data",
     "Domain",
     "ElasticBoundary",
@@ -156,6 +156,5 @@ __all__ = [
     "solve",
     "solve_case",
     "solve_elastic",
-    "write_elastic",
     "write_solution",
 ]

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.gather import (
     Boundary,
     FacetTable,
@@ -22,6 +24,7 @@ from signorini_fenicsx.output.gather import (
     gather_marks,
 )
 from signorini_fenicsx.output.pictures import overview, scene_of, style, traces
+from signorini_fenicsx.output.pictures.curves import draw_steps
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.streams import on_grid
@@ -67,6 +70,7 @@ def assert_drawn(results: Path):
         colours = np.round(255 * image[..., :3]).astype(int) @ [1, 256, 65536]
         assert len(np.unique(colours)) > 200, name  # not blank
         assert 0.3 < image[..., :3].mean() < 0.995
+        assert all(side[..., :3].min() > 0.99 for side in (image[:4], image[-4:], image[:, :4], image[:, -4:])), name
     page = (results / "solution.html").read_text(encoding="utf-8")
     assert len(page.encode()) < 10_000_000
     assert not re.search(r"<(script|link|img)[^>]*(src|href)=", page)  # nothing from a network
@@ -75,7 +79,7 @@ def assert_drawn(results: Path):
 
 def test_plane(tmp_path: Path):
     """In the plane VTK is not imported; the settings of the process do not change."""
-    results, said = draw(tmp_path, "example5", "--h", "1/8")
+    results, said = draw(tmp_path, "example1", "--h", "1/8")
     assert said == ["0", "False", "True", "True"]
     assert_drawn(results)
 
@@ -153,6 +157,14 @@ def test_boundary_is_the_same_on_all_ranks():
         return table[np.lexsort(table[:, 1::-1].T)]
 
     np.testing.assert_allclose(rows(together), rows(alone), atol=1e-10)
+
+
+def test_no_step_changes_the_first_sets():
+    """Then there is a line of text in the place of a diagram without points."""
+    axes = Figure().add_subplot()
+    draw_steps(axes, [Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)], "steps")
+    assert not axes.axison
+    assert [text.get_text() for text in axes.texts] == ["none: the first sets are final"]
 
 
 def test_chains():

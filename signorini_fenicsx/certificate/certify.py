@@ -26,15 +26,16 @@ Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ
 Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`. After a penalty
 method u is the exact solution of the penalty problem, or of the Signorini problem if one asks for that. Its domain is
 the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
+
+With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
+|∇w|² + ‖c^½w‖² takes the place of |∇w|². The two errors are bounded as before, and with them ‖c^½(v − u)‖.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import basix
 import numpy as np
@@ -52,17 +53,11 @@ from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
+from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import (
-    Entities,
-    Points,
-    cell_quadrature,
-    facet_type,
-    in_vertices,
-    owned_cells,
-)
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, in_vertices, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -105,6 +100,10 @@ class Certificate:
     v: fem.Function
     of_penalty: bool = False
     seconds: float = 0.0
+    if_none: ClassVar[str] = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve failed"
+    """Reasons for an infinite bound."""
+    if_by_quadrature: ClassVar[str] = "by quadrature"
+    """What is missing for the data in `by_quadrature`."""
 
     def summary(self) -> dict[str, Any]:
         """All but the fields, ready for JSON."""
@@ -112,6 +111,11 @@ class Certificate:
         lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
         of = {"of_penalty": True} if self.of_penalty else {}
         return self.numbers() | {"guaranteed": self.guaranteed} | lists | of
+
+    @property
+    def of(self) -> str:
+        """To which solution the error is, in words; empty if it is that of the problem."""
+        return " to the exact solution of the penalty problem" if self.of_penalty else ""
 
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""
@@ -145,7 +149,7 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
-    y, remainder = admissible_flux(solution, metric, goal)
+    y, level, remainder = admissible_flux(solution, metric, goal)
     if goal.plain:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
@@ -153,7 +157,10 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     else:
         trace, contact, load = _under_laws(solution, metric, goal, y)
         resolution.by_quadrature |= not_polynomial(goal)
-    oscillation = load_oscillation(spaces, data, metric, load, resolution)
+    reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, resolution)
+    if reaction is not None:
+        contact = contact + reaction.gap
     mismatch = _mismatch(spaces, data, trace, y)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
     beside = resolution.near_boundary(trace, metric)
@@ -220,20 +227,15 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Arra
     mesh, kappa = spaces.mesh, data.kappa
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    parts: list[tuple[Entities, int, Callable[[Points], Array]]] = [(far, of_kappa, partial(_slope, trace.v))]
-    if trace.exact is not None:
-        parts.append((trace.cells, trace.degree, trace.exact.gradient))
     mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
-    for cells, degree, slope in parts:
+    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
         for points in cell_quadrature(mesh, cells, degree):
-            flux = points.barycentric @ fluxes[points.cells]
-            mismatch[points.cells] = points.integrals(_flux_gap(slope(points), flux, kappa.values(points)))
+            flux, slope = (
+                points.barycentric @ fluxes[points.cells],
+                trace.jet(points, near=near, gradient=True)[:, :, 1:],
+            )
+            mismatch[points.cells] = points.integrals(_flux_gap(slope, flux, kappa.values(points)))
     return mismatch
-
-
-def _slope(v: fem.Function, points: Points) -> Array:
-    """∇v."""
-    return points.quadratic(v, gradient=True)[:, :, 1:]
 
 
 def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:

@@ -7,7 +7,6 @@ import errno
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +19,16 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
-from signorini_fenicsx.base.text import json_text, write_table
+from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output import elastic
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import interpolated, write_files, write_vtx
 from signorini_fenicsx.output.gather import (
@@ -40,6 +41,7 @@ from signorini_fenicsx.output.gather import (
     gather_marks,
     in_order,
 )
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -57,7 +59,7 @@ def write_results(
 
 @collector_off()
 def write_solution(
-    solution: Solution,
+    solution: AnySolution,
     folder: Path | str,
     *,
     certificate: Certificate | None = None,
@@ -74,22 +76,24 @@ def write_solution(
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         plot: Also draw PNGs, if one rank can draw the mesh, see `is_drawable`.
-        html: Also write `solution.html`, pictures that the mouse can turn; likewise.
+        html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
 
     Raises:
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    folder = Path(folder)
-    watch = Stopwatch()
+    folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
-        comm = solution.spaces.mesh.comm
-        write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
-        write_table_of_facets(folder, solution)
-        if (plot or html) and is_drawable(solution):
-            with doing("drawing"):
-                draw(folder, solution, certificate, plot=plot, html=html)
+        drawn = is_drawable(solution)
+        if isinstance(solution, ElasticSolution):
+            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot and drawn))
+        else:
+            write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
+            write_table_of_facets(folder, solution)
+            if (plot or html) and drawn:
+                with doing("drawing"):
+                    draw(folder, solution, certificate, plot=plot, html=html)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
             write_fields(solution, folder, certificate)
@@ -103,9 +107,10 @@ def write_solution(
     on_root(comm, lambda: write_summary(folder, summary))
 
 
-def is_drawable(solution: Solution) -> bool:
+def is_drawable(solution: AnySolution) -> bool:
     """Whether one rank can draw the mesh."""
-    return bool(solution.spaces.Q.dofmap.index_map.size_global <= solution.options.tuning.on_one_rank_up_to)
+    topology = solution.spaces.mesh.topology
+    return bool(topology.index_map(topology.dim).size_global <= solution.options.tuning.on_one_rank_up_to)
 
 
 def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
@@ -127,14 +132,14 @@ def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, p
 
 
 def write_convergence(
-    case: Case, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+    case: AnyCase, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
 ) -> None:
     """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
 
     def write() -> None:
         from signorini_fenicsx.output import pictures
 
-        write_table(folder / "convergence.csv", ErrorRow, rows)
+        write_rows(folder / "convergence.csv", rows[0].columns(), [row.columns() for row in rows])
         against = {
             Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
             Vary.EPS: "alg1 on the same mesh",
@@ -146,7 +151,7 @@ def write_convergence(
             "algorithm": case.solve.algorithm,
             "vary": vary.value,
             "reference": against,
-            "rows": [asdict(row) for row in rows],
+            "rows": [row.columns() for row in rows],
             "slopes": fitted_slopes(rows, vary),
             "ranks": comm.size,
         }
@@ -155,22 +160,20 @@ def write_convergence(
     on_root(comm, write)
 
 
-def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+def write_adapt(solution: AnySolution, rows: list[AdaptRow], folder: Path) -> None:
     """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective).
 
     There is no `mesh.png` if one rank cannot draw the mesh.
     """
-    table = cells = boundary = None
-    if is_drawable(solution):
-        table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    scene = pictures.gathered_scene(solution) if is_drawable(solution) else None
 
     def write() -> None:
-        from signorini_fenicsx.output import pictures
-
         write_table(folder / "adapt.csv", AdaptRow, rows)
-        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.name)
-        if table is not None and cells is not None and boundary is not None:
-            pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
+        pictures.draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
+        if scene is not None:
+            pictures.draw_mesh(folder / "mesh.png", scene)
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -230,8 +233,8 @@ def write_facets(
         writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
-def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`; the last contains η_T of the certificate (collective).
+def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` or `contact.bp`, and `solution.xdmf` with η_T of the bound (collective).
 
     A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.
     `solution.xdmf` uses P0, with σ_h at the centroids.
@@ -240,9 +243,12 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    write_files(
-        solution.spaces.mesh.comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate)
-    )
+    comm = solution.spaces.mesh.comm
+    if isinstance(solution, ElasticSolution):
+        sizes = elastic.sizes_of_files(solution)
+        write_files(comm, folder, sizes, lambda: elastic.write_fields(solution, folder, certificate))
+    else:
+        write_files(comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate))
 
 
 def _sizes(solution: Solution) -> dict[str, int]:

@@ -100,6 +100,7 @@ class Solution(Solved):
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
+    order = 1
 
     def _repr_html_(self) -> str | None:
         """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
@@ -156,7 +157,7 @@ class Solution(Solved):
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
         """∫ σ_h·n over parts of the boundary (collective).
 
-        Over all of ∂Ω it is −∫f up to rounding, except for the stabilised method, where ∇·σ_h = −f_h + εu_h.
+        Over all of ∂Ω it is ∫cu − ∫f up to rounding, except for the stabilised method, where ∇·σ_h has εu_h as well.
 
         Args:
             parts: Name of a part, or of several, whose facets count once where they overlap; None for all of ∂Ω.
@@ -179,6 +180,11 @@ class Solution(Solved):
         entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
         ds = ufl.Measure("ds", domain=self.spaces.mesh, subdomain_data=[(1, entities)])
         return self.spaces.integrate(ufl.dot(self.sigma, self.spaces.n) * ds(1))
+
+    @property
+    def contact_parts(self) -> Sequence[str]:
+        """The parts of Γ_S."""
+        return self.boundary.signorini
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -249,7 +255,8 @@ class Solution(Solved):
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
         if self.method.stabilised:
-            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
+            imbalance = ufl.div(self.sigma) + data.source(self.u)
+            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
 
     def summary(self) -> dict[str, Any]:
