@@ -45,11 +45,7 @@ from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.nodes import Jumps, facet_nodes, largest_around
-from signorini_fenicsx.discrete.points import (
-    facet_lattice,
-    facet_type,
-    quadratic_nodes,
-)
+from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 

@@ -9,7 +9,9 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
 from signorini_fenicsx.meshes.domain import Domain, Marks, cells_behind, facet_vertices, membership
 from signorini_fenicsx.solving.solution import Solution
@@ -170,6 +172,19 @@ def gather_marks(domain: Domain) -> Marks:
 
 def _sorted(rows: Indices) -> Indices:
     return rows[np.lexsort(rows.T[::-1])]
+
+
+def check_drawable(cells: float, tuning: Tuning) -> None:
+    """Refuse pictures of a mesh that is too large for the rank that draws.
+
+    Raises:
+        InputError: If it is.
+    """
+    if cells > tuning.on_one_rank_up_to:
+        raise InputError(
+            f"--plot, --html: at most {tuning.on_one_rank_up_to} cells are drawn, and there are about {cells:.2g}; "
+            "ParaView shows solution.bp of any size"
+        )
 
 
 def centroid_flux(solution: Solution) -> fem.Function:
