@@ -26,14 +26,15 @@ Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ
 Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`. After a penalty
 method u is the exact solution of the penalty problem, or of the Signorini problem if one asks for that. Its domain is
 the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
+
+With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
+|∇w|² + ‖c^½w‖² takes the place of |∇w|². The two errors are bounded as before, and with them ‖c^½(v − u)‖.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, ClassVar
 
 import basix
@@ -44,7 +45,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
@@ -53,17 +53,11 @@ from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
+from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import (
-    Entities,
-    Points,
-    cell_quadrature,
-    facet_type,
-    in_vertices,
-    owned_cells,
-)
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, in_vertices, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -140,12 +134,7 @@ def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
         solution: A solution by any algorithm.
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
-
-    Raises:
-        InputError: If c > 0.
     """
-    if solution.data.c_h is not None:
-        raise InputError("the certificate does not take c > 0 yet")
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))
@@ -160,7 +149,7 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
-    y, remainder = admissible_flux(solution, metric, goal)
+    y, level, remainder = admissible_flux(solution, metric, goal)
     if goal.plain:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
@@ -168,7 +157,10 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     else:
         trace, contact, load = _under_laws(solution, metric, goal, y)
         resolution.by_quadrature |= not_polynomial(goal)
-    oscillation = load_oscillation(spaces, data, metric, load, resolution)
+    reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, resolution)
+    if reaction is not None:
+        contact = contact + reaction.gap
     mismatch = _mismatch(spaces, data, trace, y)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
     beside = resolution.near_boundary(trace, metric)
@@ -235,20 +227,15 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Arra
     mesh, kappa = spaces.mesh, data.kappa
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    parts: list[tuple[Entities, int, Callable[[Points], Array]]] = [(far, of_kappa, partial(_slope, trace.v))]
-    if trace.exact is not None:
-        parts.append((trace.cells, trace.degree, trace.exact.gradient))
     mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
-    for cells, degree, slope in parts:
+    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
         for points in cell_quadrature(mesh, cells, degree):
-            flux = points.barycentric @ fluxes[points.cells]
-            mismatch[points.cells] = points.integrals(_flux_gap(slope(points), flux, kappa.values(points)))
+            flux, slope = (
+                points.barycentric @ fluxes[points.cells],
+                trace.jet(points, near=near, gradient=True)[:, :, 1:],
+            )
+            mismatch[points.cells] = points.integrals(_flux_gap(slope, flux, kappa.values(points)))
     return mismatch
-
-
-def _slope(v: fem.Function, points: Points) -> Array:
-    """∇v."""
-    return points.quadratic(v, gradient=True)[:, :, 1:]
 
 
 def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:

@@ -115,6 +115,8 @@ def convergence_study(
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
     solver = Solver(mesh_case(case, comm), boundary_of(case)) if vary is Vary.EPS and isinstance(case, Case) else None
+    if solver is not None:  # the table has the steps of the algorithm itself, which a prediction would save
+        case = case.with_values({"solve.predict": False})
     cases = [case.with_values(level_values(vary, level)) for level in levels]
     best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
     if solver is None:
