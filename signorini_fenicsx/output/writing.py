@@ -85,10 +85,10 @@ def write_solution(
     """
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
+        write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
         if isinstance(solution, ElasticSolution):
             on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot))
         else:
-            write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
             write_table_of_facets(folder, solution)
             if plot or html:
                 with doing("drawing"):
