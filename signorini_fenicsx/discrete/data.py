@@ -111,8 +111,8 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D and ψ (collective)."""
-        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
+        """The smallest and the largest facet mean of u_D and, on the boundary, of ψ (collective)."""
+        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows]]), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
@@ -127,15 +127,16 @@ class Data:
 
     def less(self, spaces: Spaces, constant: float) -> Data:
         """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
-        u_lift, f_h = self.u_lift.copy(), self.f_h
+        u_lift, psi_h, outer, f_h = self.u_lift.copy(), self.psi_h.copy(), spaces.outer_rows, self.f_h
         if self.c_h is not None:
             f_h = f_h.copy()
             f_h.x.array[:] -= constant * self.c_h.x.array
-        for facets in (spaces.dirichlet_facets, spaces.facets):
+        for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
         u_D, psi = self.u_D.less(constant), self.psi.less(constant)
-        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=self.psi_h - constant)
+        psi_h[outer] -= constant
+        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=psi_h)
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
@@ -172,9 +173,10 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
+    spaces.carry_across(sigma_lift)
     loads = [spaces.cell_measures * f_means, spaces.neumann_measure * neumann_means]
     lowest, highest = (
-        total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
+        total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
         for flux in laws.chains.extent()[2:]
     )
     integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)

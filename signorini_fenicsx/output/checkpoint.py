@@ -92,7 +92,7 @@ def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options:
     boundary = gamma_s(found.boundary, problem)
     try:
         domain = read_domain(found, comm, vars(boundary))
-        spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+        spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         rows = rows_of_facets(found, spaces)
     except InputError as error:
         raise InputError(f"{path}: is damaged: its mesh: {error}") from None

@@ -30,6 +30,7 @@ from signorini_fenicsx.meshes.domain import AXES, Boundary
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, VALUES
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 
 type Arrays = dict[str, npt.NDArray]
@@ -37,38 +38,6 @@ type Arrays = dict[str, npt.NDArray]
 UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
 """Errors of NumPy and zipfile for damaged files. NumPy also warns when it reads something that it never wrote."""
 
-LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
-    "points": (np.float64, "points", "dim"),
-    "cells": (np.int64, "cells", "corners"),
-    "u": (np.float64, "cells"),
-    "sigma": (np.float64, "cells", "dim"),
-    "divergence": (np.float64, "cells"),
-    "facet_part": (np.int64, "facets"),
-    "facet_x": (np.float64, "facets", "space"),
-    "facet_along": (np.float64, "facets"),
-    "facet_measure": (np.float64, "facets"),
-    "facet_u": (np.float64, "facets"),
-    "facet_p": (np.float64, "facets"),
-    "facet_flux": (np.float64, "facets"),
-    "facet_condition": (np.int64, "facets"),
-    "facet_vertices": (np.int64, "facets", "dim"),
-}
-"""Type and shape of the arrays of a file; a word stands for the same number everywhere."""
-ELASTIC_LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
-    "points": (np.float64, "points", "dim"),
-    "cells": (np.int64, "cells", "corners"),
-    "u": (np.float64, "cells", "corners", "dim"),
-    "sigma": (np.float64, "cells", "corners", "corners", "dim", "dim"),
-    "facet_p": (np.float64, "facets", "dim"),
-    "facet_condition": (np.int64, "facets", "dim"),
-    "facet_slip": (np.float64, "facets", "dim"),
-    "facet_state": (np.int64, "facets", "dim"),
-    "facet_bound": (np.float64, "facets", "dim"),
-    "facet_vertices": (np.int64, "facets", "dim"),
-}
-"""The same for elastic solutions: values at vertices in ascending order."""
-VALUES = ("u", "sigma", "divergence", "facet_u", "facet_p", "facet_flux", "facet_slip", "facet_bound")
-"""Arrays that need not be finite if the run has failed."""
 FOLDER, TEXT = "checkpoint", "about.json"
 """The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""
 
@@ -85,6 +54,7 @@ class GivenInPython(BaseModel):
         domain: Name of its domain.
         signorini: Parts of Γ_S.
         neumann: Parts of Γ_N.
+        inner: Parts inside the domain.
         problem: The data that are numbers, texts or tables of these.
         laws: The laws, as [[law]] has them.
         missing: Names of the other data, which no file can hold.
@@ -98,6 +68,7 @@ class GivenInPython(BaseModel):
     domain: str
     signorini: list[str]
     neumann: list[str]
+    inner: list[str] = []
     problem: dict[str, Any]
     laws: list[dict[str, Any]] = []
     missing: list[str]
@@ -161,7 +132,8 @@ class Checkpoint:
         about: Its contents besides arrays.
         case: Its case; None for a problem given in Python.
         headers: Shape and type of its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary
-            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions.
+            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions; `together`, shape (pairs,
+            2), the pairs of cells at facets inside the domain, if there are parts there.
         arrays: The rows of its arrays that this rank has read; rows continue from rank to rank.
     """
 
@@ -173,7 +145,7 @@ class Checkpoint:
 
     @property
     def boundary(self) -> Boundary | ElasticBoundary:
-        """Γ_S and Γ_N; of an elastic problem Γ_C and all others."""
+        """Γ_S, Γ_N and parts inside; of an elastic problem Γ_C and all others."""
         given = self.about.given
         if isinstance(self.case, ElasticCase):
             return self.case.parts.read()
@@ -182,7 +154,7 @@ class Checkpoint:
         assert given is not None
         if self.about.physics is not None:
             return ElasticBoundary(given.signorini, given.neumann, given.fixed)
-        return Boundary(given.signorini, given.neumann)
+        return Boundary(given.signorini, given.neumann, given.inner)
 
     @property
     def title(self) -> str:
@@ -304,11 +276,14 @@ def _check_layout(found: Checkpoint) -> None:
     }
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
+    boundary = found.boundary
+    if isinstance(boundary, Boundary) and boundary.inner:
+        layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
     dim = headers["points"].shape[-1] if headers["points"].shape[-1:] in ((2,), (3,)) else 0
-    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions)}
+    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions), "two": 2}
     for name, (kind, *words) in layout.items():
         shape = headers[name].shape
         lengths = [sizes.setdefault(word, size) for word, size in zip(words, shape, strict=False)]
@@ -324,7 +299,6 @@ def _check_layout(found: Checkpoint) -> None:
             raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
-    boundary = found.boundary
     if about.part_names != list(boundary.signorini if isinstance(boundary, Boundary) else boundary.contact):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     if found.case is not None:
@@ -339,6 +313,8 @@ def _wrong_value(found: Checkpoint) -> str:
             return f"is damaged: {name} is not finite everywhere"
     if not np.isin(found.arrays["facet_condition"], list(Condition)).all():
         return "is damaged: facet_condition has a value that is no condition"
+    if "together" in found.arrays and not _are_rows(found.arrays["together"], found.headers["cells"]):
+        return "is damaged: together has a number that is no cell"
     states = found.arrays.get("facet_state", np.empty(0))
     if not np.isin(states, range(len(Friction.segments))).all():
         return "is damaged: facet_state has a value that is no state"
@@ -346,3 +322,7 @@ def _wrong_value(found: Checkpoint) -> str:
     if not np.isin(parts, range(len(found.about.part_names))).all():
         return "is damaged: facet_part has a value that is no part"
     return ""
+
+
+def _are_rows(numbers: npt.NDArray, of: Header) -> bool:
+    return bool(np.all((numbers >= 0) & (numbers < of.shape[0])))

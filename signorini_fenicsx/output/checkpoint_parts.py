@@ -28,13 +28,13 @@ def read_domain(found: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequence[s
     Args:
         found: The checkpoint.
         comm: Communicator.
-        used: The parts of each kind of condition.
+        used: The parts of each kind of condition; those of "inner" are inside.
 
     Raises:
         InputError: If these parts are not on the boundary.
     """
     about, arrays = found.about, found.arrays
-    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim)
+    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim, together=arrays.get("together"))
     facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
     domain = marked_domain(
         mesh,
@@ -47,7 +47,7 @@ def read_domain(found: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequence[s
     )
     check_parts(domain, used)
     for index, name in enumerate(facets):
-        on_boundary = any(name in parts for parts in used.values())
+        on_boundary = any(name in parts for kind, parts in used.items() if kind != "inner")
         if on_boundary and comm.allreduce(len(domain.facets[name])) != found.headers[f"part_{index}"].shape[0]:
             raise InputError(f"part '{name}' has facets that are not on the boundary")
     return domain

@@ -23,13 +23,14 @@ from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.elastic_case import ELASTICITY
 from signorini_fenicsx.cases.solving import AnySolution
-from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary
+from signorini_fenicsx.discrete.elastic_problem import Coulomb
 from signorini_fenicsx.discrete.laws import LAWS, Law
-from signorini_fenicsx.meshes.domain import facet_vertices, membership
+from signorini_fenicsx.meshes.domain import Boundary, cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.gather import cell_values, facet_table
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.solving.solution import Solution
 
 OUTCOME = (
     *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
@@ -134,6 +135,10 @@ def _arrays(solution: AnySolution) -> Arrays:
     arrays["facet_vertices"] = renumbered(arrays["facet_vertices"])
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
+    if isinstance(solution, Solution) and solution.spaces.inner.present:
+        inner, original = solution.spaces.inner, mesh.topology.original_cell_index
+        pairs = np.column_stack([solution.spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
+        arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 
 
@@ -172,7 +177,7 @@ def _problem(solution: AnySolution) -> dict[str, Any]:
         domain=solution.spaces.domain.name,
         signorini=list(solution.contact_parts),
         neumann=list(boundary.neumann),
-        fixed=dict(boundary.fixed) if isinstance(boundary, ElasticBoundary) else {},
+        **({"inner": list(boundary.inner)} if isinstance(boundary, Boundary) else {"fixed": dict(boundary.fixed)}),
         problem=stored,
         laws=[{"kind": law.name, **vars(law)} for law in laws],
         missing=missing,
