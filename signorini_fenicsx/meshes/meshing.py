@@ -32,7 +32,7 @@ from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_fil
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 
 CURVATURE = 1.0
 """`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
@@ -220,8 +220,7 @@ def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
     asked = None if h is None else h * 2**levels
     mesh = read_mesh_file(path, asked)
     while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
-        coarse = distribute(MPI.COMM_SELF, mesh.points, mesh.cells, mesh.dim)
-        achieved = 2 * refined_uniformly(Domain(coarse, math.inf, {}, {}, {}, OWN_CURVATURE)).h
+        achieved = 2 * refined_diameter(mesh.points, mesh.cells)
         if achieved <= h * 2**levels:
             break
         asked *= 0.98 * h * 2**levels / achieved
@@ -290,6 +289,8 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
             points, cells = _gmsh_simplices(shape.dim)
             if levels == 0:
                 achieved = float(diameters(points, cells).max())
+            elif all(part.nearest is None for part in shape.parts.values()):
+                achieved = 2 * refined_diameter(points, cells)
             else:
                 coarse = label_parts(distribute(MPI.COMM_SELF, points, cells, shape.dim), shape_name)
                 achieved = 2 * refined_uniformly(coarse).h
