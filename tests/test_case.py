@@ -45,6 +45,8 @@ def test_good_case(tmp_path: Path):
     ("old", "new", "message"),
     [
         ('"square"', '"circle"', r"\[geometry\] shape: unknown shape 'circle'; use one of square, lshape"),
+        ('"square"', '"[0, 1] x [1, 1]"', "each interval must begin with the smaller number"),
+        ('"square"', '"[0, 1] x [1, y]"', "'y' is not a number"),
         ('["top"]', '["lid"]', "unknown part 'lid' of square; its parts are left, right, bottom, top"),
         ('["top"]', '["top", "top"]', "'top' is listed twice"),
         ('["top"]', '"top"', r"\[boundary\] signorini: input should be a valid list"),

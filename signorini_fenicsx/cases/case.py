@@ -15,13 +15,13 @@ from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, Whole, choice, within
+from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, ShapeName, Whole, choice, within
 from signorini_fenicsx.discrete.given import Given
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import Tree, parse_expression, read
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
-from signorini_fenicsx.meshes.shapes import SHAPES, Shape
+from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
@@ -29,7 +29,7 @@ from signorini_fenicsx.solving.options import BACKENDS
 class Geometry(Section):
     """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
 
-    shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
+    shape: ShapeName | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
     mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
     diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
@@ -42,12 +42,12 @@ class Geometry(Section):
             if {"mesh", "diagonal"} & self.model_fields_set:
                 raise ValueError("mesh and diagonal apply to named shapes, not to files")
             return self
-        shape = SHAPES[self.shape]
+        shape = shape_of(self.shape)
         if self.mesh == "structured" and shape.grid is None:
             structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
-            raise ValueError(f"shape '{self.shape}' has no structured mesh; only {structured} have")
+            raise ValueError(f"shape '{self.shape}' has no structured mesh; only rectangles, {structured} have")
         if self.diagonal is not None and (self.mesh != "structured" or shape.dim != 2):
-            raise ValueError("diagonal applies to structured meshes of square and lshape only")
+            raise ValueError("diagonal applies to structured meshes of square, lshape and rectangles only")
         return self
 
     @property
@@ -143,7 +143,7 @@ class CaseFile(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.geometry.shape is not None:
-            self._check_shape(SHAPES[self.geometry.shape])
+            self._check_shape(shape_of(self.geometry.shape))
         elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
             raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' has its own h; leave h out")
         else:

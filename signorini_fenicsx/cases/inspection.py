@@ -15,7 +15,7 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.solver import check_solvability
 
 FACETS_PER_CELL = {2: 1.5, 3: 2.0}
@@ -73,8 +73,8 @@ def expected(case: Case, ranks: int) -> Expected:
     cells = round(rough_cells(case))
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
-        dim = SHAPES[geometry.shape].dim
-        parts = {name: {"condition": _condition(case, name)} for name in SHAPES[geometry.shape].parts}
+        dim = shape_of(geometry.shape).dim
+        parts = {name: {"condition": _condition(case, name)} for name in shape_of(geometry.shape).parts}
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))

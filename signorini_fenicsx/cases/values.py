@@ -8,6 +8,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.expressions import parse_number
+from signorini_fenicsx.meshes.shapes import full_name
 
 MAX_BITS = 1000
 """Largest size of an integer."""
@@ -48,6 +49,13 @@ def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def _shape(value: object) -> str:
+    try:
+        return full_name(value if isinstance(value, str) else shown(value))
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
 def within(low: float, high: float) -> AfterValidator:
     """Accept numbers in this closed interval."""
 
@@ -86,4 +94,5 @@ type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_number)]
 Expression = Annotated[str, BeforeValidator(text_of)]
+ShapeName = Annotated[str, BeforeValidator(_shape)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

@@ -28,7 +28,7 @@ from signorini_fenicsx.meshes.domain import (
 )
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 
 CURVATURE = 1.0
@@ -49,7 +49,7 @@ def estimated_cells(shape_name: str, h: float) -> float:
     Raises:
         InputError: If there are more than MAX_CELLS.
     """
-    shape, edge = SHAPES[shape_name], 0.65 * h
+    shape, edge = shape_of(shape_name), 0.65 * h
     cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
     return _allowed(cells, h, shape_name)
 
@@ -59,7 +59,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
 
     Args:
         comm: Communicator of the mesh.
-        shape_name: Key of SHAPES.
+        shape_name: Name of a shape, see `shapes`.
         h: Wanted largest cell diameter.
         mesh: "unstructured" (a large mesh is a uniform refinement of a mesh of Gmsh), "gmsh" or "structured".
         diagonal: How structured squares are cut: left, right (the default) or crossed.
@@ -67,7 +67,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
     Raises:
         InputError: If h asks for more than MAX_CELLS cells or no mesh with this h exists.
     """
-    shape, expected = SHAPES[shape_name], estimated_cells(shape_name, h)  # refuses too many
+    shape, expected = shape_of(shape_name), estimated_cells(shape_name, h)  # refuses too many
     levels = refinements(expected, shape.dim) if mesh == "unstructured" else 0
     if mesh == "structured" and shape.grid is not None:
         points, cells = shape.grid(h, diagonal or "right", Share(comm.rank, comm.size))
@@ -84,7 +84,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
 
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
     """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
-    dim, asked = SHAPES[shape_name].dim, h * 2**levels
+    dim, asked = shape_of(shape_name).dim, h * 2**levels
     simplices = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
     domain = label_parts(distribute(comm, *simplices, dim), shape_name, made="Gmsh")
     for _ in range(levels):
@@ -109,7 +109,7 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
 
 def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -> Domain:
     """Find the facets of each boundary part of a named shape (collective)."""
-    dim, shape = mesh.topology.dim, SHAPES[shape_name]
+    dim, shape = mesh.topology.dim, shape_of(shape_name)
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
@@ -225,7 +225,7 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
     If the mesh will be refined uniformly, twice the diameters of the cells of the next mesh count instead: children of
     a tetrahedron may be longer than half of it, but this happens only in the first refinement.
     """
-    shape = SHAPES[shape_name]
+    shape = shape_of(shape_name)
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     listen_again()
     try:

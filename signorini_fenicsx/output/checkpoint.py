@@ -33,7 +33,7 @@ from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Marks, Part, axis_part, distribute, facet_vertices, marked_domain
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.output.checkpoint_file import (
@@ -286,7 +286,7 @@ def _hold(
 
 def _parts(found: Checkpoint) -> Mapping[str, Part]:
     if found.shape is not None:
-        return SHAPES[found.shape].parts
+        return shape_of(found.shape).parts
     return {name: axis_part(label) for name, label in found.about.parts.items()}
 
 

@@ -21,7 +21,7 @@ from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.meshes.checks import Contents, check_boundary, checked
 from signorini_fenicsx.meshes.domain import AXES, Boundary
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.methods.history import Step
 
 type Arrays = dict[str, npt.NDArray]
@@ -257,7 +257,7 @@ def _check_layout(found: Checkpoint) -> None:
         raise InputError("is damaged: facet_condition has a value that is no condition")
     if not np.isin(arrays["facet_part"], range(len(about.part_names))).all():
         raise InputError("is damaged: facet_part has a value that is no part")
-    if found.shape is not None and SHAPES[found.shape].dim != dim:
+    if found.shape is not None and shape_of(found.shape).dim != dim:
         raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if found.case is not None:
         found.case.check_dimension(dim)
@@ -269,7 +269,7 @@ def _check_mesh(found: Checkpoint) -> None:
     if found.shape is None:
         known = set(about.parts.values()) <= set(AXES[:dim])
     else:
-        known = list(about.parts) == list(SHAPES[found.shape].parts)
+        known = list(about.parts) == list(shape_of(found.shape).parts)
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
     if about.part_names != list(found.boundary.signorini):
