@@ -13,7 +13,9 @@ from signorini_fenicsx.meshes.shapes import SHAPES, shape_of
 
 RECTANGLE = "[-2, -1] x [0.5, 3]"
 MESHES = [(name, "unstructured", None) for name in (*SHAPES, RECTANGLE)] + [
-    (name, "structured", diagonal) for name in ("square", "lshape", RECTANGLE) for diagonal in ("left", "right", "crossed")
+    (name, "structured", diagonal)
+    for name in ("square", "lshape", RECTANGLE)
+    for diagonal in ("left", "right", "crossed")
 ] + [("cube", "structured", None), ("lprism", "structured", None)]  # fmt: skip
 
 
