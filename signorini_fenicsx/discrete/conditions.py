@@ -1,6 +1,7 @@
 """One condition per site: with these each step of every algorithm is a linear problem.
 
-A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex.
+A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex. With an obstacle in Ω each cell is a
+site as well, with u_T − ψ_T for p and λ_T, the force of the obstacle, for σ·n.
 """
 
 from __future__ import annotations
@@ -68,6 +69,11 @@ class SiteConditions:
     def everywhere(cls, kind: Condition, sites: int, beta: float = 1.0) -> SiteConditions:
         """The same condition on all sites of this rank."""
         return cls(np.full(sites, kind, dtype=np.int8), beta)
+
+    def take(self, sites: slice) -> SiteConditions:
+        """Those of some sites."""
+        beta, value = (part[sites] if isinstance(part, np.ndarray) else part for part in (self.beta, self.value))
+        return SiteConditions(self.kind[sites], beta, value)
 
     @property
     def has_values(self) -> bool:

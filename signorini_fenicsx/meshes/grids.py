@@ -112,10 +112,8 @@ def _cut_squares(rows: _Rows, diagonal: str) -> Simplices:
 def _tetrahedron_grid(h: float, share: Share, *, side: int) -> Simplices:
     """Cubes of a grid of height 1, each cut into six tetrahedra along the same space diagonal (Kuhn)."""
     per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
-    rows, column = (
-        _Rows(_l_shape(side, per_unit), share),
-        per_unit + 1,
-    )  # a row is a layer here, and has columns of points
+    rows = _Rows(_l_shape(side, per_unit), share)  # a row is a layer here, and has columns of points
+    column = per_unit + 1
     lengths = rows.points * column
     first = np.cumsum(lengths) - lengths
     i, place = _places(rows.own_points, lengths[rows.own_points])
