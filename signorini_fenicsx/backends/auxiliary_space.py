@@ -10,8 +10,9 @@ from signorini_fenicsx.backends.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.sources import sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
-from signorini_fenicsx.forms.crouzeix_raviart import stiffness
+from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
 
 class AuxiliarySpace:
@@ -26,7 +27,10 @@ class AuxiliarySpace:
         self._spaces, self._weak = spaces, data.conductance
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        self._operator = ConstrainedMatrix(fem.form(stiffness(u, v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD)
+        form, s = stiffness(u, v, ufl.dx, data.kappa_h), sources(spaces, data).s
+        if s is not None:
+            form += reaction(u, v, ufl.dx, s)
+        self._operator = ConstrainedMatrix(fem.form(form), PETSc.Mat.Option.SPD)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)

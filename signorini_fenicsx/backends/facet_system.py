@@ -16,8 +16,9 @@ from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kept_forms import Coefficient
+from signorini_fenicsx.discrete.sources import sources
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cells_and_dofs
-from signorini_fenicsx.forms.crouzeix_raviart import recovered_flux, recovered_scalar, stiffness
+from signorini_fenicsx.forms.crouzeix_raviart import reaction, recovered_flux, recovered_scalar, stiffness
 from signorini_fenicsx.forms.mixed import load, trace_term
 
 
@@ -52,24 +53,35 @@ class FacetSystem:
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
-        self._operator = ConstrainedMatrix(spaces.kept(_stiffness, data.kappa_h), PETSc.Mat.Option.SPD)
+        self._sources = sources(spaces, data)
+        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD)
         self.matrix = self._operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)
         self._flux = fem.Function(spaces.V)  # only this one is interpolated: DOLFINx makes a cycle with it each time
         self._take(data)
 
+    def _form(self, data: Data) -> fem.Form:
+        """The bilinear form (collective)."""
+        spaces, s = self.spaces, self._sources.s
+        form: fem.Form = (
+            spaces.kept(_stiffness, data.kappa_h) if s is None else spaces.kept(_with_reaction, data.kappa_h, s)
+        )
+        return form
+
     def _take(self, data: Data) -> None:
         """Assemble the right side (collective)."""
         self._data = data
-        self._load = assembled(self.spaces.kept(_load, data.kappa_h, data.f_h, data.sigma_lift, data.u_lift))
+        source = self._sources.at(data.u_lift)
+        self._load = assembled(self.spaces.kept(_load, data.kappa_h, source, data.sigma_lift, data.u_lift))
         self.x.set(0.0)
 
     def renew(self, data: Data) -> bool:
-        """Go on with other data; returns whether κ, and so the matrix, stays (collective)."""
-        same = data.same_conductivity(self._data, self.spaces)
+        """Go on with other data; returns whether κ and c, and so the matrix, stay (collective)."""
+        same = data.same_operator(self._data, self.spaces)
+        self._sources = sources(self.spaces, data)
         if not same:
-            self._operator.renew(self.spaces.kept(_stiffness, data.kappa_h))
+            self._operator.renew(self._form(data))
             self._imposed = None
         self._take(data)
         return same
@@ -146,13 +158,13 @@ class FacetSystem:
         return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.conductance)
 
     def _recovery(self, x: PETSc.Vec) -> tuple[Coefficient, ...]:
-        """κ_h, f_h, u_CR and the centroids, from which σ_h and u_h are recovered (collective)."""
+        """κ_h, the source, u_CR and the centroids, from which σ_h and u_h are recovered (collective)."""
         owned: Array = x.array_r
         u_cr = fem.Function(self.space)
         u_cr.x.array[: len(owned)] = owned
         u_cr.x.scatter_forward()
         u_cr.x.array[:] += self._data.u_lift.x.array
-        return self._data.kappa_h, self._data.f_h, u_cr, self.spaces.centroids
+        return self._data.kappa_h, self._sources.at(u_cr), u_cr, self.spaces.centroids
 
 
 def _stiffness(spaces: Spaces, kappa: Expr) -> Form:
@@ -160,17 +172,23 @@ def _stiffness(spaces: Spaces, kappa: Expr) -> Form:
     return stiffness(ufl.TrialFunction(space), ufl.TestFunction(space), ufl.dx, kappa)
 
 
-def _load(spaces: Spaces, kappa: Expr, f_h: Expr, sigma_lift: Expr, u_lift: Expr) -> Form:
+def _with_reaction(spaces: Spaces, kappa: Expr, s: Expr) -> Form:
+    space = spaces.crouzeix_raviart
+    return _stiffness(spaces, kappa) + reaction(ufl.TrialFunction(space), ufl.TestFunction(space), ufl.dx, s)
+
+
+def _load(spaces: Spaces, kappa: Expr, source: Expr, sigma_lift: Expr, u_lift: Expr) -> Form:
+    """Of u − u_lift; `source` is that of the lift."""
     v = ufl.TestFunction(spaces.crouzeix_raviart)
     given_flux = trace_term(v, sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-    return load(f_h, v, ufl.dx) + given_flux - stiffness(u_lift, v, ufl.dx, kappa)
+    return load(source, v, ufl.dx) + given_flux - stiffness(u_lift, v, ufl.dx, kappa)
 
 
-def _recovered_flux(spaces: Spaces, kappa: Expr, f_h: Expr, u_cr: Expr, centroid: Expr) -> Expr:
+def _recovered_flux(spaces: Spaces, kappa: Expr, source: Expr, u_cr: Expr, centroid: Expr) -> Expr:
     """On a facet between two cells the fluxes of both agree up to the linear residual."""
-    return recovered_flux(u_cr, f_h, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
+    return recovered_flux(u_cr, source, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
 
 
-def _recovered_scalar(spaces: Spaces, kappa: Expr, f_h: Expr, u_cr: Expr, centroid: Expr) -> Form:
-    u = recovered_scalar(u_cr, f_h, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
+def _recovered_scalar(spaces: Spaces, kappa: Expr, source: Expr, u_cr: Expr, centroid: Expr) -> Form:
+    u = recovered_scalar(u_cr, source, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
     return u * ufl.TestFunction(spaces.Q) * ufl.dx

@@ -69,8 +69,8 @@ class HybridBackend(FacetBackend):
         self._offer_precise()
 
     def renew(self, data: Data) -> bool:
-        """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ (collective)."""
-        if self.inexact is not None and not data.same_conductivity(self.data, self.spaces):
+        """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ or c (collective)."""
+        if self.inexact is not None and not data.same_operator(self.data, self.spaces):
             return False
         system, given_flux = self._system, SiteConditions.everywhere(Condition.NO_FLUX, self.sites)
         same = system.renew(data)
@@ -89,7 +89,7 @@ class HybridBackend(FacetBackend):
     def _is_worth_condensing(self) -> bool:
         """Whether the matrix is factorised, also without contact, and Γ_S small."""
         facets = self.spaces.Lambda.dofmap.index_map.size_global
-        return self.precise is not None and self.spaces.has_dirichlet and facets <= self._tuning.condense_up_to
+        return self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
 
     def _offer_precise(self) -> None:
         if self.inexact is None and self._ksp.getPC().getType() in ("cholesky", "lu"):

@@ -23,7 +23,8 @@ from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, tra
 class MixedBackend(FacetBackend):
     """The mixed method as the slides state it: unknowns σ_h and u_h, then p_h from the identity (12).
 
-        (κ_h⁻¹σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,      (∇·σ, v) − ε(u, v) = −(f_h, v) − ε(u_before, v).
+        (κ_h⁻¹σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,
+        (∇·σ, v) − ((c_h + ε)u, v) = −(f_h, v) − ε(u_before, v).
 
     ε = 0 is the mixed method. ε > 0 with u_before = 0 is Slimane's stabilisation of it. ε > 0 with another u_before is
     a step of the proximal iteration u = u_before + (1/ε)(∇·σ + f_h).
@@ -65,7 +66,7 @@ class MixedBackend(FacetBackend):
 
     def renew(self, data: Data) -> bool:
         """Go on with other data, see `Renewable` (collective)."""
-        same = data.same_conductivity(self.data, self.spaces)
+        same = data.same_operator(self.data, self.spaces)
         self.data = data
         if not same:
             self._system.renew(self.spaces.kept(_saddle_point, *self._coefficients()))
@@ -75,7 +76,11 @@ class MixedBackend(FacetBackend):
         return True
 
     def _coefficients(self) -> tuple[Coefficient, Coefficient]:
-        return self.data.kappa_h, fem.Constant(self.spaces.mesh, self._stabilisation)
+        if self.data.c_h is None:
+            return self.data.kappa_h, fem.Constant(self.spaces.mesh, self._stabilisation)
+        c = self.data.c_h.copy()
+        c.x.array[:] += self._stabilisation
+        return self.data.kappa_h, c
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -171,11 +176,11 @@ class MixedBackend(FacetBackend):
         return sigma, u
 
 
-def _saddle_point(spaces: Spaces, kappa: Expr, stabilisation: Expr) -> list[list[Form]]:
-    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −ε(u, v)]."""
+def _saddle_point(spaces: Spaces, kappa: Expr, c: Expr) -> list[list[Form]]:
+    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −(cu, v)]."""
     W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
     (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
-    block = -stabilisation * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
+    block = -c * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
     blocks = flux_equation(sigma, u, tau, ufl.dx, kappa) + mass_balance(sigma, v, ufl.dx) + block  # (11b), (11c)
     extracted: list[list[Form]] = ufl.extract_blocks(blocks)
     return extracted

@@ -15,10 +15,19 @@ from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Conductivity, Expression, Positive, ShapeName, Whole, choice, within
-from signorini_fenicsx.discrete.given import Given
+from signorini_fenicsx.cases.values import (
+    Conductivity,
+    Expression,
+    ExpressionByRegion,
+    Positive,
+    ShapeName,
+    Whole,
+    choice,
+    within,
+)
+from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.expressions import Tree, parse_expression, read
+from signorini_fenicsx.expressions import parse_expression, read
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
@@ -57,7 +66,10 @@ class Geometry(Section):
 
 
 class ProblemTexts(Section):
-    """`[problem]`: the data of a `Problem` as text in x, y, z; κ as text, as a matrix, or as one of them per region."""
+    """`[problem]`: the data of a `Problem` as text in x, y, z.
+
+    κ is a text, a matrix, or one of them per region; c is a text, or one per region.
+    """
 
     f: Expression
     kappa: Conductivity = "1"
@@ -65,14 +77,16 @@ class ProblemTexts(Section):
     g_N: Expression = "0"
     psi: Expression = "0"
     q_S: Expression = "0"
+    c: ExpressionByRegion = "0"
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
-        if isinstance(self.kappa, dict):
-            values = [(f"kappa.{region}", value) for region, value in self.kappa.items()]
-        else:
-            values = [("kappa", self.kappa)]
+        values: list[tuple[str, str | list[list[str]]]] = []
+        for name, whole in (("kappa", self.kappa), ("c", self.c)):
+            values += (
+                [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
+            )
         for name, value in values:
             found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
         return found
@@ -84,18 +98,7 @@ class ProblemTexts(Section):
             InputError: If an expression cannot be read.
         """
         names = "xyz"[:dim]
-        f, u_D, g_N, psi, q_S = (read(getattr(self, key), names) for key in ("f", "u_D", "g_N", "psi", "q_S"))
-
-        def conductivity(text: str | list[list[str]]) -> Tree | list[list[Tree]]:
-            return (
-                read(text, names) if isinstance(text, str) else [[read(entry, names) for entry in row] for row in text]
-            )
-
-        if isinstance(self.kappa, dict):
-            kappa: Given | dict[str, Given] = {region: conductivity(text) for region, text in self.kappa.items()}
-        else:
-            kappa = conductivity(self.kappa)
-        return Problem(f=f, kappa=kappa, u_D=u_D, g_N=g_N, psi=psi, q_S=q_S)
+        return Problem(**{key: parsed(value, names) for key, value in self})
 
 
 class Exact(Section):

@@ -89,10 +89,20 @@ def _matrix_or_text(value: object) -> object:
     raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
 
 
+def _text_by_region(value: object) -> object:
+    """A number or text, or a table with one per region."""
+    given = value if isinstance(value, dict) else {"": value}
+    texts = {region: text_of(entry) for region, entry in given.items()}
+    if not texts or not all(isinstance(text, str) for text in texts.values()):
+        raise ValueError("must be an expression, or a table with one per region")
+    return texts if isinstance(value, dict) else texts[""]
+
+
 type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_number)]
 Expression = Annotated[str, BeforeValidator(text_of)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
+ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(_text_by_region)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

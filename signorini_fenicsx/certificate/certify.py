@@ -44,6 +44,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
@@ -130,7 +131,12 @@ def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
         solution: A solution by any algorithm.
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
+
+    Raises:
+        InputError: If c > 0.
     """
+    if solution.data.c_h is not None:
+        raise InputError("the certificate does not take c > 0 yet")
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))

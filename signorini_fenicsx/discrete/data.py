@@ -14,7 +14,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
-from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.given import Given, Rows
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.discrete.problem import Problem
@@ -38,8 +38,10 @@ class Data:
         g_N: Flux on Γ_N as given.
         psi: Bound of the trace as given, where no other law holds.
         q_S: Bound of the flux as given, where no other law holds.
+        c: c as given.
         f_h: P0 projection of f.
         kappa_h: P0 projection of κ, entry by entry; a `fem.Constant` if κ is a number, which no form is compiled for.
+        c_h: P0 projection of c; None if it is 0 everywhere.
         u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
             others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
         sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
@@ -61,8 +63,10 @@ class Data:
     g_N: Datum
     psi: Datum
     q_S: Datum
+    c: Datum
     f_h: fem.Function
     kappa_h: fem.Function | fem.Constant
+    c_h: fem.Function | None
     u_lift: fem.Function
     sigma_lift: fem.Function
     psi_h: Array
@@ -77,10 +81,26 @@ class Data:
         """Mean eigenvalue of κ_h on each owned cell."""
         return _mean_eigenvalues(spaces, self.kappa, self.kappa_h)
 
-    def same_conductivity(self, other: Data, spaces: Spaces) -> bool:
-        """Whether κ_h is that of other data on this mesh (collective)."""
+    def same_operator(self, other: Data, spaces: Spaces) -> bool:
+        """Whether κ_h and c_h are those of other data on this mesh (collective)."""
         same = self.kappa.shape == other.kappa.shape and np.array_equal(self.matrices(spaces), other.matrices(spaces))
+        if self.c_h is None or other.c_h is None:
+            same = same and self.c_h is other.c_h
+        else:
+            same = same and np.array_equal(self.c_h.x.array, other.c_h.x.array)
         return bool(spaces.mesh.comm.allreduce(same, MPI.LAND))
+
+    def holds(self, spaces: Spaces) -> bool:
+        """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
+        return spaces.has_dirichlet or self.c_h is not None
+
+    def source(self, u: fem.Function) -> fem.Function:
+        """f_h − c_h u for u in P0, which is −∇·σ_h; f_h itself where c = 0."""
+        if self.c_h is None:
+            return self.f_h
+        source = self.f_h.copy()
+        source.x.array[:] -= self.c_h.x.array * u.x.array
+        return source
 
     def matrices(self, spaces: Spaces) -> Array:
         """κ_h as a matrix on each owned cell, shape (cells, dim, dim), or (1, dim, dim) if κ is a number."""
@@ -106,13 +126,16 @@ class Data:
         return float(np.clip(0.0, *self.extent(spaces)))
 
     def less(self, spaces: Spaces, constant: float) -> Data:
-        """The data of the problem for u − constant (collective)."""
-        u_lift = self.u_lift.copy()
+        """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
+        u_lift, f_h = self.u_lift.copy(), self.f_h
+        if self.c_h is not None:
+            f_h = f_h.copy()
+            f_h.x.array[:] -= constant * self.c_h.x.array
         for facets in (spaces.dirichlet_facets, spaces.facets):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
         u_D, psi = self.u_D.less(constant), self.psi.less(constant)
-        return replace(self, u_D=u_D, psi=psi, u_lift=u_lift, psi_h=self.psi_h - constant)
+        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=self.psi_h - constant)
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
@@ -121,7 +144,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     Raises:
         InputError: If a datum is not finite at some quadrature point, or so large or small that squares of the solution
             leave the range of floating-point numbers; if κ is not symmetric positive definite, or has no value on some
-            cells.
+            cells; if c is negative somewhere.
     """
     problem = problem.parsed(spaces.mesh.geometry.dim)
     f = datum_of(spaces, "f", problem.f, continuous=False)
@@ -132,6 +155,8 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
     f_h = fem.Function(spaces.Q, name="f_h")
     f_h.x.array[:] = f_means = _cell_means(spaces, f)
     check_means("f", "in the domain", f_means, spaces)
+    c = regional_datum(spaces, "c", problem.c)
+    c_h = _projected_reaction(spaces, c)
 
     laws, psi_h, q_Sh = boundary_laws(spaces, problem, psi, q_S)
     dirichlet_means = facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
@@ -161,8 +186,10 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         g_N=g_N,
         psi=psi,
         q_S=q_S,
+        c=c,
         f_h=f_h,
         kappa_h=kappa_h,
+        c_h=c_h,
         u_lift=u_lift,
         sigma_lift=sigma_lift,
         psi_h=psi_h,
@@ -185,10 +212,9 @@ def _exact(spaces: Spaces, given: Given | None) -> Datum | None:
 
 def _trees(problem: Problem) -> dict[str, Tree | Rows]:
     given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S")}
-    if isinstance(problem.kappa, Mapping):
-        given |= {f"kappa.{region}": value for region, value in problem.kappa.items()}
-    else:
-        given["kappa"] = problem.kappa
+    for name, whole in (("kappa", problem.kappa), ("c", problem.c)):
+        of_regions = {f"{name}.{key}": value for key, value in whole.items()} if isinstance(whole, Mapping) else None
+        given |= {name: whole} if of_regions is None else of_regions
     return {name: value for name, value in given.items() if isinstance(value, TREES | tuple | list)}
 
 
@@ -219,6 +245,21 @@ def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.
     kappa_h = fem.Function(spaces.Q_matrix if kappa.shape else spaces.Q, name="kappa_h")
     kappa_h.x.array[:] = means.ravel()  # no ghost cells
     return kappa_h
+
+
+def _projected_reaction(spaces: Spaces, c: Datum) -> fem.Function | None:
+    """c_h, or None if it is 0 (collective)."""
+    if c.number == 0:
+        return None
+    comm = spaces.mesh.comm
+    c_h = fem.Function(spaces.Q, name="c_h")
+    c_h.x.array[:] = means = _cell_means(spaces, c)  # no ghost cells
+    check_means("c", "in the domain", means, spaces)
+    blocks = cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), quadrature_degree(c))
+    least = min([0.0, *(float(c.values(points).min(initial=0.0)) for points in blocks)])
+    if (least := comm.allreduce(least, MPI.MIN)) < 0:
+        raise InputError(f"[problem] c: must not be negative; its smallest value is {least:.3g}")
+    return c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
 
 
 def _cell_means(spaces: Spaces, datum: Datum) -> Array:

@@ -29,7 +29,7 @@ def exact_errors(
         divergence = np.einsum("nvi,nvi->n", flux, points.slopes)
         errors = [
             ((exact_flux - points.barycentric @ flux) ** 2).sum(axis=2),
-            (data.f.values(points) + divergence[:, None]) ** 2,
+            (data.f.values(points) - data.c.values(points) * jet[:, :, 0] + divergence[:, None]) ** 2,
             (jet[:, :, 0] - u.x.array[points.cells, None]) ** 2,
         ]
         squares[:3] += [points.integrals(error).sum() for error in errors]

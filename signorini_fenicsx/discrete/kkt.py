@@ -55,8 +55,8 @@ class KKTResiduals(Residuals):
             each facet. Their product is not used, since it can be as small as the square of an error.
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
-        mass_balance: ‖h_T k⁻¹(∇·σ + f_h)‖ / G and ‖h_T (∇·σ + f_h)‖ / S, (9b) cell by cell; on Γ_N √L ‖k⁻¹(σ·n −
-            g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell; on Γ_N
+            √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
     """
 
     primal: float
@@ -107,7 +107,7 @@ def kkt_residuals(
         dual=float(dual.max()),
         complementarity=float(complementarity.max()),
         stationarity=float((_stationarity(spaces, sigma, u, p, data) / scales).max()),
-        mass_balance=float((_imbalance(spaces, sigma, data) / scales).max()),
+        mass_balance=float((_imbalance(spaces, sigma, u, data) / scales).max()),
     )
 
 
@@ -119,7 +119,7 @@ def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) ->
     values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
     squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
     of_u, of_given = np.sqrt(spaces.mesh.comm.allreduce(squares)) / spaces.length
-    if energy <= max(CONSTANT * of_u[0], ROUNDING * of_given[0]) and not _is_driven(spaces, data):
+    if energy <= max(CONSTANT * of_u[0], ROUNDING * of_given[0]) and not _is_driven(spaces, u, data):
         return np.maximum(of_u, of_given)[1:]
     return np.array([gradient, flux])
 
@@ -136,18 +136,24 @@ def _flux_square(_: Spaces, sigma: Expr) -> Form:
     return l2(sigma, ufl.dx)
 
 
-def _is_driven(spaces: Spaces, data: Data) -> bool:
-    """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective)."""
+def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
+    """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective).
+
+    Where c > 0 a load cu of a constant u drives nothing.
+    """
     comm = spaces.mesh.comm
     lowest, highest = data.dirichlet_extent(spaces)
-    loads = [np.abs(values.x.array).max(initial=0.0) for values in (data.f_h, data.sigma_lift)]
-    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or comm.allreduce(max(loads), MPI.MAX) > 0)
+    source, f_h, flux = (
+        comm.allreduce(np.abs(values.x.array).max(initial=0.0), MPI.MAX)
+        for values in (data.source(u), data.f_h, data.sigma_lift)
+    )
+    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or source > ROUNDING * f_h or flux > 0)
 
 
-def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
+def _imbalance(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = assembled(spaces.kept(_missing_mass, sigma, data.f_h)) / spaces.cell_measures
+    missing = assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [
@@ -157,9 +163,9 @@ def _imbalance(spaces: Spaces, sigma: fem.Function, data: Data) -> Array:
     return np.sqrt(spaces.mesh.comm.allreduce(np.array(squares)))
 
 
-def _missing_mass(spaces: Spaces, sigma: Expr, f_h: Expr) -> Form:
-    """h_T (∇·σ + f_h), integrated over each cell."""
-    return ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + f_h) * ufl.TestFunction(spaces.Q) * ufl.dx
+def _missing_mass(spaces: Spaces, sigma: Expr, source: Expr) -> Form:
+    """h_T (∇·σ + source), integrated over each cell."""
+    return ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + source) * ufl.TestFunction(spaces.Q) * ufl.dx
 
 
 def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:

@@ -9,7 +9,7 @@ from signorini_fenicsx.discrete.laws import Law
 
 @dataclass(frozen=True)
 class Problem:
-    """−∇·(κ∇u) = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one of them.
+    """−∇·(κ∇u) + cu = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one.
 
     On the parts of `laws` these hold instead of ψ and q_S.
 
@@ -20,6 +20,7 @@ class Problem:
         g_N: Flux κ∇u·n on Γ_N, with the outer normal n.
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
+        c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
         exact: The exact u, where it is known.
         laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
     """
@@ -30,6 +31,7 @@ class Problem:
     g_N: Given = 0.0
     psi: Given = 0.0
     q_S: Given = 0.0
+    c: Given | Mapping[str, Given] = 0.0
     exact: Given | None = None
     laws: Sequence[Law] = ()
 

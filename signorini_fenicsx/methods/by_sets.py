@@ -56,7 +56,7 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
 
 
 def _floating(task: Task) -> Array | None:
-    return None if task.spaces.has_dirichlet else task.spaces.facet_measure
+    return None if task.data.holds(task.spaces) else task.spaces.facet_measure
 
 
 def _made_precise(

@@ -156,7 +156,7 @@ class Solution(Solved):
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
         """∫ σ_h·n over parts of the boundary (collective).
 
-        Over all of ∂Ω it is −∫f up to rounding, except for the stabilised method, where ∇·σ_h = −f_h + εu_h.
+        Over all of ∂Ω it is ∫cu − ∫f up to rounding, except for the stabilised method, where ∇·σ_h has εu_h as well.
 
         Args:
             parts: Name of a part, or of several, whose facets count once where they overlap; None for all of ∂Ω.
@@ -249,7 +249,8 @@ class Solution(Solved):
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
         if self.method.stabilised:
-            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(ufl.div(self.sigma) + self.data.f_h, ufl.dx))))
+            imbalance = ufl.div(self.sigma) + data.source(self.u)
+            left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
 
     def summary(self) -> dict[str, Any]:

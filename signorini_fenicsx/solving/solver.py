@@ -226,9 +226,9 @@ def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
-    """Check that there is one solution; without Γ_D the total load decides (collective).
+    """Check that there is one solution; without Γ_D, and with c = 0, the total load decides (collective).
 
-    Without Γ_D the balance of the flux is ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and the left side is
+    Then the balance of the flux is ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and the left side is
     ≥ 0. If it is 0, u solves the Neumann problem, and any large enough constant may be added to it. It is the same with
     the smallest flux that other laws allow in the place of q_S, and with the largest.
 
@@ -236,7 +236,7 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
         InputError: If there is no solution, or more than one.
     """
     lowest, highest = data.total_load
-    if spaces.has_dirichlet or lowest < 0 < highest:
+    if data.holds(spaces) or lowest < 0 < highest:
         return
     verdict = "u is not unique" if 0 in data.total_load else "there is no solution"
     if data.laws.listed:

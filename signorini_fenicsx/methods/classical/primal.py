@@ -28,8 +28,9 @@ type Indices = npt.NDArray[np.int32]
 
 
 class P1System:
-    """(κ_h∇u, ∇v) = (f_h, v) + (g_N, v) + (q_S, v) in P1, u = u_D at the vertices of Γ_D; on Γ_S u stands for u − ψ.
+    """(κ_h∇u, ∇v) + (c_h u, v) = (f_h, v) + (g_N, v) + (q_S, v) in P1, u = u_D at the vertices of Γ_D.
 
+    On Γ_S u stands for u − ψ.
     Arrays hold values at the owned vertices, those of u − ψ on Γ_S.
 
     Attributes:
@@ -60,9 +61,11 @@ class P1System:
         self.dirichlet = owned_on_facets(self.space, spaces.dirichlet_facets)
         self.signorini = np.setdiff1d(owned_on_facets(self.space, spaces.facets), self.dirichlet)
         self.weights = self._owned(vertex_weight(v, spaces.ds))[self.signorini]
-        self._system = ConstrainedMatrix(
-            fem.form(stiffness(ufl.TrialFunction(self.space), v, ufl.dx, data.kappa_h)), PETSc.Mat.Option.SPD
-        )
+        u = ufl.TrialFunction(self.space)
+        form = stiffness(u, v, ufl.dx, data.kappa_h)
+        if data.c_h is not None:
+            form += mass(data.c_h * u, v, ufl.dx)
+        self._system = ConstrainedMatrix(fem.form(form), PETSc.Mat.Option.SPD)
         self._stiffness = self._system.natural
         self.change_matrix()
         self.matrix = self._system.matrix.duplicate(copy=True)
@@ -119,7 +122,7 @@ class P1System:
         return float(self.spaces.mesh.comm.allreduce(float(u @ v)))
 
     def energy_norm(self, u: Array) -> float:
-        """(κ_h∇u, ∇u)^½ (collective)."""
+        """((κ_h∇u, ∇u) + (c_h u, u))^½ (collective)."""
         return math.sqrt(max(self.dot(u, self._product(self._stiffness, u)), 0.0))
 
     def residual(self, u: Array, eps: float = 0.0) -> float:

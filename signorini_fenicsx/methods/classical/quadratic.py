@@ -6,6 +6,8 @@ unknown is τ − σ_lift.
 An interior-point solver gets only the mass matrix of RT0, the divergence and the signs: no facet conditions, no sets,
 no multipliers. Its own multipliers of ∇·τ = −f_h are u_h, and (12) gives p_h. It runs on rank 0 and is not parallel.
 
+Where c > 0 the constraint is ∇·τ − cu = −f_h with ½(cu, u) added: u is one more unknown there, equal to its multiplier.
+
 For other laws the integral of φ*(−τ·n) is added, −p being the slope of φ* as a function of τ·n: linear on a vertical
 segment of the graph, quadratic on a sloped one, and flat segments are kinks. Where there are kinks τ·n is a sum of
 unknowns, one for each segment that is not flat.
@@ -53,12 +55,13 @@ def quadratic_programme(task: Task) -> Outcome:
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
     )[:flux_size]
+    reaction = np.zeros(cells) if data.c_h is None else data.c_h.x.array
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
     bounds, pieces = _laws(task, flux_size)
     of_flux = flux_rows.gather(np.column_stack([linear, bounds]))
-    of_cell = cell_rows.gather(np.column_stack([weight, weight * right]))
+    of_cell = cell_rows.gather(np.column_stack([weight, weight * right, reaction]))
     of_pieces = gather_rows(comm, pieces)
     values = balance = left = None
     status, iterations = "", 0
@@ -67,7 +70,8 @@ def quadratic_programme(task: Task) -> Outcome:
         assert of_cell is not None
         assert of_pieces is not None
         scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
-        programme = _with_laws(hessian, scaled, of_flux, of_cell[:, 1], of_pieces)
+        parts = _with_reaction(hessian, scaled, of_flux, of_cell[:, 2])
+        programme = _with_laws(*parts, of_cell[:, 1], of_pieces)
         x, y, status, iterations = programme.solve(task.max_iterations)
         values, balance = x[: len(of_flux)], y[: len(of_cell)]
         left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
@@ -180,6 +184,22 @@ class _Programme:
         result = solver.result
         x, y = scale * self.size * np.asarray(result.x), scale * of_row * np.asarray(result.y)
         return x, y, status.name, int(result.info.iter)
+
+
+def _with_reaction(
+    hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, of_flux: Array, c: Array
+) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array, Array]:
+    """The flux, and u where c > 0, with ½‖c^½u‖² and ∇·τ − cu = −f: the multiplier is u there too (rank 0)."""
+    cells = np.flatnonzero(c)
+    if len(cells) == 0:
+        return hessian, divergence, of_flux
+    of_u = scipy.sparse.coo_array((-c[cells], (cells, np.arange(len(cells)))), (len(c), len(cells)))
+    free = np.tile([0.0, -np.inf, np.inf, 0.0, 0.0], (len(cells), 1))
+    return (
+        scipy.sparse.csr_array(scipy.sparse.block_diag([hessian, scipy.sparse.diags_array(c[cells])])),
+        scipy.sparse.csr_array(scipy.sparse.hstack([divergence, of_u])),
+        np.concatenate([of_flux, free]),
+    )
 
 
 def _with_laws(

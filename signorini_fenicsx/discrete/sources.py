@@ -1,0 +1,58 @@
+"""The source of each cell as a function of u_CR, see `forms/crouzeix_raviart.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.discrete.spaces import Spaces
+
+
+@dataclass(frozen=True)
+class Sources:
+    """y_T = b_T − s_T ū_T on each owned cell, with ū_T the mean of a Crouzeix-Raviart function.
+
+    Attributes:
+        s: s_T ≥ 0 in P0; None if it is 0 everywhere.
+        b: b_T in P0.
+    """
+
+    s: fem.Function | None
+    b: fem.Function
+
+    def at(self, u_cr: fem.Function) -> fem.Function:
+        """y_T for a function with up-to-date ghost values; b itself without s."""
+        if self.s is None:
+            return self.b
+        means = u_cr.x.array[u_cr.function_space.dofmap.list].mean(axis=1)
+        source = fem.Function(self.b.function_space)
+        source.x.array[:] = self.b.x.array - self.s.x.array * means  # no ghost cells
+        return source
+
+
+def sources(spaces: Spaces, data: Data) -> Sources:
+    """Those of −∇·σ + c_h u = f_h."""
+    if data.c_h is None:
+        return Sources(None, data.f_h)
+    s, b = fem.Function(spaces.Q), fem.Function(spaces.Q)
+    damping = 1 + data.c_h.x.array * mean_moments(spaces, data)
+    s.x.array[:] = data.c_h.x.array / damping
+    b.x.array[:] = data.f_h.x.array / damping
+    return Sources(s, b)
+
+
+def mean_moments(spaces: Spaces, data: Data) -> Array:
+    """m_T = mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, divided by d², for each owned cell.
+
+    With y_v = x_v − x_T for the vertices v of T the mean is Σ_v y_v·κ_h⁻¹y_v / ((d + 1)(d + 2)).
+    """
+    dim = spaces.mesh.geometry.dim
+    arms = corners(spaces.mesh) - corners(spaces.mesh).mean(axis=1, keepdims=True)
+    inverse = np.linalg.inv(data.matrices(spaces))
+    moments: Array = ((arms @ inverse) * arms).sum(axis=(1, 2)) / (dim**2 * (dim + 1) * (dim + 2))
+    return moments
