@@ -85,5 +85,5 @@ def _check_below(spaces: Spaces, psi: Datum, u_D: Datum) -> None:
     if most > ROUNDING * size:
         at = ", ".join(f"{coordinate:.4g}" for coordinate in x)
         raise InputError(
-            f"[problem] obstacle: is above u_D on Γ_D, as at ({at}) by {most:.3g}; u cannot be both u_D and at least that"
+            f"[problem] obstacle: is above u_D on Γ_D, as at ({at}) by {most:.3g}; u cannot be both u_D and above it"
         )

@@ -170,9 +170,8 @@ def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str
     guard_compiler()
     mesh = domain.mesh
     dim = mesh.topology.dim
-    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(
-        mesh, dim - 1, np.unique(np.concatenate([domain.facets[name] for name in signorini]))
-    )
+    on_signorini = [np.empty(0, dtype=np.int32), *(domain.facets[name] for name in signorini)]
+    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(mesh, dim - 1, np.unique(np.concatenate(on_signorini)))
     V = fem.functionspace(mesh, ("RT", 1))
     Q = fem.functionspace(mesh, ("DG", 0))
     Lambda = fem.functionspace(gamma, ("DG", 0))

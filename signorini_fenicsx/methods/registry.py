@@ -27,6 +27,8 @@ from signorini_fenicsx.methods.task import Task
 
 MANY = 100_000
 """Iterations allowed for methods with cheap iterations."""
+FOR_OBSTACLE = 20
+"""Factor of the iterations allowed where there is an obstacle."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Method:
         starts_from_sets: Whether it can start from a contact set.
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
+        obstacle: Whether it takes an obstacle in Ω.
         single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
     """
@@ -56,6 +59,7 @@ class Method:
     starts_from_sets: bool = False
     needs_dirichlet: bool = False
     laws: tuple[type[Law], ...] | None = (Signorini,)
+    obstacle: bool = False
     single_call: bool = False
     max_iterations: int = 50
 
@@ -63,8 +67,13 @@ class Method:
     def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
         """The method that runs a set rule."""
         run = partial(solve_by_sets, rule)
-        laws = None if rule.penalty is None else (Signorini,)
-        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True, laws=laws)
+        exact = rule.penalty is None
+        laws = None if exact else (Signorini,)
+        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True, laws=laws, obstacle=exact)
+
+    def most_iterations(self, *, obstacle: bool) -> int:
+        """Iterations allowed unless the options say otherwise; with an obstacle a cold start takes about 1/h."""
+        return FOR_OBSTACLE * self.max_iterations if obstacle else self.max_iterations
 
     @property
     def has_eps(self) -> bool:

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.contact_sets import FacetSegments, FacetSet, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.errors import exact_contact, exact_errors
 from signorini_fenicsx.discrete.kkt import KKTResiduals
@@ -213,9 +213,11 @@ class Solution(Solved):
         """The law that each Γ_S facet has in the end: with a penalty, that of the penalty."""
         return self.data.laws.chains.with_penalty(self.method.penalty, self.options.eps)
 
-    def segments(self) -> FacetSegments:
-        """The segment of its law that each Γ_S facet is on, by its final condition."""
-        return FacetSegments(self.spaces, self.law.segments(self.outcome.conditions))
+    def segments(self) -> Segments:
+        """The segment of its law that each Γ_S facet is on, and each cell if there is an obstacle."""
+        contact = self.outcome.iterate.contact
+        cells = None if contact is None else (~contact).astype(np.int8)
+        return Segments(self.spaces, self.law.segments(self.outcome.conditions), cells)
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""

@@ -60,8 +60,6 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        if not boundary.signorini:
-            raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
         self._boundary = boundary
@@ -101,7 +99,7 @@ class Solver:
                 data=data.less(spaces, constant),
                 rho=options.rho,
                 eps=options.eps,
-                max_iterations=options.max_iterations or method.max_iterations,
+                max_iterations=options.max_iterations or method.most_iterations(obstacle=data.obstacle is not None),
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
                 start=None if start is None else start.segments(),
@@ -256,8 +254,13 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
     Raises:
         InputError: If there is none, or the method cannot.
     """
-    check_solvability(spaces, data)
     method = options.method
+    if data.obstacle is None and not spaces.part_names:
+        raise InputError("signorini: lists no part, and there are no laws and no obstacle")
+    if data.obstacle is not None and not method.obstacle:
+        *others, last = (name for name, other in METHODS.items() if other.obstacle)
+        raise InputError(f"{options.algorithm_name} does not take an obstacle; {', '.join(others)} and {last} do")
+    check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     for part in data.laws.of_parts:
