@@ -23,9 +23,9 @@ so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational i
 If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
 Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`. After a penalty
-method u is the exact solution of the penalty problem, or of the Signorini problem if one asks for that. Its domain is
-the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`; for an obstacle in
+Ω see `obstacle`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
+one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 """
 
 from __future__ import annotations
@@ -46,8 +46,10 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
+from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.law_bounds import LawTrace
 from signorini_fenicsx.certificate.law_trace import OnGammaS, law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
@@ -152,13 +154,19 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
     y, remainder = admissible_flux(solution, metric, goal)
-    if goal.plain:
+    if goal.plain and data.obstacle is None:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
         contact = excess.gap(trace.above(excess.points), len(metric.volume))
     else:
         trace, contact, load = _under_laws(solution, metric, goal, y)
         resolution.by_quadrature |= not_polynomial(goal)
+        if data.obstacle is not None:
+            assert isinstance(trace.exact, LawTrace)
+            forces = obstacle.force(spaces, data, y)
+            contact = contact + obstacle.gap(data.obstacle, spaces, metric, trace.exact, forces)
+            if not obstacle.is_quadratic(data.obstacle.psi):
+                resolution.by_quadrature.add("obstacle")
     oscillation = load_oscillation(spaces, data, metric, load, resolution)
     mismatch = _mismatch(spaces, data, trace, y)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)

@@ -37,6 +37,7 @@ from signorini_fenicsx.certificate.admissible_trace import (
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, force, is_quadratic, lower_inside
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.conditions import Kinds
@@ -152,13 +153,14 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     mesh = spaces.mesh
     v = averaged(solution, metric)
     space = v.function_space
-    edges, nodes = all_edges(space), facet_nodes(space, spaces)
+    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces), data.obstacle
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
     for some in (nearly, fully):
         _set_means(v, nodes[some], values[some])
+    floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     ends = on.ends(at_nodes)
@@ -168,16 +170,34 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
-    box = Box.of(hard, soft, on_dirichlet)
+    _touch(v, solution, floor, on_dirichlet)
+    box = Box.of(*((np.maximum(each[0], floor), each[1]) for each in (hard, soft)), on_dirichlet)
     box.project(v.x.array)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
+    if obstacle is not None:
+        add_load(excess, spaces, force(spaces, data, y))
     excess.x.scatter_reverse(la.InsertMode.add)
     slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
+    if obstacle is not None:
+        lower_inside(v, floor, obstacle, edges)
     return _with_exact_data(on, data, v, u_D, feasible=feasible)
+
+
+def _touch(v: fem.Function, solution: Solution, floor: Array, on_dirichlet: Indices) -> None:
+    """Let v be I_hψ in the nodes of all cells in contact with the obstacle, but not on Γ_D (collective)."""
+    contact = solution.outcome.iterate.contact
+    if contact is None:
+        return
+    touched = fem.Function(v.function_space)
+    touched.x.array[v.function_space.dofmap.list[contact]] = 1.0
+    touched.x.scatter_reverse(la.InsertMode.add)
+    touched.x.scatter_forward()
+    touched.x.array[on_dirichlet] = 0.0
+    v.x.array[:] = np.where(touched.x.array > 0, floor, v.x.array)
 
 
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], on_dirichlet: Indices) -> bool:
@@ -253,13 +273,18 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
             known.append(datum)
+    if data.obstacle is not None:
+        trace.bounds.append(bound(data.obstacle, linear))
+        if not is_quadratic(data.obstacle.psi):
+            changed.append(trace.bounds[-1].near)
+            known.append(data.obstacle.psi)
     near = sum((each.x.array for each in changed), np.zeros_like(moved.x.array))
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
     )
     return Trace(
         v=v,
-        exact=trace if changed else None,
+        exact=trace if trace.bounds or changed else None,
         above=lambda points: trace.jet(points)[:, :, 0],
         cells=cells,
         at_dirichlet=at_dirichlet,
