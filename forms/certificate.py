@@ -12,6 +12,13 @@ Proof: ½‖κ∇v − y‖² = ½|∇(v − u)|² + ½‖σ − y‖² + (∇(v
 Γ_N, the last term is ⟨(σ − y)·n, v − u⟩, which is ⟨σ·n − q_S, v − ψ⟩ − ⟨y·n − q_S, v − ψ⟩ + ⟨y·n − q_S, u − ψ⟩ because
 (u − ψ)(σ·n − q_S) = 0. All terms on the left are ≥ 0.
 
+*A term cu* with c ≥ 0, −∇·σ + cu = f. Let r = f + ∇·y − cv, which is 0 where c = 0. Then
+
+    ½‖κ∇v − y‖² + ½‖c^-½ r‖² + ⟨y·n − q_S, v − ψ⟩ on Γ_S
+
+is the left side above plus ½‖c^½(v − u)‖² + ½‖c^-½ ∇·(y − σ)‖². Proof: with w = v − u and τ = y − σ, r = ∇·τ − cw, so
+that ½‖c^-½ r‖² has −(∇·τ, w) in it, which with −(∇w, τ) from the first square makes −⟨τ·n, w⟩: the boundary term above.
+
 *Other laws.* Let −σ·n ∈ ∂φ(u) on Γ_S with φ convex in each point, and φ* its conjugate. For any v with v = u_D on Γ_D
 and any y with ∇·y = −f and y·n = g_N on Γ_N the same expansion gives
 

@@ -1,4 +1,4 @@
-"""A flux near σ_h that balances f_h and has y·n ≥ q_S on Γ_S in the mean, and its distance from σ_h.
+"""A flux near σ_h that balances f_h − c_h u* and has y·n ≥ q_S on Γ_S in the mean, and its distance from σ_h.
 
 The residual c = ∇·σ_h + f_h is corrected by a flux z ∈ RT0 with −∇·z = c, z·n = 0 on Γ_N and Γ_S. This is one more
 solve, needed only if c is more than rounding. Without Γ_D, z may be nonzero on those facets of Γ_S where y·n − q_S is
@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
@@ -43,36 +44,39 @@ NONE = (np.empty(0), np.empty(0))
 """Where there is a Γ_D no limits are needed."""
 
 
-def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple[fem.Function, float]:
-    """The flux y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
+def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple[fem.Function, fem.Function, float]:
+    """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
-    Under other laws y·n is between the least and the largest flux that they allow. With an obstacle ∇·y ≤ −f_h.
+    Under other laws y·n is between the least and the largest flux that they allow. With an obstacle ≤ is enough in the
+    balance.
 
     Returns:
-        y, and ‖y − σ_h‖ including the term for rounding; the latter is infinite if c cannot be corrected.
+        y, u* and ‖y − σ_h‖ including the term for rounding; the latter is infinite if the residual cannot be corrected.
     """
     spaces, data = solution.spaces, solution.data
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
     limits = tuple(data.q_Sh + end for end in goal.chains.extent()[2:])
-    y = _within(spaces, limits, _without_penalty(solution) if goal.plain else solution.sigma)
+    sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
+    y = _within(spaces, limits, sigma)
     rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(y).sum()))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
-        imbalance.x.array[:] = _divergence(spaces, y, volume) + data.f_h.x.array
+        imbalance.x.array[:] = _divergence(spaces, y, volume) + data.source(u).x.array
         if data.obstacle is not None:  # where it is negative, it is the force of the obstacle
             imbalance.x.array[:] = np.maximum(imbalance.x.array, 0.0)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
-            return y, float(left + _distance(metric, y, solution.sigma))
+            return y, u, float(left + _distance(metric, y, solution.sigma))
         try:
             correction = _balancing_flux(spaces, data, y, imbalance, limits)
         except LinearSolveFailure:
             break
-        correction.x.array[:] += y.x.array
-        y = _within(spaces, limits, correction)
-    return y, np.inf
+        correction.sigma.x.array[:] += y.x.array
+        correction.u.x.array[:] += u.x.array
+        y, u = _within(spaces, limits, correction.sigma), correction.u
+    return y, u, np.inf
 
 
 def _distance(metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
@@ -90,14 +94,15 @@ def _divergence(spaces: Spaces, y: fem.Function, volume: Array) -> Array:
     return assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
 
 
-def _without_penalty(solution: Solution) -> fem.Function:
-    """σ_h; for (MPε-II), whose σ_h·n is < q_S off the contact set, the flux of a step of Algorithm 1 (collective)."""
+def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
+    """σ_h and u_h; for (MPε-II), whose σ_h·n is < q_S off the contact set, by a step of Algorithm 1 (collective)."""
     if solution.method.penalty is Penalty.FLUX:
         open_facets = solution.outcome.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
         with contextlib.suppress(LinearSolveFailure):
-            return HybridBackend(solution.spaces, solution.data).solve(SiteConditions(kind)).sigma
-    return solution.sigma
+            found = HybridBackend(solution.spaces, solution.data).solve(SiteConditions(kind))
+            return found.sigma, found.u
+    return solution.sigma, solution.u
 
 
 def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
@@ -113,22 +118,20 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     return y
 
 
-def _balancing_flux(
-    spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function, limits: Limits
-) -> fem.Function:
-    """The flux z of the module, for the load `imbalance` (collective).
+def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function, limits: Limits) -> Iterate:
+    """The flux z of the module, for the load `imbalance`; where c > 0 with −∇·z + cu = imbalance (collective).
 
     Raises:
         LinearSolveFailure: If the solve fails.
     """
     kind, obstacle = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), None
-    if not spaces.has_dirichlet:
+    if not data.holds(spaces):
         flux = spaces.normal_flux(y)
         excess = np.minimum(flux - limits[0], limits[1] - flux)
         kind = _most_room(excess, spaces.mesh.comm)
         if data.obstacle is not None:
             obstacle = replace(data.obstacle, means=np.zeros_like(data.obstacle.means))
-            kind = np.append(kind, _most_room(force(spaces, data, y), spaces.mesh.comm))
+            kind = np.append(kind, _most_room(force(spaces, y, data.f_h), spaces.mesh.comm))
     nothing = np.zeros(len(spaces.facets))
     loads = replace(
         data,
@@ -139,7 +142,7 @@ def _balancing_flux(
         q_Sh=nothing,
         obstacle=obstacle,
     )
-    return HybridBackend(spaces, loads).solve(SiteConditions(kind)).sigma
+    return HybridBackend(spaces, loads).solve(SiteConditions(kind))
 
 
 def _most_room(excess: Array, comm: MPI.Comm) -> Kinds:
@@ -168,11 +171,12 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
         return np.inf
     one, nothing = fem.Function(spaces.Q), fem.Function(spaces.V)
     one.x.array[:] = 1.0
+    data = replace(data, c_h=None)
     try:
-        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one, NONE))
+        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one, NONE).sigma)
         if left > WORTH * whole:
             return constant * whole
-        z = _balancing_flux(spaces, data, nothing, middle, NONE)
+        z = _balancing_flux(spaces, data, nothing, middle, NONE).sigma
     except LinearSolveFailure:
         return np.inf
     return min(constant * whole, constant * left + _distance(metric, z, nothing))

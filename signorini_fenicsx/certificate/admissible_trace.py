@@ -57,11 +57,11 @@ ROOM = 1.001, 2.0
 vertex cannot rise."""
 
 
-class HasGradient(Protocol):
-    """A function that is known by its gradient."""
+class HasJet(Protocol):
+    """A function that is known by its jet."""
 
-    def gradient(self, points: Points) -> Array:
-        """Its gradient (collective)."""
+    def jet(self, points: Points, *, gradient: bool = False) -> Array:
+        """Its jet, see `discrete.points` (collective)."""
         ...
 
 
@@ -82,7 +82,7 @@ class Trace:
     """
 
     v: fem.Function
-    exact: HasGradient | None
+    exact: HasJet | None
     above: Callable[[Points], Array]
     cells: Indices
     at_dirichlet: Indices
@@ -90,6 +90,12 @@ class Trace:
     lowest: Array
     feasible: bool
     degree: int
+
+    def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
+        """The jet of the admissible function in points of `cells` (near) or of others (collective)."""
+        if near and self.exact is not None:
+            return self.exact.jet(points, gradient=gradient)
+        return points.quadratic(self.v, gradient=gradient)
 
 
 def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) -> Trace:
@@ -213,11 +219,11 @@ class ExactTrace:
         """The function less ψ on Γ_S (collective)."""
         return self._limited(points)[:, :, 0]
 
-    def gradient(self, points: Points) -> Array:
-        """Its gradient (collective)."""
-        missed = cut_off(points.linear(self.near_signorini, gradient=True), self._missed(points, gradient=True))
-        jet = self._limited(points, gradient=True) + points.quadratic(self.psi, gradient=True) + missed
-        return jet[:, :, 1:]
+    def jet(self, points: Points, *, gradient: bool = False) -> Array:
+        """Its jet (collective)."""
+        near = points.linear(self.near_signorini, gradient=gradient)
+        missed = cut_off(near, self._missed(points, gradient=gradient))
+        return self._limited(points, gradient=gradient) + points.quadratic(self.psi, gradient=gradient) + missed
 
     def _limited(self, points: Points, *, gradient: bool = False) -> Array:
         return larger(self.unlimited(points, gradient=gradient), points.linear(self.floor, gradient=gradient))

@@ -26,14 +26,15 @@ Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ
 Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`; for an obstacle in
 Ω see `obstacle`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
 one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
+
+With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
+|∇w|² + ‖c^½w‖² takes the place of |∇w|². The two errors are bounded as before, and with them ‖c^½(v − u)‖.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import basix
@@ -44,28 +45,20 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
-from signorini_fenicsx.certificate.law_bounds import LawTrace
 from signorini_fenicsx.certificate.law_trace import OnGammaS, law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
+from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import (
-    Entities,
-    Points,
-    cell_quadrature,
-    facet_type,
-    in_vertices,
-    owned_cells,
-)
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, in_vertices, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -133,12 +126,7 @@ def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
         solution: A solution by any algorithm.
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
-
-    Raises:
-        InputError: If c > 0.
     """
-    if solution.data.c_h is not None:
-        raise InputError("the certificate does not take c > 0 yet")
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))
@@ -153,21 +141,23 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
-    y, remainder = admissible_flux(solution, metric, goal)
+    y, level, remainder = admissible_flux(solution, metric, goal)
     if goal.plain and data.obstacle is None:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
         contact = excess.gap(trace.above(excess.points), len(metric.volume))
     else:
-        trace, contact, load = _under_laws(solution, metric, goal, y)
+        forces = None if data.obstacle is None else obstacle.force(spaces, y, data.source(level))
+        trace, contact, load = _under_laws(solution, metric, goal, y, forces)
         resolution.by_quadrature |= not_polynomial(goal)
-        if data.obstacle is not None:
-            assert isinstance(trace.exact, LawTrace)
-            forces = obstacle.force(spaces, data, y)
-            contact = contact + obstacle.gap(data.obstacle, spaces, metric, trace.exact, forces)
+        if forces is not None and data.obstacle is not None:
+            contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)
             if not obstacle.is_quadratic(data.obstacle.psi):
                 resolution.by_quadrature.add("obstacle")
-    oscillation = load_oscillation(spaces, data, metric, load, resolution)
+    reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, resolution)
+    if reaction is not None:
+        contact = contact + reaction.gap
     mismatch = _mismatch(spaces, data, trace, y)
     mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
     beside = resolution.near_boundary(trace, metric)
@@ -218,11 +208,13 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function) -> tuple[Trace, Array, FacetLoad]:
+def _under_laws(
+    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, forces: Array | None
+) -> tuple[Trace, Array, FacetLoad]:
     """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
     spaces = solution.spaces
     on = OnGammaS.of(solution, goal, metric, y)
-    trace = law_trace(solution, metric, y, on)
+    trace = law_trace(solution, metric, y, on, forces)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.above(at.points)
     found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_of_piece(at, v))
@@ -234,20 +226,15 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Arra
     mesh, kappa = spaces.mesh, data.kappa
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    parts: list[tuple[Entities, int, Callable[[Points], Array]]] = [(far, of_kappa, partial(_slope, trace.v))]
-    if trace.exact is not None:
-        parts.append((trace.cells, trace.degree, trace.exact.gradient))
     mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
-    for cells, degree, slope in parts:
+    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
         for points in cell_quadrature(mesh, cells, degree):
-            flux = points.barycentric @ fluxes[points.cells]
-            mismatch[points.cells] = points.integrals(_flux_gap(slope(points), flux, kappa.values(points)))
+            flux, slope = (
+                points.barycentric @ fluxes[points.cells],
+                trace.jet(points, near=near, gradient=True)[:, :, 1:],
+            )
+            mismatch[points.cells] = points.integrals(_flux_gap(slope, flux, kappa.values(points)))
     return mismatch
-
-
-def _slope(v: fem.Function, points: Points) -> Array:
-    """∇v."""
-    return points.quadratic(v, gradient=True)[:, :, 1:]
 
 
 def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:

@@ -82,10 +82,6 @@ class LawTrace:
             found = bound.apply(points, found, gradient=gradient)
         return found
 
-    def gradient(self, points: Points) -> Array:
-        """Its gradient (collective)."""
-        return self.jet(points, gradient=True)[:, :, 1:]
-
 
 def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:
     """How steep ℓ has to be: away from the facets, and on Γ_D, the bound must not change v (collective)."""

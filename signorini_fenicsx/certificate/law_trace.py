@@ -37,7 +37,7 @@ from signorini_fenicsx.certificate.admissible_trace import (
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, force, is_quadratic, lower_inside
+from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.conditions import Kinds
@@ -147,8 +147,11 @@ class OnGammaS:
         return found
 
 
-def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS) -> Trace:
-    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective)."""
+def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, forces: Array | None) -> Trace:
+    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective).
+
+    `forces` is λ of the obstacle in each owned cell, None without one.
+    """
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
     v = averaged(solution, metric)
@@ -176,8 +179,8 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
-    if obstacle is not None:
-        add_load(excess, spaces, force(spaces, data, y))
+    if forces is not None:
+        add_load(excess, spaces, forces)
     excess.x.scatter_reverse(la.InsertMode.add)
     slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)

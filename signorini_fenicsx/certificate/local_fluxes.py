@@ -54,6 +54,15 @@ class Projection:
     coefficients: Array
     rest: Array
 
+    def plus(self, other: Projection) -> Projection:
+        """The sum of two loads; the norm of its remainder is at most that of both."""
+        rest = (np.sqrt(self.rest) + np.sqrt(other.rest)) ** 2
+        return Projection(self.coefficients + other.coefficients, rest)
+
+    def norms(self, scale: Array) -> Array:
+        """L² norm per cell or facet; `scale` is its measure, divided by that of the reference one."""
+        return np.sqrt(scale * ((self.coefficients**2).sum(axis=1) + self.rest))
+
 
 def projected(values: Array, cell: basix.CellType, degree: int, points: Array, weights: Array) -> Projection:
     """Project functions with mean 0, given by values in the points of a quadrature, shape (n, points)."""

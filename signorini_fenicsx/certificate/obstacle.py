@@ -9,6 +9,8 @@ Proof. The difference of both sides is (∇(v − ũ), κ∇ũ − y) + (λ, v �
 and (λ̃, ũ − ψ) = 0. So all cancel. The last two terms on the right are ≥ 0. With laws on Γ_S these add what they add
 without an obstacle.
 
+With a term cu, λ = −∇·y − f_h + c_h u*, and both sides have the terms of `reaction`.
+
 The variational inequalities of u and ũ, each tested with the other one, give |∇(u − ũ)| ≤ osc as without an obstacle:
 both are taken over the same functions v ≥ ψ.
 
@@ -24,10 +26,9 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace
-from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.admissible_trace import Trace
+from signorini_fenicsx.certificate.law_bounds import Bound
 from signorini_fenicsx.certificate.relaxation import Edges
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.obstacle import Obstacle
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells, quadratic_nodes
@@ -37,10 +38,10 @@ ROOM = 2.0
 """Factor of the largest I_hψ − ψ in the points of a quadrature."""
 
 
-def force(spaces: Spaces, data: Data, y: fem.Function) -> Array:
-    """λ = −∇·y − f_h per owned cell, 0 where this is less (collective)."""
+def force(spaces: Spaces, y: fem.Function, source: fem.Function) -> Array:
+    """λ = −∇·y − source per owned cell, 0 where this is less (collective)."""
     divergence = assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
-    return np.maximum(-divergence - data.f_h.x.array, 0.0)
+    return np.maximum(-divergence - source.x.array, 0.0)
 
 
 def is_quadratic(psi: Datum) -> bool:
@@ -91,11 +92,13 @@ def bound(obstacle: Obstacle, linear: fem.FunctionSpace) -> Bound:
     return Bound(obstacle.psi, 1.0, everywhere, 0.0)
 
 
-def gap(obstacle: Obstacle, spaces: Spaces, metric: CellMetric, trace: LawTrace, forces: Array) -> Array:
+def gap(obstacle: Obstacle, spaces: Spaces, trace: Trace, forces: Array) -> Array:
     """2(λ, v − ψ) per owned cell (collective)."""
-    found = np.zeros(len(metric.volume))
+    found = np.zeros(len(forces))
     cells = np.flatnonzero(forces > 0).astype(np.int32)
-    for points in cell_quadrature(spaces.mesh, cells, quadrature_degree(obstacle.psi, trace.u_D[0])):
-        above = trace.jet(points)[:, :, 0] - obstacle.psi.values(points)
-        found[points.cells] = 2 * forces[points.cells] * points.integrals(np.maximum(above, 0.0))
+    far, near = np.setdiff1d(cells, trace.cells), np.intersect1d(cells, trace.cells)
+    for close, some in ((False, far), (True, near)):
+        for points in cell_quadrature(spaces.mesh, some, max(trace.degree, quadrature_degree(obstacle.psi))):
+            above = trace.jet(points, near=close)[:, :, 0] - obstacle.psi.values(points)
+            found[points.cells] = 2 * forces[points.cells] * points.integrals(np.maximum(above, 0.0))
     return found

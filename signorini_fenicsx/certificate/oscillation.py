@@ -16,6 +16,7 @@ larger than q_S, except at the ends of the contact set, and r = 0 however much q
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import basix
@@ -32,6 +33,7 @@ from signorini_fenicsx.certificate.local_fluxes import (
     projected,
 )
 from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.reaction import ReactionTerms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
@@ -102,7 +104,12 @@ def contact_excess(
 
 
 def load_oscillation(
-    spaces: Spaces, data: Data, metric: CellMetric, on_signorini: FacetLoad | None, resolution: Resolution
+    spaces: Spaces,
+    data: Data,
+    metric: CellMetric,
+    on_signorini: FacetLoad | None,
+    reaction: ReactionTerms | None,
+    resolution: Resolution,
 ) -> Array:
     """osc_T per owned cell (collective).
 
@@ -111,6 +118,7 @@ def load_oscillation(
         data: The data.
         metric: Metric of the owned cells.
         on_signorini: The load r on Γ_S.
+        reaction: The terms of cu.
         resolution: Records what quadrature may have missed.
     """
     mesh = spaces.mesh
@@ -122,7 +130,16 @@ def load_oscillation(
         g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
         on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
-    return load_norms(mesh.basix_cell(), metric, _load(spaces, data, metric, resolution), on_facets)
+    load, cell = _load(spaces, data, metric, resolution), mesh.basix_cell()
+    if reaction is None:
+        return load_norms(cell, metric, load, on_facets)
+    load = reaction.load if load is None else reaction.load.plus(load)
+    size = load.norms(math.factorial(mesh.topology.dim) * metric.volume)
+    with np.errstate(divide="ignore"):
+        by_reaction = load_norms(cell, metric, None, on_facets) + np.where(
+            size > 0, size / np.sqrt(reaction.least), 0.0
+        )
+    return np.minimum(load_norms(cell, metric, load, on_facets), by_reaction)
 
 
 def _on_facets(

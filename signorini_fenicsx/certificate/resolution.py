@@ -48,6 +48,7 @@ from signorini_fenicsx.certificate.interpolants import (
 from signorini_fenicsx.certificate.local_fluxes import facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.given import Rows
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
@@ -58,7 +59,7 @@ type Indices = npt.NDArray[np.int32]
 
 EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
-LOADS = ("f", "g_N", "q_S")
+LOADS = ("f", "g_N", "q_S", "c")
 SEEN = 0.25
 """Enclosures of u_D and ψ stop where the part that is not quadratic is about half of this share of the error."""
 AGREED = 0.1
@@ -120,7 +121,7 @@ class Resolution:
             metric: Metric of the owned cells.
         """
         vertices = cell_vertices(self.spaces.mesh)
-        tolerance = self._flux(metric) / self.volume ** (1 / vertices.shape[2])
+        tolerance = self.flux(metric) / self.volume ** (1 / vertices.shape[2])
         norm, mean = self._load(name, vertices, quadratic_of(vertices, nodes), seen, tolerance, self._cells())
         self.load = self.load + mean
         self.missed += np.where(norm > seen, (metric.diameter / np.pi * norm) ** 2 * metric.volume / metric.low, 0.0)
@@ -128,7 +129,7 @@ class Resolution:
 
     def on_facets(self, name: str, points: FacetPoints, nodes: Array, seen: Array, metric: CellMetric) -> Array:
         """L² norm of a flux minus p per facet, with arguments like those of `on_cells` (collective)."""
-        p, tolerance = quadratic_of(points.vertices, nodes), self._flux(metric)[points.cells]
+        p, tolerance = quadratic_of(points.vertices, nodes), self.flux(metric)[points.cells]
         norm, mean = self._load(name, points.vertices, p, seen, tolerance, points.cells)
         area = points.integrals(np.ones((len(points.cells), len(points.weights))))
         share = area / metric.volume[points.cells]
@@ -150,10 +151,15 @@ class Resolution:
         agree = np.abs(means[0] - means[1]) <= np.maximum(AGREED * seen, tolerance)
         hidden = ~((first.norm <= enough) & np.isfinite(first.slope) & agree)
         some = Quadratic(p.value[hidden], p.gradient[hidden], p.hessian[hidden])
-        found = self._enclosed(name, tree, vertices[hidden], some, tolerance[hidden], cells[hidden], "mean")
+        found = self.enclosed(name, tree, vertices[hidden], some, tolerance[hidden], cells[hidden], "mean")
         norm, lo, hi = seen.copy(), np.zeros(len(seen)), np.zeros(len(seen))
         norm[hidden], lo[hidden], hi[hidden] = np.maximum(found.norm, seen[hidden]), found.mean.lo, found.mean.hi
         return norm, Interval(lo, hi)
+
+    def add_load(self, size: Array, metric: CellMetric) -> None:
+        """Record a load of which only a bound of its size on each owned cell is known."""
+        self.load = self.load + Interval(-size, size)
+        self.missed += (metric.diameter / np.pi * size) ** 2 * metric.volume / metric.low
 
     def conductivity(self, metric: CellMetric, size: float) -> tuple[CellMetric, Array]:
         """The metric with κ ≥ low κ_h on whole cells, and S per owned cell (collective).
@@ -167,7 +173,7 @@ class Resolution:
         """
         number, dim = len(metric.volume), metric.jacobian.shape[1]
         deviation = np.zeros(number)
-        if self.data.kappa.number is not None or not self._given_as_text("kappa"):
+        if self.data.kappa.number is not None or not self.given_as_text("kappa"):
             return metric, deviation
         vertices = cell_vertices(self.spaces.mesh)
         coefficients = np.zeros((number, len(edge_order(dim + 1)) + dim + 1, dim, dim))
@@ -177,7 +183,7 @@ class Resolution:
             degree = polynomial_degree(tree)
             if degree is None or degree > 2:
                 tolerance = SHARE * self.error / max(size, 1e-300) * np.abs(of_p).max(axis=1, initial=0.0)
-                found = self._enclosed("kappa", tree, vertices[cells], p, tolerance, cells, "sup")
+                found = self.enclosed("kappa", tree, vertices[cells], p, tolerance, cells, "sup")
                 deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * found.sup)
             for i, j in entries:
                 coefficients[cells, :, i, j] = of_p
@@ -209,7 +215,7 @@ class Resolution:
             kappa_max = (2 - metric.low[cells]) / np.linalg.eigvalsh(inverse)[:, 0]
             steep = SEEN / 2 * self.error / np.sqrt(max(strip, 1e-300) * kappa_max)
             p = quadratic_of(vertices, in_nodes(tree, vertices))
-            found = self._enclosed(name, tree, vertices, p, steep, cells, "tilt")
+            found = self.enclosed(name, tree, vertices, p, steep, cells, "tilt")
             decay = 2 * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
             hidden = found.tilt > OVERLOOKED * seen_slope(tree, vertices, p)
             more = np.sqrt(kappa_max * metric.volume[cells]) * (found.tilt + decay * found.sup)
@@ -228,18 +234,18 @@ class Resolution:
         found = enclose(tree, vertices, p, np.where(tolerance > 0, tolerance, np.inf), comm, scale=scale, by="sup")
         return np.asarray(found.sup > tolerance)
 
-    def _flux(self, metric: CellMetric) -> Array:
+    def flux(self, metric: CellMetric) -> Array:
         """A flux size per owned cell that makes only the share SHARE of the error."""
         return SHARE * self.error * np.sqrt(np.maximum(metric.kappa_min, 0.0) / self.volume)
 
     def _tree(self, name: str) -> Tree | None:
         tree = self.data.trees.get(name)
-        if not self._given_as_text(name) or not isinstance(tree, TREES):
+        if not self.given_as_text(name) or not isinstance(tree, TREES):
             return None
         degree = polynomial_degree(tree)
         return None if degree is not None and degree <= EXACT else tree
 
-    def _given_as_text(self, name: str) -> bool:
+    def given_as_text(self, name: str) -> bool:
         """Whether a datum is a number or a tree; otherwise it is added to `by_quadrature`."""
         is_number = getattr(self.data, name).number is not None
         known = is_number or any(key.partition(".")[0] == name for key in self.data.trees)
@@ -247,21 +253,24 @@ class Resolution:
             self.by_quadrature.add(name)
         return known
 
+    def of_regions(self, name: str) -> Iterator[tuple[Tree | Rows, Indices]]:
+        """What κ or c was given as, for all owned cells or for those of each region."""
+        for key, given in self.data.trees.items():
+            datum, _, region = key.partition(".")
+            if datum == name:
+                yield given, self.spaces.domain.regions[region] if region else self._cells()
+
     def _conductivities(self) -> Iterator[tuple[Tree, Indices, list[tuple[int, int]]]]:
         """Each tree of κ, the owned cells where it holds, and its entries of the matrix."""
         dim = self.spaces.mesh.geometry.dim
-        for name, given in self.data.trees.items():
-            key, _, region = name.partition(".")
-            if key != "kappa":
-                continue
-            cells = self.spaces.domain.regions[region] if region else self._cells()
+        for given, cells in self.of_regions("kappa"):
             if isinstance(given, TREES):
                 yield given, cells, [(i, i) for i in range(dim)]
                 continue
             for i, j in np.ndindex(dim, dim):
                 yield given[i][j], cells, [(i, j)]
 
-    def _enclosed(
+    def enclosed(
         self,
         name: str,
         tree: Tree | None,
@@ -271,6 +280,7 @@ class Resolution:
         cells: npt.NDArray[np.integer],
         by: Literal["mean", "sup", "tilt"] = "mean",
     ) -> Enclosure:
+        """Enclose a datum minus quadratics on simplices of these cells; places that are not resolved are kept."""
         assert tree is not None
         found = enclose(tree, vertices, p, tolerance, self.spaces.mesh.comm, scale=self._scale(), by=by)
         self._note(name, found.place[~found.resolved], cells[~found.resolved])

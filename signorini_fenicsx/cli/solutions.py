@@ -120,7 +120,7 @@ def _check_provable(case: "Case") -> None:
     """Refuse a case whose bound cannot be proved (rank 0).
 
     Raises:
-        InputError: If its mesh is too large, or it has other laws than Signorini's.
+        InputError: If its mesh is too large, or it has other laws than Signorini's, or c.
     """
     from signorini_fenicsx.cases.domains import rough_cells
     from signorini_fenicsx.rigorous.proof import check_size
@@ -128,6 +128,8 @@ def _check_provable(case: "Case") -> None:
     check_size(rough_cells(case))
     if case.law:
         raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
+    if case.problem.c != "0":
+        raise InputError("--rigorous: the proof is for c = 0 alone; leave out [problem] c")
 
 
 def adapt(

@@ -65,6 +65,8 @@ def proof_of(solution: Solution, v: fem.Function) -> Proof:
             check_size(solution.spaces.Q.dofmap.index_map.size_global)
             if solution.data.laws.listed:
                 raise InputError("the proof is for the law of Signorini alone")
+            if solution.data.c_h is not None:
+                raise InputError("the proof is for c = 0 alone")
             given = Given.of(solution.data.trees, FromArb())
             discrete = gathered(solution, v)
             proven = on_root(comm, lambda: None if discrete is None else prove(discrete, given))

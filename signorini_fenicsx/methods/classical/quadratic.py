@@ -45,11 +45,9 @@ def quadratic_programme(task: Task) -> Outcome:
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
     data = task.data
     sigma, tau, v = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(Q)
-    blocks = flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx)
-    matrices = [assemble_matrix(fem.form(form)) for form in blocks]
-    for matrix in matrices:
-        matrix.assemble()
-    hessian, divergence = (matrix_on_root(matrix) for matrix in matrices)
+    hessian, divergence = (
+        _on_root(form) for form in (flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx))
+    )
     weight = 1 / np.sqrt(spaces.cell_measures[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
@@ -101,6 +99,13 @@ def quadratic_programme(task: Task) -> Outcome:
         dofs=V.dofmap.index_map.size_global + Q.dofmap.index_map.size_global,
         linear_solver="PIQP",
     )
+
+
+def _on_root(form: ufl.Form) -> scipy.sparse.csr_array | None:
+    """A matrix on rank 0, None on the other ranks (collective)."""
+    matrix = assemble_matrix(fem.form(form))
+    matrix.assemble()
+    return matrix_on_root(matrix)
 
 
 def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
