@@ -67,6 +67,7 @@ def assert_drawn(results: Path):
         colours = np.round(255 * image[..., :3]).astype(int) @ [1, 256, 65536]
         assert len(np.unique(colours)) > 200, name  # not blank
         assert 0.3 < image[..., :3].mean() < 0.995
+        assert all(side[..., :3].min() > 0.99 for side in (image[:4], image[-4:], image[:, :4], image[:, -4:])), name
     page = (results / "solution.html").read_text(encoding="utf-8")
     assert len(page.encode()) < 10_000_000
     assert not re.search(r"<(script|link|img)[^>]*(src|href)=", page)  # nothing from a network
@@ -75,7 +76,7 @@ def assert_drawn(results: Path):
 
 def test_plane(tmp_path: Path):
     """In the plane VTK is not imported; the settings of the process do not change."""
-    results, said = draw(tmp_path, "example5", "--h", "1/8")
+    results, said = draw(tmp_path, "example1", "--h", "1/8")
     assert said == ["0", "False", "True", "True"]
     assert_drawn(results)
 

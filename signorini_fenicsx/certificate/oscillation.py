@@ -23,6 +23,7 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.laws import with_mean
 from signorini_fenicsx.certificate.local_fluxes import (
     OF_FLUX,
     OF_LOAD,
@@ -66,18 +67,8 @@ class ContactExcess:
 
 
 def water_filled(s: Array, weights: Array) -> Array:
-    """The load r of the module for s with mean ≤ 0, in the points of a quadrature, shape (facets, points).
-
-    For each k let c_k be the number for which s, replaced by −c_k in its k lowest points, has mean 0. c is the largest
-    c_k.
-    """
-    order = np.argsort(s, axis=1)
-    sorted_weights = weights[order]
-    moments = sorted_weights * np.take_along_axis(s, order, axis=1)
-    above = moments.sum(axis=1, keepdims=True) - np.cumsum(moments, axis=1)
-    above[:, -1:] = 0.0
-    c = (above / np.cumsum(sorted_weights, axis=1)).max(axis=1, initial=0.0)
-    return np.maximum(s, -c[:, None])
+    """The load r of the module for s with mean ≤ 0, in the points of a quadrature, shape (facets, points)."""
+    return with_mean(np.zeros_like(s), s, np.full_like(s, np.inf), np.zeros(len(s)), weights)
 
 
 def contact_excess(

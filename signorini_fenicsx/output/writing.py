@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import shlex
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,14 +16,16 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
-from signorini_fenicsx.base.text import json_text, write_table
+from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output import elastic
 from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
 from signorini_fenicsx.output.field_files import interpolated, write_files, write_vtx
 from signorini_fenicsx.output.gather import (
@@ -35,6 +36,7 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
     gather_marks,
 )
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -52,7 +54,7 @@ def write_results(
 
 @collector_off()
 def write_solution(
-    solution: Solution,
+    solution: AnySolution,
     folder: Path | str,
     *,
     certificate: Certificate | None = None,
@@ -69,62 +71,73 @@ def write_solution(
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         plot: Also draw PNGs.
-        html: Also write `solution.html`, pictures that the mouse can turn.
+        html: Also write `solution.html`, pictures that the mouse can turn; elastic solutions have none.
         fields: Also write the fields for ParaView.
 
     Raises:
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    folder = Path(folder)
-    watch = Stopwatch()
+    folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
-        indicator = None if certificate is None else certificate.indicator
-        table, cells = gather_facets(solution), gather_fields(solution, indicator)
-        boundary = gather_boundary(solution) if plot or html else None
-        marks = gather_marks(solution.spaces.domain)
         summary = solution.summary()
         if certificate is not None:
             summary["certificate"] = certificate.summary()
             summary["timings"] |= {"certificate": certificate.seconds}
         if proof is not None:
             summary["certificate"] |= proof.summary()
-
-        def write() -> None:
-            if table is not None and cells is not None:
-                part = folder / f"{FILE}.part"
-                write_checkpoint(part, solution, cells, table, marks)
-                part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
-                names = solution.data.laws.names() if solution.data.laws.listed else []
-                write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
-                if boundary is not None:
-                    from signorini_fenicsx.output import pictures  # takes a second to import
-
-                    with doing("drawing"):
-                        scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
-                        if plot:
-                            pictures.draw_all(folder, scene)
-                        if html:
-                            pictures.write_page(folder / "solution.html", scene)
-            write_table(folder / "history.csv", Step, solution.outcome.history)
-
-        comm = solution.spaces.mesh.comm
+        if isinstance(solution, ElasticSolution):
+            write = elastic.tables_and_pictures(solution, folder, certificate, plot=plot)
+        else:
+            write = _tables_and_pictures(solution, folder, certificate, plot=plot, html=html)
         on_root(comm, write)
+        on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
             write_fields(solution, folder, certificate)
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 
 
+def _tables_and_pictures(
+    solution: Solution, folder: Path, certificate: Certificate | None, *, plot: bool, html: bool
+) -> Callable[[], None]:
+    """Gather what the checkpoint, tables and pictures hold; return what writes them on rank 0 (collective)."""
+    indicator = None if certificate is None else certificate.indicator
+    table, cells = gather_facets(solution), gather_fields(solution, indicator)
+    boundary = gather_boundary(solution) if plot or html else None
+    marks = gather_marks(solution.spaces.domain)
+
+    def write() -> None:
+        if table is None or cells is None:
+            return
+        part = folder / f"{FILE}.part"
+        write_checkpoint(part, solution, cells, table, marks)
+        part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
+        names = solution.data.laws.names() if solution.data.laws.listed else []
+        write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
+        if boundary is None:
+            return
+        from signorini_fenicsx.output import pictures  # takes a second to import
+
+        with doing("drawing"):
+            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+            if plot:
+                pictures.draw_all(folder, scene)
+            if html:
+                pictures.write_page(folder / "solution.html", scene)
+
+    return write
+
+
 def write_convergence(
-    case: Case, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+    case: AnyCase, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
 ) -> None:
     """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
 
     def write() -> None:
         from signorini_fenicsx.output import pictures
 
-        write_table(folder / "convergence.csv", ErrorRow, rows)
+        write_rows(folder / "convergence.csv", rows[0].columns(), [row.columns() for row in rows])
         against = {
             Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
             Vary.EPS: "alg1 on the same mesh",
@@ -136,7 +149,7 @@ def write_convergence(
             "algorithm": case.solve.algorithm,
             "vary": vary.value,
             "reference": against,
-            "rows": [asdict(row) for row in rows],
+            "rows": [row.columns() for row in rows],
             "slopes": fitted_slopes(rows, vary),
             "ranks": comm.size,
         }
@@ -145,17 +158,17 @@ def write_convergence(
     on_root(comm, write)
 
 
-def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+def write_adapt(solution: AnySolution, rows: list[AdaptRow], folder: Path) -> None:
     """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
-    table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    scene = pictures.gathered_scene(solution)
 
     def write() -> None:
-        from signorini_fenicsx.output import pictures
-
         write_table(folder / "adapt.csv", AdaptRow, rows)
-        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.name)
-        if table is not None and cells is not None and boundary is not None:
-            pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
+        pictures.draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
+        if scene is not None:
+            pictures.draw_mesh(folder / "mesh.png", scene)
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -177,8 +190,8 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, seg
             writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower(), *name])
 
 
-def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`; the last contains η_T of the certificate (collective).
+def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` or `contact.bp`, and `solution.xdmf` with η_T of the bound (collective).
 
     A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.
     `solution.xdmf` uses P0, with σ_h at the centroids.
@@ -187,9 +200,12 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    write_files(
-        solution.spaces.mesh.comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate)
-    )
+    comm = solution.spaces.mesh.comm
+    if isinstance(solution, ElasticSolution):
+        sizes = elastic.sizes_of_files(solution)
+        write_files(comm, folder, sizes, lambda: elastic.write_fields(solution, folder, certificate))
+    else:
+        write_files(comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate))
 
 
 def _sizes(solution: Solution) -> dict[str, int]:

@@ -19,8 +19,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     plane = Plane(scene)
     _draw_u(folder / "u.png", plane)
     _draw_map(folder / "sigma.png", plane, "sigma")
-    if scene.fields.indicator is not None:
-        _draw_map(folder / "certificate.png", plane, "certificate")
+    draw_certificate_file(folder / "certificate.png", plane)
     _draw_traces(folder / "signorini.png", scene)
     style.save(_overview(plane), folder / "overview.png")
 
@@ -39,6 +38,12 @@ def draw_mesh_file(path: Path, scene: Scene) -> None:
     style.save(figure, path)
 
 
+def draw_certificate_file(path: Path, plane: Plane) -> None:
+    """Draw `certificate.png`, if there is a certificate."""
+    if plane.scene.fields.indicator is not None:
+        _draw_map(path, plane, "certificate")
+
+
 def _one_map(plane: Plane) -> tuple[Figure, Axes]:
     width = 8.5 if plane.wide else 5.4
     figure = Figure(figsize=(width, 1.3 + 0.82 * width / max(plane.aspect, 0.6)), layout="constrained")
@@ -55,6 +60,7 @@ def _draw_u(path: Path, plane: Plane) -> None:
     title = "head of water $H = -u_h$" if plane.water else "$u_h$"
     plane.draw_u(figure, axes, title if plane.wide else f"(a) {title}")
     style.legend_below(figure, plane.handles())
+    _lay_out(figure)
     style.save(figure, path)
 
 
@@ -110,5 +116,10 @@ def _overview(plane: Plane) -> style.Page:
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     style.legend_below(figure, [*plane.handles(), *traces.handles(scene), *axes.get_legend_handles_labels()[0]], 6)
-    figure.get_layout_engine().execute(figure)  # twice: the ticks it makes room for are those of the size before
+    _lay_out(figure)
     return figure
+
+
+def _lay_out(figure: Figure) -> None:
+    """Arrange the panels once before they are drawn: the layout makes room for the ticks of the sizes before."""
+    figure.get_layout_engine().execute(figure)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure, SubFigure
 
@@ -21,7 +22,7 @@ STYLE = {
     "axes.grid": True,
     "grid.alpha": 0.3,
     "axes.axisbelow": True,
-    "savefig.dpi": 150,
+    "figure.dpi": 150,
     "figure.constrained_layout.h_pad": 0.08,
     "figure.constrained_layout.w_pad": 0.08,
 }
@@ -102,4 +103,5 @@ def legend_below(figure: Figure | SubFigure, handles: list, columns: int = 4) ->
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure."""
-    figure.savefig(path, pil_kwargs={"compress_level": 3})  # half the time, a few per cent larger
+    # `savefig` would draw twice, once for the layout. Level 3 takes half the time; files are a few per cent larger.
+    FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 3})
