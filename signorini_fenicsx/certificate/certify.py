@@ -35,12 +35,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-<<<<<<< HEAD
-from typing import Any
-=======
-from functools import partial
 from typing import Any, ClassVar
->>>>>>> elastic
 
 import basix
 import numpy as np
