@@ -142,7 +142,8 @@ def _check_provable(case: "AnyCase") -> None:
     from signorini_fenicsx.rigorous.proof import check_size
 
     check_size(rough_cells(case))
-    if isinstance(case, Case) and case.law:
+    assert isinstance(case, Case)  # others are refused before
+    if case.law:
         raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
     if case.problem.c != "0":
         raise InputError("--rigorous: the proof is for c = 0 alone; leave out [problem] c")

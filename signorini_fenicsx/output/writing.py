@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import errno
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, io
 from mpi4py import MPI
@@ -26,15 +29,17 @@ from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slope
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output import elastic
-from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
+from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import interpolated, write_files, write_vtx
 from signorini_fenicsx.output.gather import (
     FacetTable,
     centroid_flux,
+    facet_table,
     gather_boundary,
     gather_facets,
     gather_fields,
     gather_marks,
+    in_order,
 )
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
@@ -80,53 +85,43 @@ def write_solution(
     """
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
+        if isinstance(solution, ElasticSolution):
+            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot))
+        else:
+            write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
+            write_table_of_facets(folder, solution)
+            if plot or html:
+                with doing("drawing"):
+                    draw(folder, solution, certificate, plot=plot, html=html)
+        on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
+        if fields:
+            write_fields(solution, folder, certificate)
         summary = solution.summary()
         if certificate is not None:
             summary["certificate"] = certificate.summary()
             summary["timings"] |= {"certificate": certificate.seconds}
         if proof is not None:
             summary["certificate"] |= proof.summary()
-        if isinstance(solution, ElasticSolution):
-            write = elastic.tables_and_pictures(solution, folder, certificate, plot=plot)
-        else:
-            write = _tables_and_pictures(solution, folder, certificate, plot=plot, html=html)
-        on_root(comm, write)
-        on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
-        if fields:
-            write_fields(solution, folder, certificate)
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 
 
-def _tables_and_pictures(
-    solution: Solution, folder: Path, certificate: Certificate | None, *, plot: bool, html: bool
-) -> Callable[[], None]:
-    """Gather what the checkpoint, tables and pictures hold; return what writes them on rank 0 (collective)."""
-    indicator = None if certificate is None else certificate.indicator
-    table, cells = gather_facets(solution), gather_fields(solution, indicator)
-    boundary = gather_boundary(solution) if plot or html else None
-    marks = gather_marks(solution.spaces.domain)
+def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
+    """Draw a solution on rank 0 (collective)."""
+    cells = gather_fields(solution, None if certificate is None else certificate.indicator)
+    table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
 
     def write() -> None:
-        if table is None or cells is None:
-            return
-        part = folder / f"{FILE}.part"
-        write_checkpoint(part, solution, cells, table, marks)
-        part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
-        names = solution.data.laws.names() if solution.data.laws.listed else []
-        write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
-        if boundary is None:
-            return
-        from signorini_fenicsx.output import pictures  # takes a second to import
+        if table is not None and cells is not None and boundary is not None:
+            from signorini_fenicsx.output import pictures  # takes a second to import
 
-        with doing("drawing"):
             scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
             if plot:
                 pictures.draw_all(folder, scene)
             if html:
                 pictures.write_page(folder / "solution.html", scene)
 
-    return write
+    on_root(solution.spaces.mesh.comm, write)
 
 
 def write_convergence(
@@ -179,15 +174,53 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
 
 
-def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str] = ()) -> None:
+def write_table_of_facets(folder: Path, solution: Solution) -> None:
+    """Write `facets.csv`; for a large Γ_S `facets/<rank>.parquet` with the facets of each rank instead (collective).
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+    """
+    spaces, laws = solution.spaces, solution.data.laws
+    comm, segments = spaces.mesh.comm, laws.names() if laws.listed else []
+    if spaces.Lambda.dofmap.index_map.size_global <= solution.options.tuning.one_table_up_to:
+        table = gather_facets(solution)
+        on_root(comm, lambda: write_facets(folder / "facets.csv", spaces.part_names, table, segments))
+        return
+    import pyarrow.parquet  # takes a second to import
+
+    on_root(comm, lambda: (folder / "facets").mkdir(exist_ok=True))
+    columns = facet_columns(spaces.part_names, in_order(facet_table(solution)), segments)
+    failure = ""
+    try:
+        pyarrow.parquet.write_table(pyarrow.table(columns), folder / "facets" / f"{comm.rank:05}.parquet")
+    except OSError as error:
+        failure = error.strerror or str(error)
+    failure = comm.allreduce(failure, MPI.MAX)
+    if failure:
+        raise OSError(errno.EIO, failure, str(folder))
+
+
+def facet_columns(part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str]) -> dict[str, npt.NDArray]:
+    """The columns of the table of Γ_S that is written."""
+    return {
+        "part": np.array(part_names)[table.part],
+        **dict(zip("xyz", table.x.T, strict=True)),
+        **{key: getattr(table, key) for key in ("measure", "p", "flux")},
+        "condition": np.array([condition.name.lower() for condition in Condition])[table.condition],
+        **({"segment": np.array(segments)[table.segment]} if segments else {}),
+    }
+
+
+def write_facets(
+    path: Path, part_names: tuple[str, ...], table: FacetTable | None, segments: Sequence[str] = ()
+) -> None:
     """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
+    assert table is not None
+    columns = facet_columns(part_names, table, segments)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition", *["segment"][: len(segments)]])
-        columns = table.x.tolist(), table.measure, table.p, table.flux, table.condition, table.segment
-        for part, x, measure, p, flux, condition, segment in zip(table.part, *columns, strict=True):
-            name = [segments[segment]] if segments else []
-            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower(), *name])
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
 def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None = None) -> None:
