@@ -9,10 +9,11 @@ from mpi4py import MPI
 from ufl import Form
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.obstacle import Obstacle
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, flux_mass_diagonal
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
 from signorini_fenicsx.forms.norms import l2
@@ -116,13 +117,27 @@ def kkt_residuals(
     )
 
 
+def touching(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Mask | None:
+    """Mask of the owned cells in contact with the obstacle, None without one (collective)."""
+    if data.obstacle is None:
+        return None
+    above, force = _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    return np.asarray(np.abs(above) <= force)
+
+
+def _obstacle_pairs(
+    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: fem.Function, u: fem.Function
+) -> tuple[Array, Array]:
+    """(k/L)(u − ψ) and h_T λ per owned cell (collective)."""
+    above = data.conductivities(spaces) / spaces.length * (u.x.array - obstacle.means)
+    return above, -assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+
+
 def _over_obstacle(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Array:
     """Squares of what the cells of this rank add to primal, dual and complementarity (collective)."""
     if data.obstacle is None:
         return np.zeros((3, 2))
-    k = data.conductivities(spaces)
-    above = k / spaces.length * (u.x.array - data.obstacle.means)
-    force = -assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+    k, (above, force) = data.conductivities(spaces), _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
     parts = np.minimum(above, 0.0), np.minimum(force, 0.0), np.minimum(np.abs(above), np.abs(force))
     return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
 

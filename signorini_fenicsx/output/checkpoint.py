@@ -21,7 +21,7 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
+from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals, touching
 from signorini_fenicsx.discrete.laws import LAWS, Law
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
@@ -84,7 +84,9 @@ def load_solution(
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
     outcome = Outcome(
-        iterate=Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u),
+        iterate=Iterate(
+            p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=touching(spaces, data, sigma, u)
+        ),
         conditions=conditions,
         history=about.history,
         **{key: getattr(about, key) for key in OUTCOME},

@@ -38,6 +38,7 @@ from signorini_fenicsx.output.gather import (
     gather_boundary,
     gather_facets,
     gather_fields,
+    gather_free_boundary,
     gather_marks,
     in_order,
 )
@@ -90,6 +91,8 @@ def write_solution(
         else:
             write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
             write_table_of_facets(folder, solution)
+            if solution.data.obstacle is not None:
+                write_free_boundary(folder / "free_boundary.csv", solution)
             if plot or html:
                 with doing("drawing"):
                     draw(folder, solution, certificate, plot=plot, html=html)
@@ -200,6 +203,14 @@ def write_table_of_facets(folder: Path, solution: Solution) -> None:
         raise OSError(errno.EIO, failure, str(folder))
 
 
+def write_free_boundary(path: Path, solution: Solution) -> None:
+    """Write one row per facet between a cell in contact with the obstacle and another one (collective)."""
+    names = ("x", "y", "z", "measure")
+    facets = gather_free_boundary(solution)
+    rows = [] if facets is None else [dict(zip(names, row, strict=True)) for row in facets.tolist()]
+    on_root(solution.spaces.mesh.comm, lambda: write_rows(path, names, rows))
+
+
 def facet_columns(part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str]) -> dict[str, npt.NDArray]:
     """The columns of the table of Γ_S that is written."""
     return {
@@ -252,9 +263,9 @@ def _sizes(solution: Solution) -> dict[str, int]:
     number, place, vtx = 8, 3 * 8, 9  # bytes of a value, of a point or vector, and of VTX's extra data per point
     head = 12_000 + 3_000 * ranks
     return {
-        "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
+        "solution.bp": cells * ((dim + 1) * (2 * place + 4 * number + vtx) + (dim + 2) * number) + head,
         "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 4 * number) + head,
-        "solution.h5": cells * ((dim + 1) * number + place + 3 * number) + points * dim * number + head,
+        "solution.h5": cells * ((dim + 1) * number + place + 5 * number) + points * dim * number + head,
     }
 
 
@@ -269,19 +280,40 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     u = fem.Function(linear, name="u")
     u.interpolate(solution.u)
     magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
-    write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
+    on_obstacle = _on_obstacle(solution)
+    write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude, *_in(linear, on_obstacle)])
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
     segments = []
     if solution.data.laws.listed:
         segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
-    write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
+    if spaces.part_names:
+        write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
 
     sigma = centroid_flux(solution)
     magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
     file.write_mesh(mesh)
-    for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
+    indicator = [] if certificate is None else [certificate.indicator]
+    for function in (solution.u, sigma, magnitude, *on_obstacle, *indicator):
         file.write_function(function)
     file.close()
+
+
+def _on_obstacle(solution: Solution) -> list[fem.Function]:
+    """1 in the cells in contact with the obstacle, and its force, in P0; none without one (collective)."""
+    inside = solution.outcome.iterate.contact
+    if inside is None:
+        return []
+    contact = fem.Function(solution.spaces.Q, name="contact")
+    contact.x.array[:] = inside
+    return [contact, solution.force()]
+
+
+def _in(space: fem.FunctionSpace, functions: list[fem.Function]) -> list[fem.Function]:
+    """The same functions in a larger space (collective)."""
+    found = [fem.Function(space, name=function.name) for function in functions]
+    for larger, function in zip(found, functions, strict=True):
+        larger.interpolate(function)
+    return found

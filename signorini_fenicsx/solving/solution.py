@@ -11,7 +11,7 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.errors import exact_contact, exact_errors
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.sampling import at_points
@@ -214,6 +214,34 @@ class Solution(Solved):
         """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
         return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
 
+    def free_boundary(self) -> npt.NDArray[np.int32]:
+        """The owned facets between a cell in contact with the obstacle and another one (collective)."""
+        space, contact = self.spaces.crouzeix_raviart, self.outcome.iterate.contact
+        touching, cells = fem.Function(space), fem.Function(space)
+        inside = np.zeros(0, dtype=bool) if contact is None else contact
+        for count, some in ((touching, np.flatnonzero(inside)), (cells, np.arange(len(inside)))):
+            np.add.at(count.x.array, space.dofmap.list[some].ravel(), 1.0)
+            count.x.scatter_reverse(la.InsertMode.add)
+        between = (touching.x.array == 1) & (cells.x.array == 2)
+        return np.flatnonzero(between[: space.dofmap.index_map.size_local]).astype(np.int32)
+
+    def force(self) -> fem.Function:
+        """λ_h = −∇·σ_h − f_h + c_h u_h in P0, the force of the obstacle, exactly 0 in the cells off it (collective)."""
+        spaces, contact = self.spaces, self.outcome.iterate.contact
+        found = fem.Function(spaces.Q, name="force")
+        if contact is not None:
+            divergence = assembled(ufl.div(self.sigma) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
+            found.x.array[:] = np.where(contact, -divergence - self.data.source(self.u).x.array, 0.0)
+        return found
+
+    def on_obstacle(self) -> dict[str, float]:
+        """Number and measure of the cells in contact with the obstacle, and ∫λ_h (collective)."""
+        comm, measures, contact = self.spaces.mesh.comm, self.spaces.cell_measures, self.outcome.iterate.contact
+        inside = np.zeros(len(measures), dtype=bool) if contact is None else contact
+        local = np.array([np.count_nonzero(inside), measures[inside].sum(), measures @ self.force().x.array])
+        cells, measure, force = comm.allreduce(local).tolist()
+        return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
+
     @property
     def law(self) -> Chains:
         """The law that each Γ_S facet has in the end: with a penalty, that of the penalty."""
@@ -281,6 +309,7 @@ class Solution(Solved):
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
+            **({} if self.data.obstacle is None else {"obstacle": self.on_obstacle()}),
             "iterations": len(outcome.history),
             "rough_steps": outcome.rough_steps,
             "converged": outcome.converged,
