@@ -14,7 +14,8 @@ MAX_BITS = 1000
 """Largest size of an integer."""
 
 
-def _number(value: object) -> object:
+def number(value: object) -> object:
+    """A number, also one written as `1/16` or `2^-4`."""
     if isinstance(value, bool):
         raise ValueError("must be a number, not true or false")
     if isinstance(value, str):
@@ -100,8 +101,8 @@ def _text_by_region(value: object) -> object:
 
 type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 
-Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
-Whole = Annotated[int, BeforeValidator(_number)]
+Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(number)]
 Expression = Annotated[str, BeforeValidator(text_of)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(_text_by_region)]

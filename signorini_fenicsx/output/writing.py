@@ -22,6 +22,7 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
@@ -93,6 +94,10 @@ def write_solution(
             write_table_of_facets(folder, solution)
             if solution.data.obstacle is not None:
                 write_free_boundary(folder / "free_boundary.csv", solution)
+            water = seepage(solution)
+            if water is not None:
+                rows = [{"x": x, "y": y} for x, y in water.phreatic_line.tolist()]
+                on_root(comm, lambda: write_rows(folder / "phreatic_line.csv", ("x", "y"), rows))
             if plot or html:
                 with doing("drawing"):
                     draw(folder, solution, certificate, plot=plot, html=html)
@@ -100,6 +105,8 @@ def write_solution(
         if fields:
             write_fields(solution, folder, certificate)
         summary = solution.summary()
+        if (water := seepage(solution)) is not None:
+            summary["seepage"] = water.summary()
         if certificate is not None:
             summary["certificate"] = certificate.summary()
             summary["timings"] |= {"certificate": certificate.seconds}
@@ -113,12 +120,14 @@ def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, p
     """Draw a solution on rank 0 (collective)."""
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)
     table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
+    water = seepage(solution)
+    line = None if water is None else water.phreatic_line
 
     def write() -> None:
         if table is not None and cells is not None and boundary is not None:
             from signorini_fenicsx.output import pictures  # takes a second to import
 
-            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate, line)
             if plot:
                 pictures.draw_all(folder, scene)
             if html:

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.errors import exact_contact, exact_errors
+from signorini_fenicsx.discrete.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
@@ -202,13 +202,16 @@ class Solution(Solved):
         """Errors if the exact solution is known, otherwise None (collective).
 
         They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
-        the contact set and the facets at whose midpoints the exact u is ψ.
+        the contact set and the facets at whose midpoints the exact u is ψ. With an obstacle the measure of the cells
+        that are in contact in one of u and u_h only takes the place of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
             return None
         norms = exact_errors(spaces, data, exact, self.sigma, self.u, self.p)
-        return norms | {"contact_hausdorff": hausdorff(self.contact_set(), exact_contact(spaces, data, exact))}
+        norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
+        contact = self.outcome.iterate.contact
+        return norms if contact is None else norms | {"missed_contact": missed_contact(spaces, data, exact, contact)}
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""

@@ -169,6 +169,7 @@ class Plane:
             (DIRICHLET in kinds, r"$\Gamma_D$", {"color": "black", "linewidth": 1.2}),
             (NEUMANN in kinds, r"$\Gamma_N$", {"color": "black", "linewidth": 1.2, "linestyle": ":"}),
             (len(scene.free_boundary()) > 0, "edge of the contact", {"color": style.CONTACT, "linewidth": 1.8}),
+            (scene.phreatic_line is not None, "phreatic line", {"color": style.WATER, "linewidth": 1.8}),
             (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
         ]
         handles = [Line2D([], [], label=label, **look) for there, label, look in listed if there]
@@ -185,6 +186,8 @@ class Plane:
             look = {"facecolors": style.CONTACT, "alpha": 0.25, "linewidths": 0, "rasterized": True}
             axes.add_collection(PolyCollection(zone, **look), autolim=False)
             axes.add_collection(LineCollection(points[scene.free_boundary()], colors=style.CONTACT, linewidths=1.8))
+        if scene.phreatic_line is not None:
+            axes.plot(*scene.phreatic_line.T, color=style.WATER, linewidth=1.8)
         inner = LineCollection(points[scene.interfaces()], colors="black", linewidths=0.8, linestyles="--")
         axes.add_collection(inner)
         for kind, look in ((DIRICHLET, "-"), (NEUMANN, ":")):

@@ -117,7 +117,8 @@ def _overview(plane: Plane) -> style.Page:
     axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2 if len(parts) > 0 else slice(None)])
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, [*plane.handles(), *traces.handles(scene), *axes.get_legend_handles_labels()[0]], 6)
+    of_traces = traces.handles(scene) if scene.labels else []
+    style.legend_below(figure, [*plane.handles(), *of_traces, *axes.get_legend_handles_labels()[0]], 6)
     _lay_out(figure)
     return figure
 

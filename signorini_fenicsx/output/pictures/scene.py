@@ -45,6 +45,7 @@ class Scene:
         history: Steps of the algorithm.
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
+        phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
     """
 
     title: str
@@ -59,6 +60,7 @@ class Scene:
     history: list[Step]
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
+    phreatic_line: Array | None = None
 
     @property
     def dim(self) -> int:
