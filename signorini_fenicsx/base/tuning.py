@@ -36,7 +36,7 @@ class Tuning:
     predict_from: int = 60_000
     coarsening: float = 4.0
     coarsen_from: int = 30_000
-    predict_obstacle_from: int = 2_000
+    predict_obstacle_from: int = 300
     patience: int = 2
     leeway: float = 0.05
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})

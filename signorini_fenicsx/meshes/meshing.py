@@ -82,6 +82,26 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
     return domain
 
 
+def coarser_domains(fine: Domain) -> Callable[[float], Domain]:
+    """Makes meshes that are coarser by a factor: one from which the mesh was refined, or one of the same named shape.
+
+    Args:
+        fine: The mesh.
+
+    Returns:
+        A function that raises InputError if there is no such mesh (collective).
+    """
+    mesh = "structured" if fine.made == "structured" else "gmsh"
+
+    def coarser(factor: float) -> Domain:
+        ancestor = fine.ancestor(factor)
+        if ancestor is None and not fine.is_shape:
+            raise InputError("a mesh of a file that was not refined has no coarser mesh")
+        return ancestor or build_domain(fine.mesh.comm, fine.name, factor * fine.h, mesh=mesh)
+
+    return coarser
+
+
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
     """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
     dim, asked = shape_of(shape_name).dim, h * 2**levels

@@ -18,6 +18,7 @@ from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
@@ -91,6 +92,8 @@ class Solver:
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
             data = project_data(spaces, problem)
+            if data.obstacle is not None:  # a cold start takes 1/h steps
+                remesh = remesh or coarser_domains(spaces.domain)
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
             constant = 0.0 if method.stabilised else data.common_constant(spaces)
