@@ -19,12 +19,11 @@ from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 from signorini_fenicsx.solving.solver import check_solvability
 
-FACETS_PER_CELL = {2: 1.5, 3: 2.0}
-PROCESS_BYTES = 180 * 2**20
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
 
@@ -46,7 +45,7 @@ class Cost:
     run_rate: float
 
 
-SCALAR = {2: Cost(1, 830, 177e3, 5e4), 3: Cost(1, 940, 196e3, 5e4)}
+SCALAR = {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)}
 """For alg1 to alg4 with the hybrid backend, on at least 395 000 facets; see docs/measured/speed.md."""
 ELASTIC = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
 """For elastic contact, on 110 000 to 450 000 unknowns; an order of magnitude."""
@@ -145,8 +144,10 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
     with doing("assembly"):
         contact = "signorini"
         if isinstance(case, ElasticCase):
-            contact, elastic = "contact", build_elastic_spaces(domain, case.boundary.read())
-            check_rigid_motions(elastic, elastic_data(elastic, case.data()))
+            problem = case.data()
+            boundary_of_body = case.boundary.read().touching_on(problem.rough)
+            contact, elastic = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
+            check_rigid_motions(elastic, elastic_data(elastic, problem))
             spaces = elastic.scalar
         else:
             boundary = boundary_of(case)

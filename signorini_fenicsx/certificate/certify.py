@@ -113,6 +113,11 @@ class Certificate:
         of = {"of_penalty": True} if self.of_penalty else {}
         return self.numbers() | {"guaranteed": self.guaranteed} | lists | of
 
+    @property
+    def of(self) -> str:
+        """To which solution the error is, in words; empty if it is that of the problem."""
+        return " to the exact solution of the penalty problem" if self.of_penalty else ""
+
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""
         names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")

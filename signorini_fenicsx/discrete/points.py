@@ -78,7 +78,7 @@ class Points(ABC):
     @cached_property
     def slopes(self) -> Array:
         """Gradients of the barycentric coordinates of the cells, shape (n, dim + 1, dim)."""
-        x = corners(self.mesh)[self.cells]
+        x = corners(self.mesh, self.cells)
         inverse = np.linalg.inv((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
         return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
@@ -127,7 +127,7 @@ class CellPoints(Points):
     @cached_property
     def vertices(self) -> Array:
         """Of each cell, shape (cells, dim + 1, dim)."""
-        return corners(self.mesh)[self.cells]
+        return corners(self.mesh, self.cells)
 
     @cached_property
     def barycentric(self) -> Array:
@@ -161,7 +161,7 @@ class FacetPoints(Points):
     def vertices(self) -> Array:
         """Of each facet, shape (facets, dim, dim)."""
         local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
-        return np.take_along_axis(corners(self.mesh)[self.cells], local[:, :, None], axis=1)
+        return np.take_along_axis(corners(self.mesh, self.cells), local[:, :, None], axis=1)
 
     @cached_property
     def barycentric(self) -> Array:
@@ -247,9 +247,9 @@ def larger(a: Array, b: Array) -> Array:
     return np.where(a[..., :1] >= b[..., :1], a, b)
 
 
-def corners(mesh: dolfinx.mesh.Mesh) -> Array:
-    """Vertices of the cells of this rank, shape (cells, dim + 1, dim)."""
-    return mesh.geometry.x[mesh.geometry.dofmaps[0], : mesh.topology.dim]
+def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
+    """Vertices of cells of this rank, by default of all, shape (cells, dim + 1, dim)."""
+    return mesh.geometry.x[mesh.geometry.dofmaps[0][cells], : mesh.topology.dim]
 
 
 def quadratic_nodes(cell: basix.CellType) -> Array:

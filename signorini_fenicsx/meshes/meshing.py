@@ -28,6 +28,7 @@ from signorini_fenicsx.meshes.domain import (
 )
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
+from signorini_fenicsx.meshes.memory import check_memory
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 
@@ -65,9 +66,11 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
         diagonal: How structured squares are cut: left, right (the default) or crossed.
 
     Raises:
-        InputError: If h asks for more than MAX_CELLS cells or no mesh with this h exists.
+        InputError: If h asks for more than MAX_CELLS cells, or for more than fit into memory; or if there is no mesh
+            with this h.
     """
     shape, expected = shape_of(shape_name), estimated_cells(shape_name, h)  # refuses too many
+    check_memory(comm, f"h = {h:g}", shape.dim, expected, h)
     levels = refinements(expected, shape.dim) if mesh == "unstructured" else 0
     if mesh == "structured" and shape.grid is not None:
         points, cells = shape.grid(h, diagonal or "right", Share(comm.rank, comm.size))
@@ -147,11 +150,13 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
         conditions: The parts with each kind of condition, see `check_boundary`.
 
     Raises:
-        InputError: If the file, its mesh or its parts cannot be used.
+        InputError: If the file, its mesh or its parts cannot be used, or the mesh does not fit into memory.
     """
     read: list[FileMesh] = []
+    if h is not None:
+        check_memory(comm, f"mesh {path}, h = {h:g}", *on_root(comm, lambda: expected_size(path, h)), h)
 
-    def about() -> tuple[int, int, dict[str, str], tuple[str, ...], float]:
+    def about() -> tuple[int, int, int, dict[str, str], tuple[str, ...], float]:
         levels = _file_refinements(path, h)
         mesh = _coarse_enough(path, h, levels)
         try:
@@ -161,9 +166,10 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
         read.append(mesh)
         labels = {name: AXES[_longest_axis(mesh.points[facets])] for name, facets in mesh.parts.items()}
         size = float(np.ptp(mesh.points, axis=0).max())
-        return mesh.dim, levels, labels, tuple(mesh.regions), OWN_CURVATURE / size
+        return mesh.dim, len(mesh.cells), levels, labels, tuple(mesh.regions), OWN_CURVATURE / size
 
-    dim, levels, labels, regions, curvature = on_root(comm, about)
+    dim, size, levels, labels, regions, curvature = on_root(comm, about)
+    check_memory(comm, f"mesh {path}", dim, size * 2 ** (dim * levels))
     points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
     facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
     inside = None
@@ -186,7 +192,7 @@ def _file_refinements(path: str, h: float | None) -> int:
     if h is None or not is_geometry(path):
         return 0
     own = _own_size(path)
-    return refinements(expected_cells(path, h), own.dim) if own.straight else 0
+    return refinements(expected_size(path, h)[1], own.dim) if own.straight else 0
 
 
 def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
@@ -219,14 +225,14 @@ def _own_size(path: str) -> _Own:
     return _Own(mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max()), mesh.straight)
 
 
-def expected_cells(path: str, h: float | None) -> float:
-    """Number of cells of the mesh of a file; for a `.geo` file with h an estimate from its own sizes (rank 0).
+def expected_size(path: str, h: float | None) -> tuple[int, float]:
+    """Dimension and number of cells of the mesh of a file; with h an estimate from its own sizes (rank 0).
 
     Raises:
         InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
     """
     own = _own_size(path)
-    return own.cells if h is None else _allowed(own.cells * (own.h / h) ** own.dim, h, path)
+    return own.dim, own.cells if h is None else _allowed(own.cells * (own.h / h) ** own.dim, h, path)
 
 
 def _allowed(cells: float, h: float, name: str) -> float:

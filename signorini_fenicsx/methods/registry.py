@@ -48,6 +48,8 @@ class Method:
         obstacle: Whether it takes an obstacle in Ω.
         single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
+        on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
+        dense: Whether it needs dense matrices on Γ_S, see `Tuning.dense_up_to`.
     """
 
     title: str
@@ -62,6 +64,8 @@ class Method:
     obstacle: bool = False
     single_call: bool = False
     max_iterations: int = 50
+    on_one_rank: bool = False
+    dense: bool = False
 
     @classmethod
     def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
@@ -125,6 +129,7 @@ METHODS: Mapping[str, Method] = {
         "over_relaxation.over_relaxation",
         laws=(),
         max_iterations=MANY,
+        on_one_rank=True,
     ),
     "primal-pdas": _classical(
         "primal-dual active set for (VI), conforming P1",
@@ -157,6 +162,7 @@ METHODS: Mapping[str, Method] = {
         "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
         "mixed_uzawa.half_uzawa",
         max_iterations=MANY,
+        dense=True,
     ),
     "mixed-uzawa-wang": _classical(
         "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
@@ -177,6 +183,7 @@ METHODS: Mapping[str, Method] = {
         laws=None,
         single_call=True,
         max_iterations=250,
+        on_one_rank=True,
     ),
 }
 """All methods by their names on the command line."""

@@ -9,7 +9,9 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
 from signorini_fenicsx.meshes.domain import Domain, Marks, facet_vertices, membership
 from signorini_fenicsx.solving.solution import Solution
@@ -184,6 +186,19 @@ def gather_free_boundary(solution: Solution) -> Array | None:
     measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
     rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
     return None if rows is None else rows[np.lexsort(np.round(rows.T[::-1], 12))]
+
+
+def check_drawable(cells: float, tuning: Tuning) -> None:
+    """Refuse pictures of a mesh that is too large for the rank that draws.
+
+    Raises:
+        InputError: If it is.
+    """
+    if cells > tuning.on_one_rank_up_to:
+        raise InputError(
+            f"--plot, --html: at most {tuning.on_one_rank_up_to} cells are drawn, and there are about {cells:.2g}; "
+            "ParaView shows solution.bp of any size"
+        )
 
 
 def centroid_flux(solution: Solution) -> fem.Function:

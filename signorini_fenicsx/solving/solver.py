@@ -273,6 +273,7 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
                 f"{options.algorithm_name} does not take the law '{part.law.name}' of {part.name}, it takes {takes}; "
                 "alg1, alg2 and qp take every law"
             )
+    _check_size(options, spaces)
     if start is None:
         return
     if not same_domain(spaces.domain, start.spaces.domain):
@@ -281,6 +282,25 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
         *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
         usable = f"{', '.join(others)} or {last}"
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+
+
+def _check_size(options: Options, spaces: Spaces) -> None:
+    """Refuse problems that are too large for a method that works on one rank.
+
+    Raises:
+        InputError: If there are more cells, or facets of Γ_S, than it takes.
+    """
+    method, tuning = options.method, options.tuning
+    for limited, space, most, what in (
+        (method.on_one_rank, spaces.Q, tuning.on_one_rank_up_to, "cells"),
+        (method.dense, spaces.Lambda, tuning.dense_up_to, "facets of Γ_S"),
+    ):
+        number = space.dofmap.index_map.size_global
+        if limited and number > most:
+            raise InputError(
+                f"{options.algorithm_name} works on one rank, with at most {most} {what}, and there are {number}; alg1 "
+                "to alg4 have no such limit"
+            )
 
 
 def same_domain(domain: Domain, other: Domain) -> bool:
