@@ -174,7 +174,8 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
     _touch(v, solution, floor, on_dirichlet)
-    box = Box.of(*((np.maximum(each[0], floor), each[1]) for each in (hard, soft)), on_dirichlet)
+    over = [(np.maximum(low, floor), high) for low, high in (hard, soft)]
+    box = Box.of(over[0], over[1], on_dirichlet)
     box.project(v.x.array)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)

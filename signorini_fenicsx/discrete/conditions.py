@@ -70,11 +70,6 @@ class SiteConditions:
         """The same condition on all sites of this rank."""
         return cls(np.full(sites, kind, dtype=np.int8), beta)
 
-    def take(self, sites: slice) -> SiteConditions:
-        """Those of some sites."""
-        beta, value = (part[sites] if isinstance(part, np.ndarray) else part for part in (self.beta, self.value))
-        return SiteConditions(self.kind[sites], beta, value)
-
     @property
     def has_values(self) -> bool:
         """Whether there may be a v that is not 0; the same on all ranks."""

@@ -41,10 +41,10 @@ def exact_errors(
     traces = p.x.array[: len(spaces.facets), None]
     squares[3] = on_signorini.integrals((exact.values(on_signorini) - traces) ** 2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
-    errors = dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
+    found = dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
     if data.obstacle is not None:
-        del errors["div_sigma_L2"]
-    return errors
+        del found["div_sigma_L2"]
+    return found
 
 
 def missed_contact(spaces: Spaces, data: Data, exact: Datum, contact: Mask) -> float:

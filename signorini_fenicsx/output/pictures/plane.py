@@ -183,8 +183,8 @@ class Plane:
             self.water.draw(axes)
         if scene.fields.contact is not None:
             zone = points[scene.fields.cells[scene.fields.contact]]
-            look = {"facecolors": style.CONTACT, "alpha": 0.25, "linewidths": 0, "rasterized": True}
-            axes.add_collection(PolyCollection(zone, **look), autolim=False)
+            tint = PolyCollection(zone, facecolors=style.CONTACT, alpha=0.25, linewidths=0, rasterized=True)
+            axes.add_collection(tint, autolim=False)
             axes.add_collection(LineCollection(points[scene.free_boundary()], colors=style.CONTACT, linewidths=1.8))
         if scene.phreatic_line is not None:
             axes.plot(*scene.phreatic_line.T, color=style.WATER, linewidth=1.8)
