@@ -28,7 +28,19 @@ def test_examples_are_shipped():
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
     exact += ["friction", "two_sided", "wall", "regulator", "staircase"]
     assert case_names() == sorted(
-        [*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
+        [
+            *examples,
+            *exact,
+            "ball",
+            "cube",
+            "dam",
+            "dam_baiocchi",
+            "edge",
+            "electropainting",
+            "hertz",
+            "lprism",
+            "sphere",
+        ]
     )
     for name in case_names():
         assert load_any_case(name).name == name

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Self
 
 import ufl
 from pydantic import (
-    BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
@@ -19,6 +18,7 @@ from pydantic import (
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.toml_files import read_toml
@@ -30,7 +30,6 @@ from signorini_fenicsx.cases.values import (
     ShapeName,
     Whole,
     choice,
-    number,
     within,
 )
 from signorini_fenicsx.discrete.given import parsed
@@ -38,7 +37,7 @@ from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
-from signorini_fenicsx.meshes.shapes import SHAPES, Shape, full_name, shape_of
+from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
@@ -109,36 +108,6 @@ class ProblemTexts(Section):
         """
         names = "xyz"[:dim]
         return Problem(**{key: parsed(value, names) for key, value in self})
-
-
-class Dam(Section):
-    """`[dam]`: a rectangular dam of length L between water levels H upstream and h downstream, by Baiocchi's problem.
-
-    It stands for the shape, for [boundary] and for [problem]: w ≥ 0, −Δw ≥ −1, with equality in one of them, and on the
-    boundary the integrals of the pressure over the height.
-    """
-
-    L: Positive
-    h: Annotated[float, BeforeValidator(number), Field(ge=0, allow_inf_nan=False)]
-    H: Positive
-
-    @model_validator(mode="after")
-    def _falls(self) -> Self:
-        if self.h >= self.H:
-            raise ValueError(f"h: the level downstream, {self.h:g}, must be below H = {self.H:g}")
-        return self
-
-    @property
-    def sections(self) -> dict[str, dict[str, Any]]:
-        """The sections that it stands for."""
-        L, h, H = (repr(value) for value in (self.L, self.h, self.H))
-        u_D = f"(1 - x/{L})*({H} - y)^2/2 + x/{L}*max({h} - y, 0)^2/2"
-        return {"boundary": {}, "problem": {"f": "-1", "obstacle": "0", "u_D": u_D}}
-
-    @property
-    def shape(self) -> str:
-        """The name of its shape."""
-        return full_name(f"[0, {self.L!r}] x [0, {self.H!r}]")
 
 
 class Exact(Section):
@@ -277,22 +246,12 @@ class Case(CaseFile):
     @classmethod
     def _of_dam(cls, tree: dict[str, Any]) -> dict[str, Any]:
         """With [dam] the sections that it stands for."""
-        if "dam" not in tree:
-            return tree
-        geometry, dam = tree.get("geometry", {}), Dam.model_validate(tree["dam"])
-        given = [f"[{key}]" for key in (*dam.sections, "law") if key in tree]
-        given += [f"[geometry] {key}" for key in ("shape", "file") if key in geometry]
-        if given:
-            raise ValueError(f"[dam] stands for {given[0]}; leave that out")
-        return tree | dam.sections | {"geometry": geometry | {"shape": dam.shape}}
+        return with_dam(tree)
 
     @model_serializer(mode="wrap")
     def _without_what_dam_makes(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         tree: dict[str, Any] = dump(self)
-        if self.dam is not None:
-            tree = {key: value for key, value in tree.items() if key not in self.dam.sections}
-            tree["geometry"] = {key: value for key, value in tree["geometry"].items() if key != "shape"}
-        return tree
+        return tree if self.dam is None else without_sections(self.dam, tree)
 
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:

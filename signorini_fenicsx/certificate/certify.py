@@ -156,13 +156,8 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
         trace = admissible_trace(solution, metric, y)
         contact = excess.gap(trace.above(excess.points), len(metric.volume))
     else:
-        forces = None if data.obstacle is None else obstacle.force(spaces, y, data.source(level))
-        trace, contact, load = _under_laws(solution, metric, goal, y, forces)
-        resolution.by_quadrature |= not_polynomial(goal)
-        if forces is not None and data.obstacle is not None:
-            contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)
-            if not obstacle.is_quadratic(data.obstacle.psi):
-                resolution.by_quadrature.add("obstacle")
+        trace, contact, load = _under_laws(solution, metric, goal, y, level)
+        resolution.by_quadrature |= not_polynomial(goal) | obstacle.not_quadratic(data)
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
     oscillation = load_oscillation(spaces, data, metric, load, reaction, resolution)
     if reaction is not None:
@@ -218,16 +213,20 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
 
 
 def _under_laws(
-    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, forces: Array | None
+    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, level: fem.Function
 ) -> tuple[Trace, Array, FacetLoad]:
-    """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
-    spaces = solution.spaces
+    """v, twice the gap on Γ_S and of an obstacle per owned cell, and the load η − y·n (collective)."""
+    spaces, data = solution.spaces, solution.data
+    forces = None if data.obstacle is None else obstacle.force(spaces, y, data.source(level))
     on = OnGammaS.of(solution, goal, metric, y)
     trace = law_trace(solution, metric, y, on, forces)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.above(at.points)
     found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_of_piece(at, v))
-    return trace, found.per_cell(len(metric.volume)), found.load
+    contact = found.per_cell(len(metric.volume))
+    if data.obstacle is not None and forces is not None:
+        contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)
+    return trace, contact, found.load
 
 
 def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:

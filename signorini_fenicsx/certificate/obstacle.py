@@ -29,6 +29,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.law_bounds import Bound
 from signorini_fenicsx.certificate.relaxation import Edges
+from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.obstacle import Obstacle
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells, quadratic_nodes
@@ -47,6 +48,11 @@ def force(spaces: Spaces, y: fem.Function, source: fem.Function) -> Array:
 def is_quadratic(psi: Datum) -> bool:
     """Whether ψ is its own quadratic interpolant."""
     return psi.polynomial is not None and psi.polynomial <= 2
+
+
+def not_quadratic(data: Data) -> set[str]:
+    """The name of the obstacle if integrals of v rely on quadrature."""
+    return {"obstacle"} if data.obstacle is not None and not is_quadratic(data.obstacle.psi) else set()
 
 
 def coefficients(psi: Datum, space: fem.FunctionSpace, edges: Edges) -> Array:

@@ -92,8 +92,7 @@ class Solver:
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
             data = project_data(spaces, problem)
-            if data.obstacle is not None:  # a cold start takes 1/h steps
-                remesh = remesh or coarser_domains(spaces.domain)
+            remesh = remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
             constant = 0.0 if method.stabilised else data.common_constant(spaces)
