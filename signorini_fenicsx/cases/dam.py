@@ -2,8 +2,9 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
+from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import Positive, number
 from signorini_fenicsx.meshes.shapes import full_name
@@ -45,9 +46,13 @@ def with_dam(tree: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: If these are given as well.
     """
-    if "dam" not in tree:
+    geometry = tree.get("geometry", {})
+    if not isinstance(tree.get("dam"), dict) or not isinstance(geometry, dict):
         return tree
-    geometry, dam = tree.get("geometry", {}), Dam.model_validate(tree["dam"])
+    try:
+        dam = Dam.model_validate(tree["dam"])
+    except ValidationError as error:
+        raise ValueError(f"[dam] {complaint(error, Dam)}") from None
     given = [f"[{key}]" for key in (*dam.sections, "law") if key in tree]
     given += [f"[geometry] {key}" for key in ("shape", "file") if key in geometry]
     if given:

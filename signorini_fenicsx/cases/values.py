@@ -52,7 +52,7 @@ def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
 
 def _shape(value: object) -> str:
     try:
-        return full_name(value if isinstance(value, str) else shown(value))
+        return full_name(value if isinstance(value, str) and len(value) < 100 and value.isprintable() else shown(value))
     except InputError as error:
         raise ValueError(str(error)) from None
 
