@@ -62,6 +62,6 @@ def with_dam(tree: dict[str, Any]) -> dict[str, Any]:
 
 def without_sections(dam: Dam, tree: dict[str, Any]) -> dict[str, Any]:
     """The keys of a case without those that [dam] stands for."""
-    kept = {key: value for key, value in tree.items() if key not in dam.sections}
+    kept = {key: value for key, value in tree.items() if key not in (*dam.sections, "geometry")}
     geometry = {key: value for key, value in tree.get("geometry", {}).items() if key != "shape"}
     return kept | ({"geometry": geometry} if geometry else {})
