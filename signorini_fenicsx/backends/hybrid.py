@@ -88,8 +88,10 @@ class HybridBackend(FacetBackend):
         return True
 
     def _is_worth_condensing(self) -> bool:
-        """Whether the matrix is factorised, also without contact, and Γ_S small."""
+        """Whether the matrix is factorised, also without contact, Γ_S small, and no cell has conditions."""
         facets = self.spaces.Lambda.dofmap.index_map.size_global
+        if self.data.obstacle is not None:
+            return False
         return self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
 
     def _offer_precise(self) -> None:
@@ -136,7 +138,7 @@ class HybridBackend(FacetBackend):
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
         """Solves as `Inexact.solve_near` says (collective)."""
-        patch = Patch(self._system.matrix, self._system.trace_dofs[sites], layers)
+        patch = Patch(self._system.matrix, self._system.unknowns(sites), layers)
 
         def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
             self._applied = None
@@ -163,7 +165,7 @@ class HybridBackend(FacetBackend):
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
                 with self._solver.options():
-                    self._auxiliary.update(conditions, essential)
+                    self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
