@@ -181,6 +181,7 @@ METHODS: Mapping[str, Method] = {
         "Theorem 2 of the slides",
         "quadratic.quadratic_programme",
         laws=None,
+        obstacle=True,
         single_call=True,
         max_iterations=250,
         on_one_rank=True,
