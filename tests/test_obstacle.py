@@ -1,6 +1,7 @@
 """An obstacle in the domain: exact solutions with rates and error bounds, both backends, any ranks, the dam."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,6 +113,16 @@ def test_backends_and_algorithms_agree():
         assert other.on_obstacle() == pytest.approx(first.on_obstacle(), rel=1e-9)
 
 
+def test_quadratic_programme():
+    """An interior-point method that knows no conditions finds the same solution."""
+    problem, boundary = replace(GENERAL, laws=()), Boundary(["bottom", "right"], ["left"])
+    by_sets, other = (on_square(problem, boundary, algorithm=name) for name in ("alg1", "qp"))
+    for name in ("u", "sigma"):
+        expected = getattr(by_sets, name).x.array
+        np.testing.assert_allclose(getattr(other, name).x.array, expected, rtol=0, atol=1e-8)
+    assert other.on_obstacle() == pytest.approx(by_sets.on_obstacle(), rel=1e-6)
+
+
 @pytest.mark.parallel([1, 2])
 def test_no_dirichlet():
     """The obstacle alone holds u: its force is the whole load."""
@@ -127,7 +138,7 @@ def test_no_dirichlet():
 def test_refusals():
     with pytest.raises(InputError, match=r"obstacle: is above u_D on Γ_D, as at \(1, .* by 0.5"):
         on_square(Problem(f=1, obstacle="x - 0.5"))
-    with pytest.raises(InputError, match="alg3 does not take an obstacle; alg1"):
+    with pytest.raises(InputError, match="alg3 does not take an obstacle; alg1, alg2 and qp do"):
         on_square(Problem(f=1, obstacle=-1), algorithm="alg3")
     with pytest.raises(InputError, match="not finite everywhere in the domain"):
         on_square(Problem(f=1, obstacle="log(x - 0.5)"))

@@ -195,6 +195,7 @@ METHODS: Mapping[str, Method] = {
         "quadratic.quadratic_programme",
         laws=None,
         takes_inner=True,
+        obstacle=True,
         single_call=True,
         max_iterations=250,
         on_one_rank=True,
