@@ -79,7 +79,7 @@ class FacetSystem:
     def renew(self, data: Data) -> bool:
         """Go on with other data; returns whether κ and c, and so the matrix, stay (collective)."""
         same = data.same_operator(self._data, self.spaces)
-        self._sources = sources(self.spaces, data)
+        self._sources = self._sources.renewed(data) if same else sources(self.spaces, data)
         if not same:
             self._operator.renew(self._form(data))
             self._imposed = None

@@ -1,5 +1,6 @@
 """The hybrid backend: the facet system, solved by Cholesky or by CG with auxiliary-space multigrid."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -19,6 +20,9 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
+
+FACTORISATION = 10
+"""About as many solves take as long as a factorisation."""
 
 
 class HybridBackend(FacetBackend):
@@ -56,6 +60,7 @@ class HybridBackend(FacetBackend):
         self._tuning = tuning or Tuning()
         self._system = FacetSystem(spaces, data, self._tuning)
         self._condensed: Condensed | None = None
+        self._regret = math.inf
         self.dofs = self._system.dofs
         self._solver = LinearSolver(self._system.matrix, prefix)
         self._ksp = self._solver.ksp
@@ -65,6 +70,7 @@ class HybridBackend(FacetBackend):
         if self.inexact is not None:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: SiteConditions | None = None
+        self._held: SiteConditions | None = None
         self._iterations = 0
         self._offer_precise()
 
@@ -77,19 +83,27 @@ class HybridBackend(FacetBackend):
         self.data, self._applied = data, None
         self._offer_precise()
         if not same:
-            self._condensed = None
+            self._condensed, self._regret = None, math.inf
         elif self._condensed is None and self._is_worth_condensing():
             system.impose(given_flux)
             self._condensed = Condensed(self._solver, system.matrix, system.trace_dofs, self.spaces.facet_measure)
+            self._regret = 0.0
+        elif self._condensed is not None and self._regret > FACTORISATION:
+            self._condensed, self._regret = None, 0.0
         if self._condensed is not None:
             system.load(given_flux)
             self._condensed.load(system.b)
         return True
 
     def _is_worth_condensing(self) -> bool:
-        """Whether the matrix is factorised, also without contact, and Γ_S small."""
+        """Whether the matrix is factorised, also without contact, and Γ_S small, and what it saved would pay it back.
+
+        Where sets stand still, one more solve for each right side is what it costs, and a factorisation for each change
+        of the sets what it saves. It is given up, or made again, when as much was lost as the change costs.
+        """
         facets = self.spaces.Lambda.dofmap.index_map.size_global
-        return self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
+        able = self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
+        return able and self._regret >= facets
 
     def _offer_precise(self) -> None:
         if self.inexact is None and self._ksp.getPC().getType() in ("cholesky", "lu"):
@@ -151,9 +165,12 @@ class HybridBackend(FacetBackend):
                 return
         elif self._condensed is not None:
             self._condensed.solve(conditions, self._system.x)
-            self._applied, self._iterations = conditions, 1
+            self._regret = self._regret + 1 if conditions.same(self._held, self.comm) else 0.0
+            self._applied, self._held, self._iterations = conditions, conditions, 1
             return
         else:
+            self._regret += 0.0 if conditions.same(self._held, self.comm) else FACTORISATION
+            self._held = conditions
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
                 with self._solver.options():

@@ -16,6 +16,7 @@ from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, Positive, Whole, choice, within
+from signorini_fenicsx.discrete.evolution import SCHEMES, Evolution
 from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
@@ -82,14 +83,33 @@ class ProblemTexts(Section):
             found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
         return found
 
-    def read(self, dim: int) -> Problem:
-        """The data as trees, in this dimension.
+    def read(self, names: str) -> Problem:
+        """The data as trees in these variables.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        names = "xyz"[:dim]
         return Problem(**{key: parsed(value, names) for key, value in self})
+
+
+class Time(Section):
+    """`[time]`: an `Evolution`. With it t is known to all expressions but those of this section."""
+
+    end: Annotated[Positive, within(1e-90, 1e90)]
+    steps: Annotated[Whole, within(1, 10**6)]
+    initial: Expression = "0"
+    capacity: ExpressionByRegion = "1"
+    scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key."""
+        by_region = self.capacity if isinstance(self.capacity, dict) else {"": self.capacity}
+        of_regions = [(f"capacity.{region}".rstrip("."), text) for region, text in by_region.items()]
+        return [("initial", self.initial), *of_regions]
+
+    def evolution(self) -> Evolution:
+        """The same for `evolve`."""
+        return Evolution(**dict(self))
 
 
 class Exact(Section):
@@ -129,6 +149,11 @@ class CaseFile(Section):
     def parts(self) -> Parts:
         """The section `[boundary]`."""
         raise NotImplementedError
+
+    @property
+    def last_time(self) -> float | None:
+        """The end of a problem in time; None for others."""
+        return None
 
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
@@ -183,7 +208,7 @@ class CaseFile(Section):
         x = reference_coordinate(dim)
         for section, name, text in self.texts():
             try:
-                parse_expression(text, x)
+                parse_expression(text, x, self.last_time if section != "time" else None)
             except InputError as error:
                 place = f"[{section}] {name}" if section else name
                 raise ValueError(f"{place}: {error}") from None
@@ -213,6 +238,7 @@ class Case(CaseFile):
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     exact: Exact = Exact()
+    time: Time | None = None
 
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
@@ -236,16 +262,23 @@ class Case(CaseFile):
         """Each expression with its section and its key."""
         laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
         problem = [("problem", *entry) for entry in self.problem.texts()]
-        return [*problem, ("exact", "u", self.exact.u or "0"), *laws]
+        time = [] if self.time is None else [("time", *entry) for entry in self.time.texts()]
+        return [*problem, ("exact", "u", self.exact.u or "0"), *laws, *time]
+
+    @property
+    def last_time(self) -> float | None:
+        """The end of a problem in time; None for others."""
+        return None if self.time is None else self.time.end
 
     def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension, with the exact u if it is given.
+        """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
+        names = "xyz"[:dim] + ("" if self.time is None else "t")
+        exact = None if self.exact.u is None else read(self.exact.u, names)
+        return replace(self.problem.read(names), exact=exact, laws=[law.law() for law in self.law])
 
 
 def _below(branch: Any, section: str, key: str) -> Any:

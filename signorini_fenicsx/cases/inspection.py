@@ -12,6 +12,7 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.discrete.data import project_data
+from signorini_fenicsx.discrete.evolution import Steps
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
@@ -117,7 +118,12 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
         domain = mesh_case(case, comm)
     with doing("assembly"):
         spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
-        check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
+        problem = case.data(domain.mesh.geometry.dim)
+        if case.time is not None:
+            steps = Steps(spaces, problem, case.time.evolution())
+            steps.start()
+            problem = steps.problem(1)
+        check_solvability(spaces, project_data(spaces, problem))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,

@@ -62,6 +62,8 @@ class FacetSegments:
 
     def on(self, spaces: Spaces) -> Kinds:
         """Those of the facets of another mesh of the domain: that at the midpoint of each (collective)."""
+        if spaces is self.spaces:
+            return self.segment
         numbers = self.spaces.multiplier(self.segment, "segment")
         (sample,) = sampled([numbers], spaces.Lambda.mesh, self.spaces.domain, degree=0)
         return np.rint(sample.x.array[: len(spaces.facets)]).astype(np.int8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
@@ -25,6 +25,15 @@ class Sources:
     s: fem.Function | None
     b: fem.Function
 
+    def renewed(self, data: Data) -> Sources:
+        """Those for another f_h, with the same κ_h and c_h."""
+        if self.s is None or data.c_h is None:
+            return replace(self, b=data.f_h)
+        b = fem.Function(self.b.function_space)
+        c = data.c_h.x.array
+        b.x.array[:] = data.f_h.x.array * np.divide(self.s.x.array, c, out=np.ones_like(c), where=c > 0)
+        return replace(self, b=b)
+
     def at(self, u_cr: fem.Function) -> fem.Function:
         """y_T for a function with up-to-date ghost values; b itself without s."""
         if self.s is None:
@@ -42,8 +51,7 @@ def sources(spaces: Spaces, data: Data) -> Sources:
     s, b = fem.Function(spaces.Q), fem.Function(spaces.Q)
     damping = 1 + data.c_h.x.array * mean_moments(spaces, data)
     s.x.array[:] = data.c_h.x.array / damping
-    b.x.array[:] = data.f_h.x.array / damping
-    return Sources(s, b)
+    return Sources(s, b).renewed(data)
 
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:
