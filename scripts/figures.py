@@ -65,9 +65,11 @@ class KeptRun:
 
     def solution(self) -> dict[str, Any]:
         """The arrays of its checkpoint, with its JSON part under `about`."""
-        with np.load(self.folder / "checkpoint.npz", allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        return arrays | {"about": json.loads(str(arrays["about"]))}
+        place = self.folder / "checkpoint"
+        arrays = {path.stem: np.load(path) for path in place.glob("*.npy")}
+        order = np.lexsort((arrays["facet_along"], arrays["facet_part"]))  # the ranks have written them one by one
+        arrays |= {key: rows[order] for key, rows in arrays.items() if key.startswith("facet_")}
+        return arrays | {"about": json.loads((place / "about.json").read_text(encoding="utf-8"))}
 
 
 def power(value: float) -> str:

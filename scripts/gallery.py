@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 
 from PIL import Image
 
-from signorini_fenicsx.api import solve_case, write_elastic, write_solution
+from signorini_fenicsx.api import solve_case, write_solution
 from signorini_fenicsx.base.shipped import case_names
-from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case, solve_elastic_case
+from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
 from signorini_fenicsx.meshes.shapes import SHAPES
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
@@ -27,10 +27,7 @@ def draw(name: str) -> None:
         shape = SHAPES[case.geometry.shape]
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
-        if isinstance(case, ElasticCase):
-            write_elastic(solve_elastic_case(case), folder, plot=True)
-        else:
-            write_solution(solve_case(case), folder, plot=True, fields=False)
+        write_solution(solve_case(case), folder, plot=True, fields=False)
         found = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
         picture = Image.open(found).convert("RGB")
     size = (WIDTH, round(picture.height * WIDTH / picture.width))

@@ -21,7 +21,7 @@ Solving it:
 Elastic contact:
 
 - `ElasticBoundary` and `ElasticProblem` say what is given; `solve_elastic` gives an `ElasticSolution`;
-- `certify_elastic` bounds its error, `write_elastic` writes its files.
+- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too.
 
 Algorithms and backends, and how to replace them:
 
@@ -89,7 +89,6 @@ __all__ = [
     "solve",
     "solve_case",
     "solve_elastic",
-    "write_elastic",
     "write_solution",
 ]
 

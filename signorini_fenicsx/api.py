@@ -102,7 +102,6 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.elastic import write_elastic
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -156,6 +155,5 @@ __all__ = [
     "solve",
     "solve_case",
     "solve_elastic",
-    "write_elastic",
     "write_solution",
 ]

@@ -58,7 +58,7 @@ BAD_INPUT = [
     (["solve", "example1", "--output", "x" * 300], "File name too long"),
     (["check", "x" * 5000], "x … "),
     (["solve", "example1", "--colour"], "No such option"),
-    (["export", "/"], "holds no checkpoint.npz"),
+    (["export", "/"], "holds no checkpoint"),
     (["compare", "full", "file", "--output", "full/../file"], "is one of the runs"),
     (["adapt", "example2"], "give --target"),
     (["adapt", "example2", "--target", "0"], "must be greater than 0"),

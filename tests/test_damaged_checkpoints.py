@@ -14,7 +14,9 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.output.checkpoint import FILE, load_solution
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.checkpoint_file import FOLDER, TEXT
+from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.writing import write_solution
 
 type Arrays = dict[str, Any]
@@ -32,8 +34,19 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def arrays_of(folder: Path) -> Arrays:
-    with np.load(folder / FILE) as file:
-        return dict(file)
+    """The arrays of a checkpoint, and its texts as `about`."""
+    arrays = {path.stem: np.load(path) for path in (folder / FOLDER).glob("*.npy")}
+    return arrays | {"about": (folder / FOLDER / TEXT).read_text()}
+
+
+def put(folder: Path, arrays: Arrays) -> None:
+    """Write a checkpoint with other contents."""
+    (folder / FOLDER).mkdir(exist_ok=True)
+    for name, array in arrays.items():
+        if name == "about":
+            (folder / FOLDER / TEXT).write_text(array)
+        else:
+            np.save(folder / FOLDER / f"{name}.npy", array)
 
 
 def entry(name: str, value: float) -> Callable[[Arrays], Arrays]:
@@ -49,11 +62,28 @@ def entry(name: str, value: float) -> Callable[[Arrays], Arrays]:
 
 def about(**values: Any) -> Callable[[Arrays], Arrays]:
     """Replace some of the texts."""
-    return lambda arrays: {"about": np.array(json.dumps(json.loads(str(arrays["about"])) | values))}
+    return lambda arrays: {"about": json.dumps(json.loads(arrays["about"]) | values)}
 
 
 def whole(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], Arrays]:
     return lambda arrays: {name: change(arrays[name])}
+
+
+def turned(arrays: Arrays) -> Arrays:
+    """Move a point inside the domain through the opposite side of a cell."""
+    points = arrays["points"].copy()
+    inner = np.flatnonzero(np.all((points > 0.1) & (points < 0.9), axis=1))[0]
+    points[inner] += 1.1
+    return {"points": points}
+
+
+def third(arrays: Arrays) -> Arrays:
+    """Put the last cell on an edge that two other cells share."""
+    cells = arrays["cells"].copy()
+    edges = np.sort(np.concatenate([cells[:-1, [0, 1]], cells[:-1, [0, 2]], cells[:-1, [1, 2]]]), axis=1)
+    rows, times = np.unique(edges, axis=0, return_counts=True)
+    cells[-1, :2] = next(edge for edge in rows[times == 2] if cells[-1, 2] not in edge)
+    return {"cells": cells}
 
 
 DAMAGE = {
@@ -74,9 +104,12 @@ DAMAGE = {
     "object": (whole("u", lambda x: x.astype(object)), "does not have the size that it states"),
     "vertices": (entry("facet_vertices", 10**6), "facets with values are not those of Γ_S"),
     "condition": (entry("facet_condition", 256), "has a value that is no condition"),
-    "part": (entry("part_0", 10**6), "has a point that is not in the file"),
-    "deep": (lambda arrays: {"about": np.array('{"a":' * 10**5)}, "recursion limit"),
-    "words": (lambda arrays: {"about": np.array(3)}, "must be a section"),
+    "part": (entry("part_2", 10**6), "part 'bottom' has facets that are not on the boundary"),
+    "folded": (turned, "neighbouring cells overlap"),
+    "third": (third, "more than two cells meet"),
+    "alone": (whole("points", lambda x: np.pad(x, ((0, 1), (0, 0)))), "a point has no cell"),
+    "deep": (lambda arrays: {"about": '{"a":' * 10**5}, "recursion limit"),
+    "words": (lambda arrays: {"about": "3"}, "must be a section"),
     "history": (about(history=[{"x": 1}]), "missing key 'iteration'"),
     "beta": (about(beta=0), "greater than 0"),
     "regions": (about(regions=["a"]), "it holds no inside"),
@@ -88,22 +121,22 @@ DAMAGE = {
 def test_damage_is_told(good: Path, tmp_path: Path, kind: str):
     change, message = DAMAGE[kind]
     arrays = arrays_of(good)
-    np.savez(tmp_path / FILE, **(arrays | change(arrays)))
+    put(tmp_path, arrays | change(arrays))
     with pytest.raises(InputError, match=message) as caught:
         load_solution(tmp_path, COMM)
     assert str(tmp_path) in str(caught.value)
 
 
-@pytest.mark.parametrize("missing", ["about", "u", "cells", "facet_condition", "part_3"])
+@pytest.mark.parametrize("missing", ["u", "cells", "facet_condition", "part_3"])
 def test_what_is_missing_is_told(good: Path, tmp_path: Path, missing: str):
-    np.savez(tmp_path / FILE, **{name: array for name, array in arrays_of(good).items() if name != missing})
+    put(tmp_path, {name: array for name, array in arrays_of(good).items() if name != missing})
     with pytest.raises(InputError, match="not a readable solution"):
         load_solution(tmp_path, COMM)
 
 
 def test_archives_that_take_memory_are_refused(tmp_path: Path):
     """Large archives are refused by their stated sizes, before anything is unpacked."""
-    path = tmp_path / FILE
+    path = tmp_path / OLD_FILE
     for compression, shape in [
         (zipfile.ZIP_DEFLATED, (2**20,)),
         (zipfile.ZIP_LZMA, (2**20,)),
@@ -120,10 +153,11 @@ def test_archives_that_take_memory_are_refused(tmp_path: Path):
 
 
 def test_encrypted_and_unknown_archives_are_refused(good: Path, tmp_path: Path):
-    content = (good / FILE).read_bytes()
+    put_old(tmp_path, good)
+    content = (tmp_path / OLD_FILE).read_bytes()
     directory = content.rindex(b"PK\x01\x02")
     for place, byte in ((directory + 8, 1), (directory + 10, 99)):
-        (tmp_path / FILE).write_bytes(content[:place] + bytes([byte]) + content[place + 1 :])
+        (tmp_path / OLD_FILE).write_bytes(content[:place] + bytes([byte]) + content[place + 1 :])
         with pytest.raises(InputError, match="compressed or encrypted"):
             load_solution(tmp_path, COMM)
 
@@ -133,7 +167,7 @@ def test_encrypted_and_unknown_archives_are_refused(good: Path, tmp_path: Path):
 )
 def test_headers_that_are_not_python_are_refused(tmp_path: Path, header: str):
     text = header.encode() + b"\n"
-    with zipfile.ZipFile(tmp_path / FILE, "w") as file:
+    with zipfile.ZipFile(tmp_path / OLD_FILE, "w") as file:
         file.writestr("u.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
     with pytest.raises(InputError, match="not a readable solution"):
         load_solution(tmp_path, COMM)
@@ -146,7 +180,7 @@ def test_all_ranks_refuse(folder: Path):
     comm.Barrier()
     if comm.rank == 0:
         arrays = arrays_of(folder)
-        np.savez(folder / FILE, **(arrays | {"sigma": 5 * arrays["sigma"]}))
+        put(folder, {"sigma": 5 * arrays["sigma"]})
     comm.Barrier()
     with pytest.raises(InputError, match="is damaged: its KKT residual"):
         load_solution(folder, comm)
@@ -162,7 +196,7 @@ def test_the_state_of_a_failed_run_is_read(tmp_path: Path):
     assert not read.converged
     assert read.kkt.violation() is not None
     arrays = arrays_of(tmp_path)
-    np.savez(tmp_path / FILE, **(arrays | entry("u", np.nan)(arrays)))
+    put(tmp_path, entry("u", np.nan)(arrays))
     with pytest.raises(InputError, match="is damaged: its KKT residual"):
         load_solution(tmp_path, COMM)
 
@@ -181,17 +215,51 @@ def test_methods_with_residuals_of_their_own(tmp_path: Path):
     assert read.outcome.own_residual is not None
     assert read.kkt.violation() is not None
     arrays = arrays_of(tmp_path)
-    np.savez(tmp_path / FILE, **(arrays | {"sigma": 5 * arrays["sigma"]}))
+    put(tmp_path, {"sigma": 5 * arrays["sigma"]})
     with pytest.raises(InputError, match="is damaged: its KKT residual"):
         load_solution(tmp_path, COMM)
 
 
+def put_old(folder: Path, good: Path) -> None:
+    """Write a checkpoint as versions up to 0.3 wrote it."""
+    arrays = arrays_of(good)
+    text = json.loads(arrays.pop("about"))
+    text = {key: value for key, value in text.items() if key != "made"} | {"format": 2}
+    np.savez(folder / OLD_FILE, about=np.array(json.dumps(text)), **arrays)
+
+
 def test_nothing_is_read_that_is_no_file(tmp_path: Path, good: Path):
-    shutil.copyfile(good / FILE, tmp_path / "x")
-    for target in (FILE, "/dev/zero", "missing"):
-        (tmp_path / FILE).symlink_to(target)
-        with pytest.raises(InputError, match=f"holds no {FILE}"):
+    for name, target in ((OLD_FILE, "/dev/zero"), (OLD_FILE, "missing"), (FOLDER, FOLDER), (FOLDER, "/dev")):
+        (tmp_path / name).symlink_to(target)
+        with pytest.raises(InputError, match=r"holds no checkpoint|symbolic links"):
             load_solution(tmp_path, COMM)
-        (tmp_path / FILE).unlink()
+        (tmp_path / name).unlink()
+    shutil.copytree(good / FOLDER, tmp_path / FOLDER)
+    (tmp_path / FOLDER / "u.npy").unlink()
+    (tmp_path / FOLDER / "u.npy").symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="holds no u"):
+        load_solution(tmp_path, COMM)
     with pytest.raises(InputError, match="name too long"):
         load_solution("x" * 5000, COMM)
+
+
+def test_files_that_are_cut_are_refused(tmp_path: Path, good: Path):
+    shutil.copytree(good / FOLDER, tmp_path / FOLDER)
+    path = tmp_path / FOLDER / "u.npy"
+    content = path.read_bytes()
+    for damaged in (content[:-1], content + b"1", content[:100], b"", content.replace(b"Y\x01", b"Y\x07")):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="not a readable solution"):
+            load_solution(tmp_path, COMM)
+
+
+@pytest.mark.parallel([1, 2])
+def test_old_files_are_read(folder: Path):
+    comm, norms = MPI.COMM_WORLD, {}
+    if comm.rank == 0:
+        solution = solve_case(load_case("example2").with_values({"solve.h": 0.25}), COMM)
+        write_solution(solution, folder, fields=False)
+        put_old(folder, folder)
+        shutil.rmtree(folder / FOLDER)
+        norms = solution.norms()
+    assert load_solution(folder, comm).norms() == pytest.approx(comm.bcast(norms), rel=1e-12)

@@ -7,13 +7,16 @@ from pathlib import Path
 import adios2
 import numpy as np
 import pytest
-from commands import signorini
+from commands import read_rows, signorini
 from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.comparing.comparison import compare
+from signorini_fenicsx.comparing.differences import ElasticDifferences, differences
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.output.elastic import contact_table, in_space, von_mises
 from signorini_fenicsx.solving.elastic import solve_elastic
@@ -137,16 +140,6 @@ def test_bad_cases(tmp_path: Path, old: str, new: str, message: str):
     assert done.stderr.count("\n") == 1
 
 
-def test_scalar_commands_refuse(tmp_path: Path):
-    """They say that they are for scalar problems; so do options."""
-    path = write_case(tmp_path)
-    with pytest.raises(InputError, match="this is for scalar problems, not for physics = 'elasticity'"):
-        load_case(path)
-    assert isinstance(load_any_case(path), ElasticCase)
-    done = signorini(tmp_path, "solve", str(path), "--rigorous")
-    assert (done.returncode, "--rigorous: elastic contact has no such option" in done.stderr) == (2, True)
-
-
 def test_von_mises_and_table():
     """A uniform compression in plane strain: σ_yy = −q, σ_zz = −νq."""
     domain = box(COMM, 2, [0.0, 0.0], [1.0, 1.0])
@@ -158,3 +151,60 @@ def test_von_mises_and_table():
     np.testing.assert_allclose(table.pressure, 0.1)
     np.testing.assert_allclose(table.x[:, 0], [0, 0.5, 0.5, 1])
     assert table.touching.all()
+
+
+@pytest.mark.parallel([1, 2])
+def test_commands_take_elastic_cases(folder: Path):
+    """Inspection agrees with the mesh; refined meshes and levels have smaller errors; a study has rows."""
+    path = str(write_case(folder))
+    info, check = (signorini(folder, command, path) for command in ("info", "check"))
+    assert (info.returncode, check.returncode) == (0, 0)
+    assert COMM.rank != 0 or "part       left: fixed" in info.stdout
+    assert COMM.rank != 0 or "72 cells; facets: 6 on Γ_C, 12 on Γ_N, 6 on Γ_D" in check.stdout
+    adapt = ["--h", "1/4", "--max-cells", "200", "--plot", "--output", "a"]
+    assert signorini(folder, "adapt", path, *adapt).returncode == 0
+    rows = read_rows(folder / "a" / "adapt.csv")
+    assert float(rows[-1]["bound"]) < 0.6 * float(rows[0]["bound"])
+    for name in ("adapt.png", "mesh.png", "certificate.png", "deformed.png"):
+        assert (folder / "a" / name).stat().st_size > 10_000, name
+    done = signorini(folder, "convergence", path, "--levels", "1:2", "--reference", "4", "--output", "c")
+    assert done.returncode == 0, done.stderr
+    (coarse, fine) = read_rows(folder / "c" / "convergence.csv")
+    assert coarse["energy_order"] == ""
+    assert all(float(fine[f"{name}_order"]) > 1.2 for name in ("energy", "u_L2"))
+    assert all(float(fine[name]) < float(coarse[name]) for name in ("pressure_L2", "gap_L2"))
+    if COMM.rank == 0:
+        (folder / "s.toml").write_text('case = "block.toml"\nvary.h = ["1/2", "1/4"]\n', encoding="utf-8")
+    COMM.Barrier()
+    assert signorini(folder, "study", "s.toml", "--output", "s").returncode == 0
+    cells = [row["cells"] for row in read_rows(folder / "s" / "table.csv")]
+    assert cells == ["18", "72"]
+
+
+def test_scalar_options_are_refused(tmp_path: Path):
+    """Options that elastic contact does not have, and a start of another physics."""
+    path = str(write_case(tmp_path))
+    for command, option in (("solve", "--rigorous"), ("solve", "--html"), ("adapt", "--html")):
+        done = signorini(tmp_path, command, path, option, *(["--max-cells", "99"] if command == "adapt" else []))
+        assert (done.returncode, f"{option}: elastic contact has no such option" in done.stderr) == (2, True)
+    done = signorini(tmp_path, "convergence", path, "--vary", "eps")
+    assert (done.returncode, "alg1 has no penalty" in done.stderr) == (2, True)
+    case = load_any_case(path)
+    assert isinstance(case, ElasticCase)
+    with pytest.raises(InputError, match="this is for scalar problems, not for physics = 'elasticity'"):
+        load_case(path)
+    with pytest.raises(InputError, match="the start, example1, is of another physics"):
+        solve_case(case, start=solve_case(load_case("example1").with_values({"solve.h": 0.5})))
+
+
+def test_energy_difference_is_that_of_the_energies():
+    """Without sets that change, ‖σ_fine − σ_coarse‖ by quadrature is what Galerkin's orthogonality gives."""
+    u_D, boundary = ["0.1*y*x", "-0.2 + x*y^2"], ElasticBoundary(["x1"])
+    problem = ElasticProblem("1 + x", 0.3, u_D=u_D, gap=10.0)
+    coarse, fine = (solve_elastic(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), boundary, problem) for n in (2, 4))
+    found = differences(coarse, fine)
+    assert isinstance(found, ElasticDifferences)
+    one, other = (solution.norms()["energy"] for solution in (coarse, fine))
+    assert found.energy == pytest.approx(np.sqrt(abs(one**2 - other**2)), rel=0.05)
+    assert compare(coarse, fine).relative["energy"] == pytest.approx(found.energy / other)
+    assert differences(fine, fine).energy == 0.0

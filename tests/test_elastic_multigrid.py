@@ -7,7 +7,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case, solve_elastic_case
+from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -79,8 +80,8 @@ def test_sets_predicted_from_coarser_meshes():
     """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result."""
     case = load_any_case("hertz")
     assert isinstance(case, ElasticCase)
-    cold = solve_elastic_case(case, COMM, tuning=Tuning(predict_from=10**9))
-    warm = solve_elastic_case(case, COMM, tuning=Tuning(predict_from=1000))
+    cold = solve_case(case, COMM, tuning=Tuning(predict_from=10**9))
+    warm = solve_case(case, COMM, tuning=Tuning(predict_from=1000))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
     assert len(warm.outcome.history) < len(cold.outcome.history)

@@ -179,7 +179,7 @@ def test_a_full_disk_keeps_the_state(tmp_path: Path, checked: bool):
     assert ("File too large" in done.stderr) or not checked
     assert checked is False or done.stderr.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["limited.py", "x.failed"]
-    assert sorted(path.name for path in (tmp_path / "x.failed").iterdir()) == ["checkpoint.npz", "files.json"]
+    assert sorted(path.name for path in (tmp_path / "x.failed").iterdir()) == ["checkpoint", "files.json"]
     if checked:
         done = signorini(tmp_path, "export", "x.failed", "--output", "x")
         assert done.returncode == 0, done.stderr

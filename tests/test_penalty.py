@@ -13,7 +13,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes, slobodeckij_norm
+from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
+from signorini_fenicsx.comparing.differences import slobodeckij_norm
 from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain

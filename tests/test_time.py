@@ -1,23 +1,16 @@
 """Problems in time: rates and bounds in h and τ, the steady end, any method, ranks, cost of steps, bad input."""
 
-from pathlib import Path
 
 import numpy as np
-import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.petsc import LinearSolver
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.evolution import Evolution
-from signorini_fenicsx.discrete.laws import Wall
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
 BOTTOM = Boundary(["bottom"])

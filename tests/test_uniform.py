@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx.base.rows import fetch_rows, marked_rows
+from signorini_fenicsx.base.rows import Order, fetch_rows, find_rows
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import build_domain, own_domain
@@ -113,10 +113,13 @@ def test_rows_of_other_ranks():
     wanted = np.random.default_rng(COMM.rank).integers(count, size=7 * COMM.rank)
     np.testing.assert_array_equal(fetch_rows(COMM, wanted, own), everything[wanted])
     rows = np.array([[1, 2, 3], [4, 5, 6], [7, 8, COMM.rank]])
-    marked = [rows[:1] if COMM.rank == COMM.size - 1 else rows[:0], np.array([[4, 5, 6], [7, 8, 0]])]
-    np.testing.assert_array_equal(
-        marked_rows(COMM, rows, marked), [[True, False], [False, True], [False, COMM.rank == 0]]
-    )
+    last = COMM.rank == COMM.size - 1
+    tables = [rows[:1] if last else rows[:0], np.array([[7, 8, 0], [4, 5, 6]])[: 2 * last]]
+    np.testing.assert_array_equal(find_rows(COMM, rows, tables), [[0, -1], [-1, 1], [-1, 0 if COMM.rank == 0 else -1]])
+    numbers = np.random.default_rng(5).permutation(100)[COMM.rank : 40 : COMM.size]
+    order, everything = Order(COMM, numbers), np.sort(np.concatenate(COMM.allgather(numbers)))
+    np.testing.assert_array_equal(np.concatenate(COMM.allgather(order.sorted(3 * numbers))), 3 * everything)
+    np.testing.assert_array_equal(order.places(numbers), np.searchsorted(everything, numbers))
 
 
 @pytest.mark.parallel([1, 3])

@@ -41,9 +41,16 @@ def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:
     for name in ("square.msh", "mesh.toml"):
         if (valid.file.parent / name).exists():
             shutil.copyfile(valid.file.parent / name, folder / name)
-    path = folder / "res" / "checkpoint.npz"
-    way = rng.choice([_arrays, _arrays, _arrays, _story, _story, _archive, _bytes])
-    about, refused = way(rng, path, valid)
+    path = folder / "res" / "checkpoint"
+    way = rng.choice([_arrays, _arrays, _arrays, _story, _story, _one_file, _bytes, _archive])
+    if way is _archive or rng.random() < 0.3:
+        arrays = _load(path)
+        shutil.rmtree(path)
+        path = path.with_suffix(".npz")  # as versions up to 0.3 wrote it
+        _save(path, arrays)
+    if path.suffix != ".npz" and way is _bytes:
+        path = rng.choice(sorted(path.iterdir()))
+    about, refused = (_bytes if way is _one_file and path.suffix == ".npz" else way)(rng, path, valid)
     case = ["example1", "--h", "1/4"] if source == valid.shape else ["mesh.toml"]
     other = os.path.relpath(source, folder)
     words = rng.choice(
@@ -58,8 +65,26 @@ def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:
 
 
 def _load(path: Path) -> Arrays:
+    """All arrays, with the texts as `about`."""
+    if path.is_dir():
+        arrays = {file.stem: np.load(file) for file in sorted(path.glob("*.npy"))}
+        return arrays | {"about": np.array((path / "about.json").read_text(encoding="utf-8"))}
     with np.load(path, allow_pickle=False) as file:
         return {key: file[key] for key in file.files}
+
+
+def _save(path: Path, arrays: Arrays) -> None:
+    if path.suffix == ".npz":
+        with path.open("wb") as file:
+            np.savez(file, **arrays)
+        return
+    shutil.rmtree(path)
+    path.mkdir()
+    for name, array in arrays.items():
+        if name == "about":
+            (path / "about.json").write_text(str(array), encoding="utf-8")
+        else:
+            np.save(path / f"{name}.npy", array)
 
 
 def _arrays(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
@@ -72,8 +97,7 @@ def _arrays(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
         with np.errstate(all="ignore"):
             done.append(f"{way(rng, arrays, key)} {way.__name__}")
         arrays = {name: array for name, array in arrays.items() if name != "about"} | {"about": arrays["about"]}
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
+    _save(path, arrays)
     certain = any(word in text for text in done for word in ("missing", "narrow", "wide", "pickled", "words"))
     return ", ".join(done), certain
 
@@ -205,8 +229,7 @@ def _story(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
         _change(rng, tree, place)
         text = json.dumps(tree)
     arrays["about"] = np.array(text)
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
+    _save(path, arrays)
     return f"about {about}", refused
 
 
@@ -231,6 +254,44 @@ def _bytes(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
     return about, False
 
 
+def _one_file(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
+    """One of the files of a checkpoint, or its folder, is no such file."""
+    file = path / rng.choice(["u.npy", "cells.npy", "about.json"])
+    way = rng.choice(["gone", "empty", "folder", "device", "loop", "no folder", *HEADERS])
+    if way == "no folder":
+        shutil.rmtree(path)
+        path.touch()
+        return way, True
+    file.unlink()
+    match way:
+        case "empty":
+            file.touch()
+        case "folder":
+            file.mkdir()
+        case "device":
+            file.symlink_to("/dev/zero")
+        case "loop":
+            file.symlink_to(file.name)
+        case "gone":
+            pass
+        case _:
+            file.write_bytes(_headed(way))
+    return f"{file.name} {way}", True
+
+
+HEADERS = {
+    "long header": "{'descr': '<f8', 'fortran_order': False, 'shape': (" + "1, " * 50_000 + "), }",
+    "huge shape": "{'descr': '<f8', 'fortran_order': False, 'shape': (4000000000000,), }",
+    "code in the header": "__import__('os').system('touch hacked')",
+}
+
+
+def _headed(way: str) -> bytes:
+    """A short array with one of the strange headers."""
+    text = HEADERS[way]
+    return b"\x93NUMPY\x02\x00" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\n" + b"\0" * 64
+
+
 def _archive(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
     """Archives that NumPy never writes."""
     members = {name: zipfile.ZipFile(path).read(name) for name in zipfile.ZipFile(path).namelist()}
@@ -253,13 +314,7 @@ def _archive(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
         case "loop":
             path.symlink_to("checkpoint.npz")
         case "long header" | "huge shape" | "code in the header":
-            text = {
-                "long header": "{'descr': '<f8', 'fortran_order': False, 'shape': (" + "1, " * 50_000 + "), }",
-                "huge shape": "{'descr': '<f8', 'fortran_order': False, 'shape': (4000000000000,), }",
-                "code in the header": "__import__('os').system('touch hacked')",
-            }[way]
-            head = b"\x93NUMPY\x02\x00" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\n"
-            _write(path, members | {"u.npy": head + b"\0" * 64})
+            _write(path, members | {"u.npy": _headed(way)})
         case "bomb":
             shutil.copyfile(_bomb(valid.pencil), path)
         case "outside":

@@ -6,7 +6,11 @@ EᵀA⁻¹E. Under any conditions on Γ_S
     u = A⁻¹(b + Eλ)   with   λ = v|e| on NO_FLUX, u = v on ZERO_TRACE, λ = |e|(v − βu) on ROBIN facets,
 
 so that on the last two, I, (C_II + D)λ = w − u_I for λ = 0 there, with D = 0 and w = v, or D = 1/(β|e|) and w = v/β.
+
+The traces need C alone, so the sets can be followed without a solve in Ω.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +18,18 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.petsc import LinearSolver
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 
 
 class Condensed:
-    """C, as a matrix on all ranks, and solves by it."""
+    """C, as a matrix on all ranks, and solves by it; the `Inexact` of a backend.
+
+    Attributes:
+        cheap: A solve for the traces costs next to nothing.
+    """
+
+    cheap = True
 
     def __init__(self, solver: LinearSolver, matrix: PETSc.Mat, trace_dofs: npt.NDArray[np.int32], measure: Array):
         """Solve with A for each Γ_S facet (collective).
@@ -43,14 +53,15 @@ class Condensed:
         self._b.set(0.0)
         self._compliance = np.stack([self._traces(unit) for unit in np.eye(len(self._measure))], axis=1)
 
-    def load(self, b: PETSc.Vec) -> None:
-        """Take the right side for σ·n given on all of Γ_S (collective).
+    def load(self, b: PETSc.Vec, conductance: float) -> None:
+        """Take the right side for σ·n given on all of Γ_S, and the size of σ·n that belongs to p = 1 (collective).
 
         Raises:
             LinearSolveFailure: If the solve fails.
         """
         self._b.array_w[:] = b.array_r
         self._free = self._traces(np.zeros(len(self._measure)))
+        self._conductance = conductance
 
     def solve(self, conditions: SiteConditions, x: PETSc.Vec) -> None:
         """Solve with this right side under these conditions on the Γ_S facets; `x` gets the solution (collective).
@@ -58,6 +69,22 @@ class Condensed:
         Raises:
             LinearSolveFailure: If the solve fails.
         """
+        self._traces(self._multiplier(conditions))
+        x.array_w[:] = self._x.array_r
+        held = conditions.kind == Condition.ZERO_TRACE
+        x.array_w[self._dofs[held]] = conditions.values_where(held)
+
+    def solve_until(self, conditions: SiteConditions, _enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """The traces, as `Inexact.solve_until` says; they are exact up to rounding (collective)."""
+        flux = self._multiplier(conditions)
+        p = self._free + self._compliance @ flux
+        return conditions.clean(p[self._mine], (flux / self._measure)[self._mine], self._conductance)
+
+    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
+        """None: no solve on a part is cheaper."""
+
+    def _multiplier(self, conditions: SiteConditions) -> Array:
+        """λ on all Γ_S facets (collective)."""
         everywhere = np.ones(len(conditions.kind), dtype=bool)
         local = conditions.kind, conditions.beta_where(everywhere), conditions.values_where(everywhere)
         kind, beta, value = self._gathered(np.stack(local, axis=1).astype(np.float64)).T
@@ -69,10 +96,7 @@ class Condensed:
         wanted = np.where(robin, (value / beta)[inside], value[inside])
         matrix = self._compliance[np.ix_(inside, inside)] + np.diag(added)
         flux[inside] = np.linalg.solve(matrix, wanted - (self._free + self._compliance @ flux)[inside])
-        self._traces(flux)
-        x.array_w[:] = self._x.array_r
-        held = conditions.kind == Condition.ZERO_TRACE
-        x.array_w[self._dofs[held]] = conditions.values_where(held)
+        return flux
 
     def _traces(self, flux: Array) -> Array:
         """U on all Γ_S facets for this λ, and the present b; `_x` is the solution (collective)."""

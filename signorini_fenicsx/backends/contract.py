@@ -47,12 +47,18 @@ class Iterate(Pairs):
 
 
 class Inexact(Protocol):
-    """What an iterative backend gives beyond `Backend`: solves that stop as soon as the next sets are known."""
+    """What a backend may give beyond `Backend`: solves for p and σ·n alone that cost less, to predict the sets.
+
+    Attributes:
+        cheap: Whether they cost so little that a prediction is worth it at any size.
+    """
+
+    cheap: bool
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve from the last solution, to the tolerance or until `enough` returns True (collective).
 
-        `Backend.solve` under the same conditions goes on from the result.
+        `Backend.solve` under the same conditions goes on from the result if it iterates.
 
         Args:
             conditions: Conditions on the sites.
@@ -107,7 +113,7 @@ class Backend[I: Pairs](Protocol):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Its inexact solves; None if its linear solver does not iterate."""
+        """Its solves that predict the sets; None if it has none that are cheaper than `solve`."""
         ...
 
     @property

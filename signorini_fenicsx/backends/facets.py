@@ -66,7 +66,7 @@ class FacetBackend(ABC):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Its inexact solves; None here."""
+        """Its solves that predict the sets; None here."""
         return None
 
     @abstractmethod

@@ -34,6 +34,7 @@ class HybridBackend(FacetBackend):
     """
 
     name = "hybrid"
+    cheap = False
 
     def __init__(
         self,
@@ -67,7 +68,7 @@ class HybridBackend(FacetBackend):
         iterative = multigrid or self._system.large
         self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
         self._early_stop = _EarlyStop()
-        if self.inexact is not None:
+        if self._iterates:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: SiteConditions | None = None
         self._held: SiteConditions | None = None
@@ -76,7 +77,7 @@ class HybridBackend(FacetBackend):
 
     def renew(self, data: Data) -> bool:
         """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ or c (collective)."""
-        if self.inexact is not None and not data.same_operator(self.data, self.spaces):
+        if self._iterates and not data.same_operator(self.data, self.spaces):
             return False
         system, given_flux = self._system, SiteConditions.everywhere(Condition.NO_FLUX, self.sites)
         same = system.renew(data)
@@ -92,7 +93,7 @@ class HybridBackend(FacetBackend):
             self._condensed, self._regret = None, 0.0
         if self._condensed is not None:
             system.load(given_flux)
-            self._condensed.load(system.b)
+            self._condensed.load(system.b, data.conductance)
         return True
 
     def _is_worth_condensing(self) -> bool:
@@ -106,13 +107,18 @@ class HybridBackend(FacetBackend):
         return able and self._regret >= facets
 
     def _offer_precise(self) -> None:
-        if self.inexact is None and self._ksp.getPC().getType() in ("cholesky", "lu"):
+        if not self._iterates and self._ksp.getPC().getType() in ("cholesky", "lu"):
             self.precise = partial(MixedBackend, self.spaces, self.data)
 
     @property
+    def _iterates(self) -> bool:
+        """Whether its linear solver iterates."""
+        return bool(self._ksp.getType() != "preonly")
+
+    @property
     def inexact(self) -> Inexact | None:
-        """The backend itself if its linear solver iterates, otherwise None."""
-        return None if self._ksp.getType() == "preonly" else self
+        """The backend itself if its linear solver iterates; otherwise the condensed system, once there is one."""
+        return self if self._iterates else self._condensed
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""

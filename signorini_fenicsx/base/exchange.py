@@ -23,6 +23,7 @@ MARK = "summary.json"
 """Identifies a results folder of an old version that wrote no list."""
 
 OWN = (
+    *("checkpoint/about.json", "facets/00000.parquet"),
     *(MARK, "checkpoint.npz", "history.csv", "facets.csv", "solution.xdmf", "solution.h5"),
     *(f"{name}.bp/{part}" for name in ("solution", "multiplier") for part in ("data.0", "md.0", "md.idx", "mmd.0")),
     *(f"{name}.bp/profiling.json" for name in ("solution", "multiplier")),

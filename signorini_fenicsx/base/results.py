@@ -29,8 +29,8 @@ from signorini_fenicsx.base.signals import on_abort, postponed
 
 PATIENCE = 1.0
 """Seconds to wait for a folder; a process that repairs it needs less."""
-STATE = "checkpoint.npz"
-"""The file that is kept if the others cannot be written."""
+STATE = "checkpoint"
+"""The folder that is kept if the others cannot be written."""
 
 
 class ResultsFolder:
@@ -110,7 +110,7 @@ class ResultsFolder:
 
     def _state_saved(self) -> str:
         """Keep only the checkpoint, if there is one, and tell where it is (on any rank, not collective)."""
-        if not self._saves_state or not (self.path / STATE).is_file():
+        if not self._saves_state or not (self.path / STATE).is_dir():
             return ""
         try:
             for entry in self.path.iterdir():

@@ -1,15 +1,93 @@
-"""Rows of distributed arrays: fetched by their number, or looked up by their content.
+"""Rows of distributed arrays: sent to other ranks, fetched by their number, looked up by their content, sorted.
 
 No rank ever holds more than its share. (`parallel.gather_rows` brings all rows to rank 0.)
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Indices, Mask
+from signorini_fenicsx.base.arrays import Indices
+
+
+class Exchange:
+    """Sends rows to ranks, and answers back. All methods are collective.
+
+    Rows arrive in the order of their senders, and those of one sender in its order.
+    """
+
+    def __init__(self, comm: MPI.Comm, ranks: Indices):
+        """Say where the rows go (collective).
+
+        Args:
+            comm: Communicator.
+            ranks: For each row of this rank the rank that gets it.
+        """
+        self._comm = comm
+        self._order = np.argsort(ranks, kind="stable")
+        self._sent = np.bincount(ranks, minlength=comm.size)
+        self._received = np.empty_like(self._sent)
+        comm.Alltoall(self._sent, self._received)
+
+    def send(self, rows: npt.NDArray) -> npt.NDArray:
+        """The rows that arrive here; the same type and width on all ranks."""
+        return self._moved(rows[self._order], self._sent, self._received)
+
+    def answer(self, rows: npt.NDArray) -> npt.NDArray:
+        """For each row that was sent, its answer; `rows` has an answer for each row that arrived."""
+        back = self._moved(np.ascontiguousarray(rows), self._received, self._sent)
+        answers = np.empty_like(back)
+        answers[self._order] = back
+        return answers
+
+    def _moved(self, rows: npt.NDArray, sent: Indices, received: Indices) -> npt.NDArray:
+        arrived = np.empty((int(received.sum()), *rows.shape[1:]), dtype=rows.dtype)
+        kind = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * math.prod(rows.shape[1:])).Commit()
+        self._comm.Alltoallv([rows, sent, kind], [arrived, received, kind])
+        kind.Free()
+        return arrived
+
+
+class Order:
+    """All rows of a distributed array, ordered by numbers that differ. All methods are collective.
+
+    Each rank gets the rows whose numbers are in its range, so the rows continue from rank to rank.
+    """
+
+    def __init__(self, comm: MPI.Comm, numbers: Indices):
+        """Find the order (collective).
+
+        Args:
+            comm: Communicator.
+            numbers: Number of each row of this rank, ≥ 0; numbers may be missing.
+        """
+        self._comm = comm
+        self._end = max(1, comm.allreduce(int(numbers.max(initial=0)) + 1, MPI.MAX))
+        self._exchange = Exchange(comm, self._rank(numbers))
+        arrived = self._exchange.send(numbers)
+        self._order = np.argsort(arrived)
+        self._numbers = arrived[self._order]
+
+    def _rank(self, numbers: Indices) -> Indices:
+        return numbers * self._comm.size // self._end
+
+    def sorted(self, rows: npt.NDArray) -> npt.NDArray:
+        """The rows that are this rank's share in the order."""
+        return self._exchange.send(rows)[self._order]
+
+    def places(self, wanted: Indices) -> Indices:
+        """Places in the order of these numbers, which must be among those of all ranks."""
+        exchange = Exchange(self._comm, self._rank(wanted))
+        place = np.searchsorted(self._numbers, exchange.send(wanted))
+        return exchange.answer(first_row(self._comm, len(self._numbers)) + place)
+
+
+def first_row(comm: MPI.Comm, rows: int) -> int:
+    """Number of rows on the ranks before this one, which has `rows` of them (collective)."""
+    return sum(comm.allgather(rows)[: comm.rank])
 
 
 def fetch_rows(comm: MPI.Comm, wanted: Indices, rows: npt.NDArray | None) -> npt.NDArray:
@@ -25,48 +103,43 @@ def fetch_rows(comm: MPI.Comm, wanted: Indices, rows: npt.NDArray | None) -> npt
     """
     about = comm.allgather(None if rows is None else (len(rows), rows.shape[1:], rows.dtype))
     ends = np.cumsum([0 if one is None else one[0] for one in about])
-    starts = np.concatenate([[0], ends[:-1]])
-    owner = np.searchsorted(ends, wanted, side="right")
-    places = [np.flatnonzero(owner == rank) for rank in range(comm.size)]
-    asked = comm.alltoall([wanted[place] - start for place, start in zip(places, starts, strict=True)])
-    answers = comm.alltoall([None if rows is None else rows[each] for each in asked])
     _, shape, kind = next(one for one in about if one is not None)
-    found = np.empty((len(wanted), *shape), dtype=kind)
-    for place, answer in zip(places, answers, strict=True):
-        if len(place) > 0:
-            found[place] = answer
-    return found
+    rows = np.empty((0, *shape), dtype=kind) if rows is None else rows
+    exchange = Exchange(comm, np.searchsorted(ends, wanted, side="right"))
+    return exchange.answer(rows[exchange.send(np.asarray(wanted)) - (ends[comm.rank] - len(rows))])
 
 
-def marked_rows(comm: MPI.Comm, rows: Indices, marked: Sequence[Indices]) -> Mask:
-    """Look up rows of numbers in sets whose rows come from all ranks (collective).
+def find_rows(comm: MPI.Comm, rows: Indices, tables: Sequence[Indices]) -> Indices:
+    """Look up rows of numbers in tables whose rows come from all ranks (collective).
 
     The numbers of a row determine the rank that looks it up.
 
     Args:
         comm: Communicator.
         rows: Rows of this rank, shape (n, k).
-        marked: For each set its rows from this rank, shape (m, k); the same number of sets on all ranks.
+        tables: Tables by their rows on this rank, shape (m, k); as many on all ranks.
 
     Returns:
-        Mask of the rows in each set, shape (n, sets).
+        For each row its number in each table, where numbers continue from rank to rank; −1 if it is not there. Shape
+        (n, tables).
     """
-
-    def sent(table: Indices) -> list[Indices]:
-        rank = table.sum(axis=1) % comm.size
-        return [table[rank == each] for each in range(comm.size)]
-
-    asked = comm.alltoall(sent(rows))
-    known = [np.concatenate(comm.alltoall(sent(table))) for table in marked]
-    answers = comm.alltoall([np.stack([_is_in(each, table) for table in known], axis=1) for each in asked])
-    found = np.empty((len(rows), len(marked)), dtype=bool)
-    rank = rows.sum(axis=1) % comm.size
-    for each, answer in enumerate(answers):
-        found[rank == each] = answer
-    return found
+    exchange = Exchange(comm, rows.sum(axis=1) % comm.size)
+    asked, found = exchange.send(rows), []
+    for table in tables:
+        known = Exchange(comm, table.sum(axis=1) % comm.size)
+        number = known.send(first_row(comm, len(table)) + np.arange(len(table)))
+        found.append(np.append(number, -1)[rows_of(asked, known.send(table))])
+    return exchange.answer(np.stack(found, axis=1))
 
 
-def _is_in(rows: Indices, table: Indices) -> Mask:
-    """Mask of the rows that are in a table."""
-    _, number = np.unique(np.concatenate([rows, table]), axis=0, return_inverse=True)
-    return np.isin(number[: len(rows)], number[len(rows) :])
+def rows_of(wanted: Indices, known: Indices) -> Indices:
+    """The number of each wanted row in another array, −1 if it is not there (not collective)."""
+    _, number = np.unique(np.concatenate([known, wanted]), axis=0, return_inverse=True)
+    row = np.full(int(number.max(initial=-1)) + 1, -1)
+    row[number[: len(known)]] = np.arange(len(known))
+    return row[number[len(known) :]]
+
+
+def share(comm: MPI.Comm, rows: int) -> slice:
+    """The rows that this rank takes if all ranks take about as many."""
+    return slice(rows * comm.rank // comm.size, rows * (comm.rank + 1) // comm.size)

@@ -21,10 +21,15 @@ def write_table[Row: DataclassInstance](path: Path, kind: type[Row], rows: Itera
         kind: Their type; its fields are the header, also if there are no rows.
         rows: The dataclasses.
     """
+    write_rows(path, [field.name for field in fields(kind)], map(asdict, rows))
+
+
+def write_rows(path: Path, header: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write mappings from the names of the header as CSV, one row for each (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(kind)])
+        writer = csv.DictWriter(file, list(header))
         writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+        writer.writerows(rows)
 
 
 def did_you_mean(wrong: str, known: Iterable[str]) -> str:

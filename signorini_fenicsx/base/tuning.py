@@ -27,6 +27,7 @@ class Tuning:
         patch_share: A patch with at most this share of all unknowns costs little compared with a step of the solver.
         patch_steps: Largest number of set updates on a patch; sets that change for longer leave the patch.
         condense_up_to: Largest number of facets of Γ_S for which repeated solves with the same κ share a factorisation.
+        one_table_up_to: Largest number of facets of Γ_S whose table is one text file; of more each rank writes its own.
     """
 
     direct_up_to: int = 60_000
@@ -40,3 +41,4 @@ class Tuning:
     patch_share: float = 0.02
     patch_steps: int = 10
     condense_up_to: int = 300
+    one_table_up_to: int = 1_000_000

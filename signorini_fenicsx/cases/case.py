@@ -159,6 +159,10 @@ class CaseFile(Section):
         """Each expression with its section and its key."""
         raise NotImplementedError
 
+    def condition_of(self, part: str) -> str:
+        """The condition on a part, in a word."""
+        return self.parts.condition_of(part)
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.geometry.shape is not None:
@@ -184,6 +188,11 @@ class CaseFile(Section):
     def method(self) -> Method:
         """The method that solves it."""
         return METHODS[self.solve.algorithm]
+
+    @property
+    def approach(self) -> str:
+        """What is solved and how, in words."""
+        return self.method.title
 
     def check_dimension(self, dim: int) -> None:
         """Refuse coordinates that a mesh read from a file does not have.
@@ -251,6 +260,10 @@ class Case(CaseFile):
     def law_parts(self) -> list[str]:
         """The parts that have a `[[law]]`."""
         return [part for law in self.law for part in law.parts]
+
+    def condition_of(self, part: str) -> str:
+        """The condition on a part, in a word: of a law its kind."""
+        return next((law.kind for law in self.law if part in law.parts), self.boundary.condition_of(part))
 
     @property
     def parts(self) -> PartsWithLaws:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.case import Case, CaseFile
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, expected_cells, own_domain
 
@@ -37,7 +37,7 @@ def coarser_meshes(case: CaseFile, fine: Domain) -> Callable[[float], Domain]:
     return coarser
 
 
-def rough_cells(case: Case) -> float:
+def rough_cells(case: CaseFile) -> float:
     """Rough number of cells of the mesh of a case. The mesh is not made, but a file is read (rank 0).
 
     Raises:

@@ -1,23 +1,16 @@
-"""Case files of elastic contact, `physics = "elasticity"`, and solving them."""
+"""Case files of elastic contact, `physics = "elasticity"`."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from mpi4py import MPI
 from pydantic import BeforeValidator, Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import Stopwatch
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
-from signorini_fenicsx.cases.domains import coarser_meshes, mesh_case
 from signorini_fenicsx.cases.parts import Parts, Section
 from signorini_fenicsx.cases.values import Expression, choice
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem, Plane
-from signorini_fenicsx.methods.history import OnStep
-from signorini_fenicsx.solving.elastic import RULES, solve_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.elastic import RULES
 
 ELASTICITY = "elasticity"
 
@@ -101,6 +94,11 @@ class ElasticCase(CaseFile):
         """The section `[boundary]`."""
         return self.boundary
 
+    @property
+    def approach(self) -> str:
+        """What is solved and how, in words."""
+        return f"elastic contact, {self.solve.algorithm}"
+
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
         exact = [("exact", "u", entry) for entry in self.exact.u or []]
@@ -110,7 +108,7 @@ class ElasticCase(CaseFile):
     def _solvable(self) -> Self:
         if self.solve.algorithm not in RULES:
             raise ValueError(f"[solve] algorithm: elastic contact is solved by {' or '.join(RULES)}")
-        for key in ("backend", "rho", "eps", "predict"):
+        for key in ("backend", "rho", "eps"):
             if key in self.solve.model_fields_set:
                 raise ValueError(f"[solve] {key}: elastic contact has no such key")
         return self
@@ -121,7 +119,10 @@ class ElasticCase(CaseFile):
         return ElasticProblem(**values, exact=self.exact.u)
 
 
-def load_any_case(name_or_path: str | Path) -> Case | ElasticCase:
+type AnyCase = Case | ElasticCase
+
+
+def load_any_case(name_or_path: str | Path) -> AnyCase:
     """Read a case of any physics, by name or path.
 
     Raises:
@@ -133,39 +134,3 @@ def load_any_case(name_or_path: str | Path) -> Case | ElasticCase:
     if tree["physics"] != ELASTICITY:
         raise InputError(f'{path}: physics: unknown {tree["physics"]!r}; use "{ELASTICITY}", or leave it out')
     return validated(ElasticCase, tree, path.stem, str(path))
-
-
-def solve_elastic_case(
-    case: ElasticCase,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    *,
-    tuning: Tuning | None = None,
-    on_step: OnStep = lambda step: None,
-) -> ElasticSolution:
-    """Solve a case of elastic contact (collective).
-
-    Args:
-        case: The problem, its discretisation and algorithm.
-        comm: Communicator.
-        tuning: Sizes from which the program works differently; None for the defaults.
-        on_step: Called on all ranks after each iteration.
-
-    Raises:
-        InputError: If the case cannot be discretised as asked.
-        NumericalFailure: If the sets do not settle or a residual is large; its `solution` holds the last state.
-    """
-    watch = Stopwatch()
-    with watch.phase("mesh"):
-        domain = mesh_case(case, comm)
-    return solve_elastic(
-        domain,
-        case.boundary.read(),
-        case.data(),
-        Options(algorithm=case.solve.algorithm, max_iterations=case.solve.max_iterations, tuning=tuning or Tuning()),
-        remesh=coarser_meshes(case, domain),
-        name=case.name,
-        title=case.title,
-        source=case,
-        watch=watch,
-        on_step=on_step,
-    )

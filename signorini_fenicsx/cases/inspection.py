@@ -9,26 +9,48 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
+from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
+from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.data import project_data
+from signorini_fenicsx.discrete.elastic_data import elastic_data
+from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.discrete.evolution import Steps
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 from signorini_fenicsx.solving.solver import check_solvability
 
 FACETS_PER_CELL = {2: 1.5, 3: 2.0}
 PROCESS_BYTES = 180 * 2**20
-BYTES_PER_FACET = {2: 830.0, 3: 940.0}
-"""For alg1 to alg4 with the hybrid backend, certificate and output included; measured on at least 395 000 facets."""
-SOLVER_RATE = {2: 177e3, 3: 196e3}
-"""Facets per second and core from the assembled problem to the solution; see docs/measured/speed.md."""
-RUN_RATE = 5e4
-"""Facets per second and core of a whole run, with a structured mesh, the certificate and output."""
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a facet costs, as measured; certificate and output included.
+
+    Attributes:
+        unknowns: Unknowns of the linear system.
+        memory: Bytes.
+        solver_rate: Facets per second and core from the assembled problem to the solution.
+        run_rate: Facets per second and core of a whole run, with a structured mesh.
+    """
+
+    unknowns: int
+    memory: float
+    solver_rate: float
+    run_rate: float
+
+
+SCALAR = {2: Cost(1, 830, 177e3, 5e4), 3: Cost(1, 940, 196e3, 5e4)}
+"""For alg1 to alg4 with the hybrid backend, on at least 395 000 facets; see docs/measured/speed.md."""
+ELASTIC = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
+"""For elastic contact, on 110 000 to 450 000 unknowns; an order of magnitude."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +62,8 @@ class Expected:
         parts: For each boundary part its condition and, for a mesh file, number and measure of its facets.
         regions: For each region of a mesh file the number of its cells.
         cells: Number of cells.
-        facets: Number of facets, which are the unknowns of the hybrid backend.
+        facets: Number of facets.
+        unknowns: Unknowns of the linear system: one per facet in the hybrid backend, d² in elasticity.
         exact: Whether the numbers are those of the mesh, not estimates.
         memory: Bytes for all ranks together.
         solver_seconds: Seconds from the assembled problem to the solution.
@@ -52,13 +75,14 @@ class Expected:
     regions: dict[str, int]
     cells: int
     facets: int
+    unknowns: int
     exact: bool
     memory: float
     solver_seconds: float
     run_seconds: float
 
 
-def expected(case: Case, ranks: int) -> Expected:
+def expected(case: AnyCase, ranks: int) -> Expected:
     """Estimate sizes, memory and time of a case; a file is read, a named shape is not meshed (rank 0).
 
     Args:
@@ -75,41 +99,43 @@ def expected(case: Case, ranks: int) -> Expected:
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
         dim = SHAPES[geometry.shape].dim
-        parts = {name: {"condition": _condition(case, name)} for name in SHAPES[geometry.shape].parts}
+        parts = {name: {"condition": case.condition_of(name)} for name in SHAPES[geometry.shape].parts}
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))
         dim = mesh.dim
         parts = {
-            name: {"condition": _condition(case, name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
+            name: {"condition": case.condition_of(name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
             for name, rows in mesh.parts.items()
         }
         regions = {name: len(rows) for name, rows in mesh.regions.items()}
         sides = (dim + 1) * len(mesh.cells)
         facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
+    cost = ELASTIC[dim] if isinstance(case, ElasticCase) else SCALAR[dim]
     return Expected(
         dim=dim,
         parts=parts,
         regions=regions,
         cells=cells,
         facets=facets,
+        unknowns=cost.unknowns * facets,
         exact=exact,
-        memory=ranks * PROCESS_BYTES + BYTES_PER_FACET[dim] * facets,
-        solver_seconds=facets / SOLVER_RATE[dim] / ranks,
-        run_seconds=START_SECONDS + facets / RUN_RATE / ranks,
+        memory=ranks * PROCESS_BYTES + cost.memory * facets,
+        solver_seconds=facets / cost.solver_rate / ranks,
+        run_seconds=START_SECONDS + facets / cost.run_rate / ranks,
     )
 
 
-def is_typical(case: Case) -> bool:
+def is_typical(case: AnyCase) -> bool:
     """Whether the measured rates hold for the algorithm and the backend of the case."""
     return case.method.starts_from_sets and case.solve.backend == "hybrid"
 
 
-def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
+def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
     """Do everything that a run does before it solves: make or read the mesh, find parts, project data (collective).
 
     Returns:
-        Numbers of cells and of facets of Γ_S, Γ_N and Γ_D.
+        Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
 
     Raises:
         InputError: If a run of the case would fail here.
@@ -117,37 +143,36 @@ def check(case: Case, comm: MPI.Comm) -> Mapping[str, int]:
     with doing("mesh"):
         domain = mesh_case(case, comm)
     with doing("assembly"):
-        spaces = build_spaces(domain, [*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
-        problem = case.data(domain.mesh.geometry.dim)
-        if case.time is not None:
-            steps = Steps(spaces, problem, case.time.evolution())
-            steps.start()
-            problem = steps.problem(1)
-        check_solvability(spaces, project_data(spaces, problem))
+        contact = "signorini"
+        if isinstance(case, ElasticCase):
+            contact, elastic = "contact", build_elastic_spaces(domain, case.boundary.read())
+            check_rigid_motions(elastic, elastic_data(elastic, case.data()))
+            spaces = elastic.scalar
+        else:
+            boundary = boundary_of(case)
+            spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+            problem = case.data(domain.mesh.geometry.dim)
+            if case.time is not None:
+                steps = Steps(spaces, problem, case.time.evolution())
+                steps.start()
+                problem = steps.problem(1)
+            check_solvability(spaces, project_data(spaces, problem))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
         *map(len, (spaces.facets, spaces.neumann_facets, spaces.dirichlet_facets)),
     ]
-    names = ("cells", "signorini_facets", "neumann_facets", "dirichlet_facets")
+    names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     return dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
 
 
-def _usable(case: Case, mesh: FileMesh) -> FileMesh:
+def _usable(case: CaseFile, mesh: FileMesh) -> FileMesh:
     try:
         check_boundary(mesh, case.parts.named)
         case.check_dimension(mesh.dim)
     except InputError as error:
         raise InputError(f"mesh {case.geometry.file}: {error}") from None
     return mesh
-
-
-def _condition(case: Case, part: str) -> str:
-    if part in case.boundary.signorini:
-        return "signorini"
-    if part in case.boundary.neumann:
-        return "neumann"
-    return next((law.kind for law in case.law if part in law.parts), "dirichlet")
 
 
 def _measure(corners: np.ndarray) -> float:

@@ -59,6 +59,10 @@ class Parts(Section):
             *others, last = keys_of(type(self))
             raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
 
+    def condition_of(self, part: str) -> str:
+        """The condition on a part, in a word."""
+        return next((key for key, parts in self.named.items() if part in parts), "dirichlet")
+
     def listed(self) -> list[str]:
         """All parts that the section names."""
         return [part for parts in self.named.values() for part in parts]

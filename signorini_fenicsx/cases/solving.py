@@ -1,42 +1,72 @@
 """Solving the problem of a case file."""
 
 from collections.abc import Callable, Iterator
+from typing import overload
 
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import coarser_meshes, mesh_case
+from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.methods.history import OnStep
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.evolving import Instant, Past, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver
 
+type AnySolution = Solution | ElasticSolution
+
+
+@overload
+def solve_case(
+    case: Case,
+    comm: MPI.Comm = ...,
+    *,
+    domain: Domain | Solver | None = ...,
+    start: Solution | None = ...,
+    tuning: Tuning | None = ...,
+    on_step: OnStep = ...,
+) -> Solution: ...
+
+
+@overload
+def solve_case(
+    case: AnyCase,
+    comm: MPI.Comm = ...,
+    *,
+    domain: Domain | Solver | None = ...,
+    start: AnySolution | None = ...,
+    tuning: Tuning | None = ...,
+    on_step: OnStep = ...,
+) -> AnySolution: ...
+
 
 @collector_off()
 def solve_case(
-    case: Case,
+    case: AnyCase,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | Solver | None = None,
-    start: Solution | None = None,
+    start: AnySolution | None = None,
     tuning: Tuning | None = None,
     on_step: OnStep = lambda step: None,
-) -> Solution:
-    """Solve a case (collective).
+) -> AnySolution:
+    """Solve a case of any physics (collective).
 
     Args:
         case: The problem, its discretisation and algorithm.
         comm: Communicator, used if there is no mesh yet.
         domain: Mesh to solve on, or a solver set up on it with the boundary of this case; None for the mesh of the
             case. With a mesh given, no coarser mesh predicts the sets.
-        start: Solution whose contact set is the first one.
+        start: Solution of the same physics whose contact set is the first one.
         tuning: Sizes from which the program works differently; None for the defaults.
         on_step: Called on all ranks after each iteration.
 
@@ -48,14 +78,30 @@ def solve_case(
     watch = Stopwatch()
     with watch.phase("mesh"):
         place = domain or mesh_case(case, comm)
+    mesh = place.spaces.domain if isinstance(place, Solver) else place
+    remesh = coarser_meshes(case, mesh) if domain is None else None
+    options = options_of(case, tuning)
+    if isinstance(case, ElasticCase):
+        return solve_elastic(
+            mesh,
+            case.boundary.read(),
+            case.data(),
+            options,
+            start=_of_kind(ElasticSolution, start),
+            remesh=remesh,
+            name=case.name,
+            title=case.title,
+            source=case,
+            watch=watch,
+            on_step=on_step,
+        )
     with watch.phase("assembly"):
         solver = place if isinstance(place, Solver) else Solver(place, boundary_of(case))
-
     return solver.solve(
-        case.data(solver.spaces.mesh.geometry.dim),
-        options_of(case, tuning),
-        start=start,
-        remesh=coarser_meshes(case, solver.spaces.domain) if domain is None else None,
+        case.data(mesh.mesh.geometry.dim),
+        options,
+        start=_of_kind(Solution, start),
+        remesh=remesh,
         name=case.name,
         title=case.title,
         source=case,
@@ -96,20 +142,57 @@ def evolve_case(
     )
 
 
-def refuse_time(case: Case) -> None:
+def refuse_time(case: AnyCase) -> None:
     """Refuse a case in time.
 
     Raises:
         InputError: If it is one.
     """
-    if case.time is not None:
+    if isinstance(case, Case) and case.time is not None:
         raise InputError(
             f"{case.name}: is a problem in time, by its section [time]; only `signorini solve` takes those"
         )
 
 
+def _of_kind[S: (Solution, ElasticSolution)](kind: type[S], start: AnySolution | None) -> S | None:
+    """The start, if it is of this kind.
+
+    Raises:
+        InputError: If it is of another physics.
+    """
+    if start is None or isinstance(start, kind):
+        return start
+    raise InputError(f"the start, {start.name}, is of another physics; take one of the same")
+
+
+@overload
 def adapt_case(
     case: Case,
+    comm: MPI.Comm = ...,
+    *,
+    target: float | None = ...,
+    max_cells: int = ...,
+    theta: float = ...,
+    on_row: Callable[[AdaptRow], None] = ...,
+    on_step: OnStep = ...,
+) -> tuple[Solution, Certificate]: ...
+
+
+@overload
+def adapt_case(
+    case: AnyCase,
+    comm: MPI.Comm = ...,
+    *,
+    target: float | None = ...,
+    max_cells: int = ...,
+    theta: float = ...,
+    on_row: Callable[[AdaptRow], None] = ...,
+    on_step: OnStep = ...,
+) -> tuple[AnySolution, Certificate]: ...
+
+
+def adapt_case(
+    case: AnyCase,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     target: float | None = None,
@@ -117,7 +200,7 @@ def adapt_case(
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
     on_step: OnStep = lambda step: None,
-) -> tuple[Solution, Certificate]:
+) -> tuple[AnySolution, Certificate]:
     """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
 
     Raises:
@@ -125,7 +208,7 @@ def adapt_case(
         NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
 
-    def solve_on(domain: Domain, start: Solution | None) -> Solution:
+    def solve_on(domain: Domain, start: AnySolution | None) -> AnySolution:
         return solve_case(case, domain=domain, start=start, on_step=on_step)
 
     return adapt(mesh_case(case, comm), solve_on, target=target, max_cells=max_cells, theta=theta, on_row=on_row)
@@ -136,7 +219,7 @@ def boundary_of(case: Case) -> Boundary:
     return Boundary([*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
 
 
-def options_of(case: Case, tuning: Tuning | None = None) -> Options:
+def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:
     """The section `[solve]`, without h."""
     values = {key: value for key, value in case.solve.model_dump().items() if key != "h"}
     return Options(**values, tuning=tuning or Tuning())
@@ -153,9 +236,9 @@ def case_of(solution: Solution) -> Case:
     return solution.source
 
 
-def shared_domain(start: Solution, case: Case) -> Domain | None:
+def shared_domain(start: AnySolution, case: AnyCase) -> Domain | None:
     """The mesh of an earlier solution, if the case has the same; None for files, which may have changed since."""
-    if not isinstance(start.source, Case):
+    if not isinstance(start.source, CaseFile):
         return None
     earlier = start.source
     same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h) and case.geometry.file is None

@@ -10,14 +10,14 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.certificate.certify import Certificate, certify
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.of_solution import certificate_of
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
-type SolveOn[S: (Solution, ElasticSolution)] = Callable[[Domain, S | None], S]
+type SolveOn[S: Solution | ElasticSolution] = Callable[[Domain, S | None], S]
 
 FIRST_MESH = 8.0
 """By default h of the first mesh is at most the diameter of the domain divided by this."""
@@ -61,7 +61,7 @@ class AdaptRow:
 
 
 @collector_off()
-def adapt[S: (Solution, ElasticSolution)](
+def adapt[S: Solution | ElasticSolution](
     domain: Domain,
     solve_on: SolveOn[S],
     *,
@@ -99,7 +99,7 @@ def adapt[S: (Solution, ElasticSolution)](
     while True:
         solution = solve_on(domain, start)
         start = solution if solution.method.starts_from_sets else None
-        certificate = certify_elastic(solution) if isinstance(solution, ElasticSolution) else certify(solution)
+        certificate = certificate_of(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import basix
 import numpy as np
@@ -100,6 +100,10 @@ class Certificate:
     v: fem.Function
     of_penalty: bool = False
     seconds: float = 0.0
+    if_none: ClassVar[str] = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve failed"
+    """Reasons for an infinite bound."""
+    if_by_quadrature: ClassVar[str] = "by quadrature"
+    """What is missing for the data in `by_quadrature`."""
 
     def summary(self) -> dict[str, Any]:
         """All but the fields, ready for JSON."""

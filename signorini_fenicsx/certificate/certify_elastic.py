@@ -44,6 +44,13 @@ UPDATES = 30
 """Set updates of v at most; each v is admissible."""
 
 
+class ElasticCertificate(Certificate):
+    """The bound of an elastic solution."""
+
+    if_none = "what is given of u passes the foundation"
+    if_by_quadrature = "not in the discrete spaces"
+
+
 def certify_elastic(solution: ElasticSolution) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
@@ -78,7 +85,7 @@ def _certificate(solution: ElasticSolution) -> Certificate:
     indicator = fem.Function(spaces.scalar.Q, name="indicator")
     indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
     missing = _not_in_the_spaces(data)
-    return Certificate(
+    return ElasticCertificate(
         bound=float(bound),
         sigma_bound=float(sigma_bound),
         gap=gap,

@@ -4,7 +4,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.shipped import case_names
-from signorini_fenicsx.cli.common import chosen_case
+from signorini_fenicsx.cli.common import any_case
 from signorini_fenicsx.cli.options import (
     AlgorithmName,
     BackendName,
@@ -37,7 +37,7 @@ def info(
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(as_json=as_json)
-    problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, backend=backend)
+    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, backend=backend)
     estimate = on_root(comm, lambda: expected(problem, comm.size))
     report.heading(problem, comm)
     report.expected(problem, estimate)
@@ -64,7 +64,7 @@ def check(
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet)
-    problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     report.heading(problem, comm)
     report.checked(inspection.check(problem, comm))
 

@@ -23,7 +23,7 @@ class AdaptReport(CaseReport):
             f"{row.iterations:3d} {row.bound:10.4e} {row.relative:9.3e} {row.seconds:9.2f}"
         )
 
-    def adapted(self, rows: list[AdaptRow], dim: int, certificate: Certificate) -> None:
+    def adapted(self, rows: list[AdaptRow], best: float, certificate: Certificate) -> None:
         """Print the last certificate, and the fitted rates next to the best possible rate."""
         rates = {
             name: rate([row for row in rows if row.refinement == name])
@@ -31,5 +31,5 @@ class AdaptReport(CaseReport):
         }
         fitted = "  ".join(f"{name} {value:.2f}" for name, value in rates.items() if value is not None)
         if fitted:
-            self.entry("slopes", f"{fitted}, of the error against the unknowns; best possible {-1 / dim:.2f}")
+            self.entry("slopes", f"{fitted}, of the error against the unknowns; best possible {best:.2f}")
         self.entry("certified", bound(certificate))

@@ -4,26 +4,27 @@ from collections.abc import Mapping
 
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.cases.inspection import Expected, is_typical
 from signorini_fenicsx.cli.report import Report
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solved import Solved
 
 
 class CaseReport(Report):
     """What commands print about a case, before or instead of solving it."""
 
-    def heading(self, about: Case | Solution, comm: MPI.Comm) -> None:
+    def heading(self, about: CaseFile | Solved, comm: MPI.Comm) -> None:
         """Print which problem is or was solved, and how."""
         self.title(about.title or about.name)
         ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
-        self.line(f"{about.method.title}, {ranks}")
+        self.line(f"{about.approach}, {ranks}")
 
-    def expected(self, case: Case, estimate: Expected) -> None:
+    def expected(self, case: AnyCase, estimate: Expected) -> None:
         """Print the sizes of a case and the expected cost of a run."""
         about = "" if estimate.exact else "≈ "
         mesh = case.fineness.removeprefix("mesh ")
-        self.entry("mesh", f"{mesh}, {about}{estimate.cells} cells, {about}{estimate.facets} unknowns")
+        self.entry("mesh", f"{mesh}, {about}{estimate.cells} cells, {about}{estimate.unknowns} unknowns")
         for name, part in estimate.parts.items():
             size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
             self.entry("part", f"{name}: {part['condition']}{size}")
@@ -39,6 +40,5 @@ class CaseReport(Report):
 
     def checked(self, counts: Mapping[str, int]) -> None:
         """Print that a case can be solved, and its sizes."""
-        kinds = ("signorini", "neumann", "dirichlet")
-        facets = ", ".join(f"{counts[f'{kind}_facets']} on Γ_{kind[0].upper()}" for kind in kinds)
+        facets = ", ".join(f"{number} on Γ_{kind[0].upper()}" for kind, number in counts.items() if kind != "cells")
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")

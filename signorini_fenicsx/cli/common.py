@@ -13,19 +13,10 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.cli.options import overrides
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.case import Case
-    from signorini_fenicsx.cases.elastic_case import ElasticCase
+    from signorini_fenicsx.cases.elastic_case import AnyCase
 
 
-def chosen_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case":
-    """The case of a command for scalar problems, see `any_case` (collective)."""
-    from signorini_fenicsx.cases.case import load_case
-
-    values = overrides(settings, **options)
-    return on_root(comm, lambda: load_case(name).with_values(values))
-
-
-def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "Case | ElasticCase":
+def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "AnyCase":
     """The case of a command, of any physics, with its new values (collective).
 
     Args:

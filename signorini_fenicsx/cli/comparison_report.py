@@ -30,24 +30,26 @@ class ComparisonReport(Report):
 class ConvergenceReport(CaseReport):
     """What `signorini convergence` prints."""
 
-    def columns(self) -> None:
-        """Print the names of the columns of a convergence study."""
-        errors = "".join(f" {name:>11} {'order':>5}" for name in ERRORS.values())
-        self.line(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{errors} {'slides σ':>9} {'slides u':>9}")
+    _has_columns = False
 
     def row(self, row: ErrorRow) -> None:
-        """Print the errors of one run."""
+        """Print the errors of one run, below the names of the columns."""
+        if not self._has_columns:
+            names = "".join(f" {ERRORS[name]:>11} {'order':>5}" for name in row.errors)
+            slides = "".join(f" {'slides ' + ERRORS[name][2]:>9}" for name in row.slides)
+            self.line(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{names}{slides}")
+            self._has_columns = True
         errors = "".join(
-            f" {_cell(getattr(row, name), 11, '.3g')} {_cell(getattr(row, name + '_order'), 5, '.2f')}"
-            for name in ERRORS
+            f" {_cell(error, 11, '.3g')} {_cell(row.orders[name], 5, '.2f')}" for name, error in row.errors.items()
         )
-        slides = f" {_cell(row.slides_sigma_V, 9, '.3g')} {_cell(row.slides_u_Q, 9, '.3g')}"
+        slides = "".join(f" {_cell(error, 9, '.3g')}" for error in row.slides.values())
         self.line(f"{row.h:8.5f} {_cell(row.eps, 8, '.1e')} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
 
     def slopes(self, slopes: dict[str, float], vary: Vary, method: Method) -> None:
         """Print the fitted slopes next to those of the theory."""
+        of_h = "h (8)" if method.penalty is None else "h (30), (32)"
         theory = {
-            Vary.H: "h (8)" if method.penalty is None else "h (30), (32)",
+            Vary.H: "h² where u is smooth, h^(3/2) where contact ends" if "energy" in slopes else of_h,
             Vary.EPS: "ε" if method.stabilised else "√ε in general, ε for a regular flux (21)-(24)",
         }.get(vary, "h + √ε (29), (31)")
         fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())

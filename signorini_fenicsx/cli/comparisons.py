@@ -10,7 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
-from signorini_fenicsx.cli.common import chosen_case, results_place
+from signorini_fenicsx.cli.common import any_case, results_place
 from signorini_fenicsx.cli.options import (
     AlgorithmName,
     BackendName,
@@ -86,7 +86,7 @@ def convergence(
     from signorini_fenicsx.output.writing import write_convergence
 
     comm, report = MPI.COMM_WORLD, ConvergenceReport(quiet=quiet, as_json=as_json)
-    problem = chosen_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     if vary not in (known := [way.value for way in Vary]):
         raise InputError(f"--vary {vary}: must be one of {', '.join(known)}")
     way, steps = Vary(vary), _levels(levels)
@@ -94,7 +94,6 @@ def convergence(
         raise InputError(f"--reference {reference}: must be finer than the last level, {steps[-1]}, up to {MAX_LEVEL}")
     with ResultsFolder(comm, results_place(output, f"{problem.name}-convergence")) as folder:
         report.heading(problem, comm)
-        report.columns()
         rows = convergence_study(problem, way, steps, reference, comm, on_row=report.row)
         write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()

@@ -6,12 +6,13 @@ import math
 from decimal import ROUND_CEILING, Context, Decimal
 from typing import TYPE_CHECKING
 
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
+from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.report import named
 from signorini_fenicsx.methods.history import Step
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
@@ -26,12 +27,13 @@ DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colou
 class SolutionReport(CaseReport):
     """What `signorini solve` prints."""
 
-    def columns(self, case: Case) -> None:
+    def columns(self, case: AnyCase) -> None:
         """Print the problem of the run, and the names of the columns of the iterations."""
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
         self._penalised = case.method.penalty is not None
-        names = ("σ·n = 0", "p = 0", *(("penalty", "clipped") if self._penalised else ()), "changed")
+        states = ("open", "contact") if isinstance(case, ElasticCase) else ("σ·n = 0", "p = 0")
+        names = (*states, *(("penalty", "clipped") if self._penalised else ()), "changed")
         counts = "".join(f"{name:>9}" for name in names)
         self.line(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
@@ -44,16 +46,22 @@ class SolutionReport(CaseReport):
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
         self.line(f"{row.iteration:4d}{counts} {changes}")
 
-    def solution(self, result: Solution, certificate: Certificate, proof: Proof | None = None) -> None:
+    def solution(self, result: AnySolution, certificate: Certificate, proof: Proof | None = None) -> None:
         """Print the summary of a finished run (collective)."""
         summary = result.summary()
-        rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
+        rough = f", {summary['rough_steps']} rough set updates before" if summary.get("rough_steps") else ""
+        elastic = isinstance(result, ElasticSolution)
+        if elastic:
+            facets, touching = f"{summary['contact_facets']} Γ_C", f"{summary['touching_vertices']} facet vertices"
+        else:
+            facets, touching = f"{summary['signorini_facets']} Γ_S", f"{summary['contact_facets']} facets"
         lines = {
             "converged": f"{summary['reason']} after {summary['iterations']} iterations{rough}",
-            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
+            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
-            "contact": f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
+            "contact": f"{touching}, measure {summary['contact_measure']:.6g}",
             "norms": named(summary["norms"], ".6g"),
+            **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
         }
         for part, segments in summary.get("segments", {}).items():
@@ -66,7 +74,7 @@ class SolutionReport(CaseReport):
             lines["ε"] = f"{summary['eps']:g} leaves {left}"
         if "own_residual" in summary:
             lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
-        if summary["details"]:
+        if summary.get("details"):
             lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
         lines["certified"] = bound(certificate)
         if proof is not None and proof.proven is not None:
@@ -79,10 +87,17 @@ class SolutionReport(CaseReport):
 def bound(certificate: Certificate) -> str:
     """The error bound in words; if it is not guaranteed, the reason."""
     if not math.isfinite(certificate.bound):
-        reasons = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve for it failed"
-        return f"no error bound: {reasons}{_reservation(certificate)}"
+        return f"no error bound: {certificate.if_none}{_reservation(certificate)}"
     of = " to the exact solution of the penalty problem" if certificate.of_penalty else ""
     return f"energy error{of} {bounds_in_words(certificate)}{_reservation(certificate)}"
+
+
+def _forces(resultants: dict[str, list[float]], dim: int) -> str:
+    """The force on each part, and the largest of what is left of all forces and moments."""
+    forces = {name: ", ".join(f"{value:.5g}" for value in values[:dim]) for name, values in resultants.items()}
+    del forces["sum"]
+    left = max(map(abs, resultants["sum"]))
+    return f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
 
 
 def bounds_in_words(certificate: Certificate) -> str:
@@ -100,7 +115,7 @@ def _reservation(certificate: Certificate) -> str:
         where = ", ".join(f"{x:.4g}" for x in place)
         return f"; not guaranteed: {name} is not resolved near ({where})"
     if certificate.by_quadrature:
-        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} by quadrature"
+        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} {certificate.if_by_quadrature}"
     return ""
 
 

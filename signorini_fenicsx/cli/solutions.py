@@ -1,6 +1,7 @@
 """Commands that compute solutions or write them again: solve, adapt, export."""
 
 import os
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,11 +32,13 @@ from signorini_fenicsx.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.cases.case import CaseFile
+    from signorini_fenicsx.cases.elastic_case import AnyCase
+    from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.certify import Certificate
     from signorini_fenicsx.methods.history import Step
     from signorini_fenicsx.rigorous.proof import Proof
-    from signorini_fenicsx.solving.solution import Solution
+    from signorini_fenicsx.solving.solved import Solved
 
 MIN_THETA = 1e-3
 
@@ -71,8 +74,7 @@ def solve(
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
     """
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
-    from signorini_fenicsx.certificate.certify import certify
-    from signorini_fenicsx.cli.elastic import ElasticCase, solve_elastic_run
+    from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
@@ -85,10 +87,7 @@ def solve(
 
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
-    if isinstance(problem, ElasticCase):
-        refused = {"--rigorous": rigorous, "--html": html, "--start-from": start_from}
-        solve_elastic_run(problem, comm, output, refused, plot=plot, quiet=quiet, as_json=as_json)
-        return
+    _refuse_if_elastic(problem, {"--rigorous": rigorous, "--html": html})
     if rigorous:
         on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
@@ -98,7 +97,7 @@ def solve(
             start = None if start_from is None else load_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
-        certificate = certify(solution, for_signorini=for_signorini or rigorous)
+        certificate = certificate_of(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
         write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
         folder.publish()
@@ -109,23 +108,41 @@ def solve(
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
 
 
-def _proof(solution: "Solution", certificate: "Certificate") -> "Proof":
+def _refuse_if_elastic(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
+    """Refuse options that only scalar problems have.
+
+    Raises:
+        InputError: If one is given for elastic contact.
+    """
+    from signorini_fenicsx.cases.elastic_case import ElasticCase
+    from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+
+    for name, value in options.items():
+        if value and isinstance(about, ElasticCase | ElasticSolution):
+            raise InputError(f"{name}: elastic contact has no such option")
+
+
+def _proof(solution: "AnySolution", certificate: "Certificate") -> "Proof":
     """The proof of a bound, whose library takes a second to load (collective)."""
     from signorini_fenicsx.rigorous.proof import proof_of
+    from signorini_fenicsx.solving.solution import Solution
 
+    assert isinstance(solution, Solution)
     return proof_of(solution, certificate.v)
 
 
-def _check_provable(case: "Case") -> None:
+def _check_provable(case: "AnyCase") -> None:
     """Refuse a case whose bound cannot be proved (rank 0).
 
     Raises:
         InputError: If its mesh is too large, or it has other laws than Signorini's, or c.
     """
+    from signorini_fenicsx.cases.case import Case
     from signorini_fenicsx.cases.domains import rough_cells
     from signorini_fenicsx.rigorous.proof import check_size
 
     check_size(rough_cells(case))
+    assert isinstance(case, Case)  # others are refused before
     if case.law:
         raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
     if case.problem.c != "0":
@@ -168,6 +185,7 @@ def adapt(
     most = max_cells or DEFAULT_MAX_CELLS
     values = overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
+    _refuse_if_elastic(problem, {"--html": html})
     rows: list[AdaptRow] = []
 
     def on_row(row: AdaptRow) -> None:
@@ -194,7 +212,7 @@ def adapt(
                 f"cells; the last state is in {kept}"
             )
         folder.publish()
-        report.adapted(rows, solution.spaces.mesh.topology.dim, certificate)
+        report.adapted(rows, solution.best_rate, certificate)
         report.results(folder.target)
         report.summary(folder.target)
 
@@ -216,13 +234,13 @@ def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[flo
     return wanted, part
 
 
-def _on_first_mesh(name: str, values: dict[str, object]) -> "Case":
+def _on_first_mesh(name: str, values: dict[str, object]) -> "AnyCase":
     """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
-    from signorini_fenicsx.cases.case import load_case
+    from signorini_fenicsx.cases.elastic_case import load_any_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
     from signorini_fenicsx.meshes.shapes import SHAPES
 
-    case = load_case(name)
+    case = load_any_case(name)
     shape = case.with_values(values).geometry.shape
     first = {} if shape is None else {"solve.h": SHAPES[shape].diameter / FIRST_MESH}
     return case.with_values(first | values)
@@ -242,16 +260,17 @@ def export(
     Example:
       mpirun -n 2 signorini export results/example2 --plot
     """
-    from signorini_fenicsx.certificate.certify import certify
+    from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.case_report import CaseReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
     solution = load_solution(results, comm)
+    _refuse_if_elastic(solution, {"--html": html})
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
-        certificate = certify(solution, for_signorini=for_signorini) if solution.converged else None
+        certificate = certificate_of(solution, for_signorini=for_signorini) if solution.converged else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=folder.target == Path(os.path.realpath(results)))
         report.results(folder.target)

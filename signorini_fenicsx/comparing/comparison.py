@@ -8,7 +8,8 @@ from typing import Any
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.comparing.convergence import Differences, differences
+from signorini_fenicsx.cases.solving import AnySolution
+from signorini_fenicsx.comparing.differences import Differences, ElasticDifferences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import same_domain
@@ -22,14 +23,15 @@ class Comparison:
         contact: Measures of the two contact sets.
         jaccard: |A ∩ B| / |A ∪ B|, computed on the facets of the finer mesh.
         hausdorff: Hausdorff distance of the contact sets.
-        norms: Norms of the differences, see `Differences`, by quadrature on the finer mesh.
-        relative: The norms for σ, u and p divided by those of the finer solution; infinite if these are 0.
+        norms: Norms of the differences, see `differences`, by quadrature on the finer mesh.
+        relative: The norms for σ, u and p, in elasticity for σ and u, divided by those of the finer solution; infinite
+            if these are 0.
     """
 
     contact: tuple[float, float]
     jaccard: float
     hausdorff: float
-    norms: Differences
+    norms: Differences | ElasticDifferences
     relative: Mapping[str, float]
 
     def summary(self) -> dict[str, Any]:
@@ -39,27 +41,22 @@ class Comparison:
 
 @collector_off()
 @doing("comparing")
-def compare(one: Solution, other: Solution) -> Comparison:
+def compare(one: AnySolution, other: AnySolution) -> Comparison:
     """Compare two solutions on one communicator (collective; symmetric except for the order of `contact`).
 
     Raises:
-        InputError: If their domains or contact boundaries differ.
+        InputError: If their domains or contact boundaries differ, or only one of them is elastic.
     """
     here, there = (
-        f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.boundary.signorini))}"
+        f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.contact_parts))}"
         for solution in (one, other)
     )
     domains = same_domain(one.spaces.domain, other.spaces.domain)
-    if not domains or set(one.boundary.signorini) != set(other.boundary.signorini):
+    if not domains or set(one.contact_parts) != set(other.contact_parts):
         raise InputError(f"only solutions with the same domain and Γ_S can be compared, not {here} and {there}")
     coarse, fine = sorted((one, other), key=_cells)
     norms = differences(coarse, fine)
-    scale = fine.norms()
-    sizes = {
-        "sigma_V": math.hypot(scale["sigma_L2"], scale["div_sigma_L2"]),
-        "u_Q": scale["u_L2"],
-        "p_Lambda": scale["p_L2"],
-    }
+    sizes = _sizes(fine)
     return Comparison(
         contact=(one.contact()[1], other.contact()[1]),
         jaccard=jaccard(coarse.contact_set(), fine.contact_set()),
@@ -69,7 +66,16 @@ def compare(one: Solution, other: Solution) -> Comparison:
     )
 
 
-def _cells(solution: Solution) -> int:
+def _sizes(solution: AnySolution) -> dict[str, float]:
+    """Norms of the solution itself, by the names of those of differences."""
+    norms = solution.norms()
+    if isinstance(solution, Solution):
+        sigma = math.hypot(norms["sigma_L2"], norms["div_sigma_L2"])
+        return {"sigma_V": sigma, "u_Q": norms["u_L2"], "p_Lambda": norms["p_L2"]}
+    return {name: norms[name] for name in ("energy", "u_L2")}
+
+
+def _cells(solution: AnySolution) -> int:
     topology = solution.spaces.mesh.topology
     return topology.index_map(topology.dim).size_global
 

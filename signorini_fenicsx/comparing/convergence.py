@@ -2,31 +2,30 @@
 
 import csv
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-import dolfinx.mesh
 import numpy as np
-import ufl
-from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collect_garbage, gather_rows
+from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, solve_case
-from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.solving import AnySolution, boundary_of, solve_case
+from signorini_fenicsx.comparing.differences import Differences, differences
 from signorini_fenicsx.methods.registry import METHODS
-from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver
 
-ERRORS = {"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"}
+ERRORS = {
+    **{"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"},
+    **{"energy": "|δσ|", "u_L2": "‖δu‖", "pressure_L2": "‖δσ_nn‖", "gap_L2": "‖δu_n‖"},
+}
+"""The errors of scalar and then of elastic problems, and their names in reports."""
 ASYMPTOTIC_EPS = 1e-2
 """Slopes in ε are fitted to rows with ε up to this value."""
 
@@ -38,25 +37,6 @@ class Vary(Enum):
     EPS = "eps"
     EPS_H = "eps=h"
     EPS_H2 = "eps=h^2"
-
-
-@dataclass(frozen=True)
-class Differences:
-    """Norms of the difference of two solutions of one problem.
-
-    Attributes:
-        sigma_V: ‖σ − σ'‖_V.
-        u_Q: ‖u − u'‖_Q.
-        p_Lambda: ‖p − p'‖_Λ.
-        p_half: ‖p − p'‖ in a discrete H^{1/2}(Γ_S), see `slobodeckij_norm`.
-        flux_Lambda: ‖σ·n − σ'·n‖_Λ.
-    """
-
-    sigma_V: float
-    u_Q: float
-    p_Lambda: float
-    p_half: float
-    flux_Lambda: float
 
 
 @dataclass(frozen=True)
@@ -72,18 +52,10 @@ class ErrorRow:
         eps: ε; None without a penalty.
         cells: Number of cells.
         iterations: Iterations of the algorithm.
-        sigma_V: ‖σ_ref − σ_h‖_V.
-        sigma_V_order: Its order.
-        u_Q: ‖u_ref − u_h‖_Q.
-        u_Q_order: Its order.
-        p_Lambda: ‖p_ref − p_h‖_Λ.
-        p_Lambda_order: Its order.
-        p_half: ‖p_ref − p_h‖ in a discrete H^{1/2}(Γ_S).
-        p_half_order: Its order.
-        flux_scaled: √ε‖(σ_ref − σ_h)·n‖_Λ; None without a penalty.
-        flux_scaled_order: Its order.
-        slides_sigma_V: The slides' ‖σ_ref − σ_h‖_V.
-        slides_u_Q: The slides' ‖u_ref − u_h‖_Q.
+        errors: Norms of the difference from the reference, by names of `ERRORS`; √ε‖(σ_ref − σ_h)·n‖_Λ is None without
+            a penalty.
+        orders: Their orders.
+        slides: Errors of σ and u in the slides, None where they give none; in elasticity empty.
     """
 
     level: int
@@ -91,75 +63,16 @@ class ErrorRow:
     eps: float | None
     cells: int
     iterations: int
-    sigma_V: float
-    sigma_V_order: float | None
-    u_Q: float
-    u_Q_order: float | None
-    p_Lambda: float
-    p_Lambda_order: float | None
-    p_half: float
-    p_half_order: float | None
-    flux_scaled: float | None
-    flux_scaled_order: float | None
-    slides_sigma_V: float | None
-    slides_u_Q: float | None
+    errors: Mapping[str, float | None]
+    orders: Mapping[str, float | None]
+    slides: Mapping[str, float | None]
 
-
-def differences(coarse: Solution, fine: Solution) -> Differences:
-    """Norms of the difference of two solutions, by quadrature on the mesh of the second (collective).
-
-    The coarse fields are evaluated at the quadrature points. Near a curved boundary a point may be outside the coarse
-    mesh; then the nearest coarse cell is used.
-    """
-    source = coarse.spaces.domain
-    mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
-    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, source)
-    p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, source)
-    (p_middle,) = sampled([coarse.p], gamma, source, degree=0)
-
-    metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
-    dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
-    ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
-    squares = [
-        l2(fine.sigma - sigma, dx) + l2(ufl.div(fine.sigma) - div_sigma, dx),
-        l2(fine.u - u, dx),
-        l2(fine.p - p, ds),
-        l2(fine.spaces.multiplier(fine.spaces.normal_flux(fine.sigma)) - flux, ds),
-    ]
-    local = np.array([fem.assemble_scalar(fem.form(square)) for square in squares])
-    sigma_V, u_Q, p_Lambda, flux_Lambda = np.sqrt(mesh.comm.allreduce(local)).tolist()
-    size = len(fine.spaces.facets)
-    return Differences(
-        sigma_V, u_Q, p_Lambda, slobodeckij_norm(fine, fine.p.x.array[:size] - p_middle.x.array[:size]), flux_Lambda
-    )
-
-
-def slobodeckij_norm(solution: Solution, values: Array) -> float:
-    """Discrete H^{1/2}(Γ_S) norm of one value per Γ_S facet (collective; quadratic in the number of facets).
-
-    It is the Sobolev-Slobodeckij double integral, by midpoints for each pair of different facets:
-    ‖p‖² + Σ_{e≠e'} |e||e'| (p_e − p_e')² / |x_e − x_e'|^d.
-    """
-    spaces = solution.spaces
-    dim = spaces.mesh.topology.dim
-    x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
-    rows = gather_rows(spaces.mesh.comm, np.column_stack([x, spaces.facet_measure, values]))
-    square = 0.0
-    if rows is not None:
-        x, e, p = rows[:, :3], rows[:, 3], rows[:, 4]
-        square = float(e @ p**2)
-        for i in range(len(rows) - 1):
-            distance = np.linalg.norm(x[i + 1 :] - x[i], axis=1)
-            square += 2 * e[i] * float(e[i + 1 :] @ ((p[i + 1 :] - p[i]) ** 2 / distance**dim))
-    return math.sqrt(spaces.mesh.comm.bcast(square))
-
-
-def _divergence(solution: Solution) -> fem.Function:
-    """∇·σ_h in P0."""
-    Q = solution.spaces.Q
-    divergence = fem.Function(Q)
-    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), Q.element.interpolation_points))
-    return divergence
+    def columns(self) -> dict[str, float | None]:
+        """All numbers by the names that tables give them."""
+        found = {name: getattr(self, name) for name in ("level", "h", "eps", "cells", "iterations")}
+        for name, error in self.errors.items():
+            found |= {name: error, f"{name}_order": self.orders[name]}
+        return found | {f"slides_{name}": error for name, error in self.slides.items()}
 
 
 def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:
@@ -173,7 +86,7 @@ def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:
 
 
 def convergence_study(
-    case: Case,
+    case: AnyCase,
     vary: Vary,
     levels: Sequence[int],
     reference: int,
@@ -201,13 +114,15 @@ def convergence_study(
     if vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
-    solver = Solver(mesh_case(case, comm), boundary_of(case)) if vary is Vary.EPS else None
+    solver = Solver(mesh_case(case, comm), boundary_of(case)) if vary is Vary.EPS and isinstance(case, Case) else None
+    if solver is not None:  # the table has the steps of the algorithm itself, which a prediction would save
+        case = case.with_values({"solve.predict": False})
     cases = [case.with_values(level_values(vary, level)) for level in levels]
     best = case if vary is Vary.H else case.with_values({"solve.algorithm": "alg1"})
     if solver is None:
         best = best.with_values({"solve.h": 2.0**-reference})
 
-    def solved(problem: Case) -> Solution:
+    def solved(problem: AnyCase) -> AnySolution:
         with doing(f"{problem.fineness}, {problem.solve.algorithm}"):
             return solve_case(problem, comm, domain=solver)
 
@@ -237,22 +152,25 @@ def level_values(vary: Vary, level: int) -> dict[str, float]:
 
 def _row(
     level: int,
-    coarse: Solution,
-    fine: Solution,
+    coarse: AnySolution,
+    fine: AnySolution,
     before: ErrorRow | None,
     vary: Vary,
     slides: tuple[float, float] | None,
 ) -> ErrorRow:
     with doing("comparing"):
-        error = differences(coarse, fine)
+        difference = differences(coarse, fine)
     topology = coarse.spaces.mesh.topology
     cells = topology.index_map(topology.dim).size_global
     options = coarse.options
     eps = options.eps if options.method.has_eps else None
-    flux_scaled = None if eps is None else math.sqrt(eps) * error.flux_Lambda
+    errors: dict[str, float | None] = dict(vars(difference))
+    if isinstance(difference, Differences):
+        errors["flux_scaled"] = None if eps is None else math.sqrt(eps) * difference.flux_Lambda
+        del errors["flux_Lambda"]
 
     def order(name: str, value: float | None) -> float | None:
-        earlier = None if before is None else getattr(before, name)
+        earlier = None if before is None else before.errors[name]
         if before is None or not earlier or not value:
             return None
         if vary is Vary.EPS:
@@ -265,18 +183,9 @@ def _row(
         eps=eps,
         cells=cells,
         iterations=len(coarse.outcome.history),
-        sigma_V=error.sigma_V,
-        sigma_V_order=order("sigma_V", error.sigma_V),
-        u_Q=error.u_Q,
-        u_Q_order=order("u_Q", error.u_Q),
-        p_Lambda=error.p_Lambda,
-        p_Lambda_order=order("p_Lambda", error.p_Lambda),
-        p_half=error.p_half,
-        p_half_order=order("p_half", error.p_half),
-        flux_scaled=flux_scaled,
-        flux_scaled_order=order("flux_scaled", flux_scaled),
-        slides_sigma_V=None if slides is None else slides[0],
-        slides_u_Q=None if slides is None else slides[1],
+        errors=errors,
+        orders={name: order(name, error) for name, error in errors.items()},
+        slides=dict(zip(("sigma_V", "u_Q"), slides or (None, None), strict=True)) if "sigma_V" in errors else {},
     )
 
 
@@ -285,9 +194,10 @@ def fitted_slopes(rows: list[ErrorRow], vary: Vary) -> dict[str, float]:
     if vary is Vary.EPS:
         rows = [row for row in rows if row.eps is not None and row.eps <= ASYMPTOTIC_EPS * (1 + 1e-12)]
     slopes = {}
-    for name in ERRORS:
-        values = [getattr(row, name) for row in rows]
-        if len(rows) > 1 and all(values):
+    for name in rows[0].errors if len(rows) > 1 else ():
+        values = [row.errors[name] for row in rows]
+        if all(values):
             base = 10 if vary is Vary.EPS else 2
-            slopes[name] = -float(np.polyfit([row.level for row in rows], np.log(values) / np.log(base), 1)[0])
+            logarithms = np.log(np.array(values, dtype=np.float64)) / np.log(base)
+            slopes[name] = -float(np.polyfit([row.level for row in rows], logarithms, 1)[0])
     return slopes

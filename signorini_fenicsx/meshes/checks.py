@@ -11,6 +11,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.rows import rows_of
 
 FLAT = 1e-14
 """A cell whose volume is below this share of diameter^dim is degenerate."""
@@ -145,14 +146,6 @@ def _in_its_space(points: Array, dim: int) -> Array:
     if not 1e-60 < size[:dim].max() < 1e60:
         raise InputError(f"its size is {size.max():.3g}, outside 1e-60 … 1e60; choose another unit of length")
     return points[:, :dim]
-
-
-def rows_of(wanted: Indices, known: Indices) -> Indices:
-    """The number of each wanted row in another array, −1 if it is not there."""
-    _, number = np.unique(np.concatenate([known, wanted]), axis=0, return_inverse=True)
-    row = np.full(int(number.max(initial=-1)) + 1, -1)
-    row[number[: len(known)]] = np.arange(len(known))
-    return row[number[len(known) :]]
 
 
 def faces(cells: Indices) -> Indices:

@@ -13,7 +13,7 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import fetch_rows, marked_rows
+from signorini_fenicsx.base.rows import fetch_rows, find_rows
 
 AXES = "xyz"
 
@@ -195,7 +195,7 @@ def found(
     Returns:
         For each name the facets of this rank, ascending.
     """
-    inside = marked_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values()))
+    inside = find_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values())) >= 0
     return {name: among[inside[:, column]] for column, name in enumerate(marked)}
 
 

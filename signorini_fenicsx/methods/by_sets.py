@@ -37,11 +37,11 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
     predicted, steps = None, 0
     with contextlib.suppress(LinearSolveFailure):
         with task.watch.phase("prediction"):
-            earlier, worth_it = task.start, task.predict and prediction.is_worth_it(spaces)
+            earlier, inexact, worth_it = task.start, backend.inexact, task.predict and prediction.is_worth_it(spaces)
             if earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
-            if worth_it and backend.inexact is not None:
-                predicted, steps = prediction.settle(backend.inexact, spaces, backend.chains, earlier)
+            if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
+                predicted, steps = prediction.settle(inexact, spaces, backend.chains, earlier)
             elif earlier is not None:
                 predicted = prediction.transferred(earlier, spaces, prediction.law(backend.chains))
         if predicted is not None:

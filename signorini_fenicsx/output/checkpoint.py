@@ -1,12 +1,7 @@
-"""Saves a solution so that any number of ranks can read it: one NumPy file, in the original numbering of the mesh.
+"""Reads a saved solution on any number of ranks, see `checkpoint_writing`; a damaged one is told by its residuals."""
 
-RT0 is stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T). So the file has no degrees of
-freedom and does not depend on the partition.
-"""
-
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +16,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.base.rows import fetch_rows
+from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import project_data
@@ -33,102 +27,18 @@ from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Marks, Part, axis_part, distribute, facet_vertices, marked_domain
+from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
-from signorini_fenicsx.output.checkpoint_file import (
-    FORMAT,
-    About,
-    Arrays,
-    Checkpoint,
-    GivenInPython,
-    read_checkpoint,
-)
-from signorini_fenicsx.output.gather import FacetTable, Fields
+from signorini_fenicsx.output.checkpoint_file import About, Arrays, Checkpoint, read_checkpoint
+from signorini_fenicsx.output.checkpoint_writing import COSTS, OUTCOME
 from signorini_fenicsx.solving.options import OWN, Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import gamma_s
 
-FILE = "checkpoint.npz"
-
-
-def write_checkpoint(path: Path, solution: Solution, fields: Fields, facets: FacetTable, marks: Marks) -> None:
-    """Write a gathered solution (rank 0).
-
-    Cells and points have the original numbering of the mesh, and a facet of Γ_S is identified by its vertices. The file
-    alone is sufficient for pictures.
-
-    Args:
-        path: Path of the file.
-        solution: The solution, for everything that is the same on all ranks.
-        fields: Its mesh and cell values.
-        facets: Its values on Γ_S.
-        marks: Its boundary parts and regions.
-    """
-    about = {
-        "format": FORMAT,
-        "name": solution.name,
-        **_problem(solution),
-        "part_names": solution.spaces.part_names,
-        "parts": {name: part.label for name, part in solution.spaces.domain.parts.items()},
-        "regions": marks.regions,
-        "bend": solution.spaces.domain.curvature,
-        "history": [asdict(step) for step in solution.outcome.history],
-        "beta": 1.0 if solution.method.penalty is None else solution.method.penalty.beta(solution.options.eps),
-        "kkt": vars(solution.kkt),
-        **{key: getattr(solution.outcome, key) for key in OUTCOME},
-        **{key: getattr(solution, key) for key in COSTS},
-    }
-    arrays = {key: getattr(fields, key) for key in ("points", "cells", "u", "sigma", "divergence")}
-    arrays |= {f"facet_{key}": values for key, values in vars(facets).items()}
-    arrays |= {f"part_{index}": vertices for index, vertices in enumerate(marks.facets.values())}
-    arrays |= {} if marks.cells is None else {"inside": marks.cells}
-    with path.open("wb") as file:
-        np.savez(file, about=np.array(json.dumps(about)), **arrays)
-
-
-OUTCOME = (
-    *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
-    "rough_steps",
-)
-"""Stored attributes of a solution's outcome, apart from fields and history."""
-COSTS = ("timings", "peak_memory")
 SAME = 1e-3
 """Allowed relative difference between the KKT residuals of what is read and those that were written."""
-
-
-def _problem(solution: Solution) -> dict[str, Any]:
-    """The case; or, for a problem given in Python, the data that a file can hold."""
-    if isinstance(solution.source, Case):
-        return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
-    boundary, options = solution.boundary, solution.options
-    laws = solution.problem.laws
-    problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
-    stored = {name: value for name, value in problem.items() if _storable(value)}
-    missing = [name for name in problem if name not in stored]
-    if not all(law.name in LAWS and _storable(vars(law)) for law in laws):
-        laws, missing = (), [*missing, "laws"]
-    given = GivenInPython(
-        title=solution.title,
-        domain=solution.spaces.domain.name,
-        signorini=list(boundary.signorini),
-        neumann=list(boundary.neumann),
-        problem=stored,
-        laws=[{"kind": law.name, **vars(law)} for law in laws],
-        missing=missing,
-        options={
-            "algorithm": options.algorithm_name,
-            **{key: getattr(options, key) for key in ("rho", "eps", "max_iterations", "predict")},
-        },
-    )
-    return {"case": None, "given": given.model_dump(mode="json")}
-
-
-def _storable(given: object) -> bool:
-    """Whether a datum consists of numbers and texts."""
-    if isinstance(given, Mapping):
-        return all(map(_storable, given.values()))
-    return all(map(_storable, given)) if isinstance(given, tuple | list) else isinstance(given, str | int | float)
 
 
 @collector_off()
@@ -145,40 +55,27 @@ def load_solution(
         options: The options, needed if the algorithm was given in Python.
 
     Raises:
-        InputError: If there is no solution; if the file cannot come from this program; if `problem` or `options` are
+        InputError: If there is no solution; if the files cannot come from this program; if `problem` or `options` are
             needed; or if the residuals of the fields are not those that were written: then the file is damaged, and
             nothing of it is used.
     """
-    path = Path(folder) / FILE
-    everything: list[Arrays] = []
-
-    def read() -> tuple[Checkpoint, int]:
-        repair(folder)
-        found = read_checkpoint(path)
-        everything.append(found.arrays)
-        facets = {key: array for key, array in found.arrays.items() if key.startswith("facet_")}
-        return replace(found, arrays=facets), found.dim
-
-    found, dim = on_root(comm, read)
-    about, boundary, facets = found.about, found.boundary, found.arrays
+    on_root(comm, lambda: repair(folder))
+    found = read_checkpoint(comm, Path(folder))
+    about, path, arrays, dim = found.about, found.path, found.arrays, found.dim
     problem, options = problem or _read_problem(found, dim), options or _read_options(found)
-    arrays = everything[0] if everything else {}
-    points = arrays.get("points", np.empty((0, dim)))
-    cells = arrays.get("cells", np.empty((0, dim + 1), dtype=np.int64))
-    mesh = distribute(comm, points, cells, dim)
-    marks, is_shape = _marks(about, arrays, dim), found.shape is not None
-    domain = marked_domain(mesh, _parts(found), marks, curvature=about.bend, name=found.domain, is_shape=is_shape)
-    boundary = gamma_s(boundary, problem)
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
-    rows = _rows(facets["facet_vertices"], facet_vertices(spaces.mesh, spaces.facets))
+    try:
+        spaces, rows = _spaces(found, comm, problem)
+    except InputError as error:
+        raise InputError(f"{path}: is damaged: its mesh: {error}") from None
     sigma, u = _fields(spaces, arrays)
-    sigma.x.array[spaces.flux_dofs] = facets["facet_flux"][rows] * spaces.facet_measure / spaces.basis_flux
+    flux, p, condition = (fetch_rows(comm, rows, arrays[f"facet_{key}"]) for key in ("flux", "p", "condition"))
+    sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
     sigma.x.scatter_forward()
-    p = spaces.multiplier(facets["facet_p"][rows])
+    p = spaces.multiplier(p)
     data = project_data(spaces, problem)
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
-    conditions = law.conditions(law.nearest(facets["facet_condition"][rows].astype(np.int8), trace, flux))
+    conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))
     kkt = kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps)
     damage = _damage(about, options.method, kkt)
     by_sets = about.converged and options.method.starts_from_sets
@@ -196,7 +93,7 @@ def load_solution(
         name=about.name,
         title=found.title,
         source=found.case,
-        boundary=boundary,
+        boundary=gamma_s(found.boundary, problem),
         problem=problem,
         options=options,
         spaces=spaces,
@@ -290,31 +187,50 @@ def _parts(found: Checkpoint) -> Mapping[str, Part]:
     return {name: axis_part(label) for name, label in found.about.parts.items()}
 
 
-def _marks(about: About, arrays: Arrays, dim: int) -> Marks:
-    """Parts and regions on rank 0; empty on other ranks."""
-    empty = np.empty((0, dim), dtype=np.int64)
-    facets = {name: arrays.get(f"part_{index}", empty) for index, name in enumerate(about.parts)}
-    return Marks(facets, arrays.get("inside"), tuple(about.regions))
+def _spaces(found: Checkpoint, comm: MPI.Comm, problem: Problem) -> tuple[Spaces, Indices]:
+    """The spaces on the mesh of the file, and for each facet of Γ_S of this rank its row in the file (collective).
+
+    Raises:
+        InputError: If the parts are not on the boundary, or the facets with values are not those of Γ_S.
+    """
+    about, arrays = found.about, found.arrays
+    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim)
+    facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
+    domain = marked_domain(
+        mesh,
+        _parts(found),
+        Marks(facets, arrays.get("inside"), tuple(about.regions)),
+        curvature=about.bend,
+        name=found.domain,
+        is_shape=found.shape is not None,
+        made=about.made,
+    )
+    boundary = gamma_s(found.boundary, problem)
+    check_parts(domain, vars(boundary))
+    for index, name in enumerate(facets):
+        used = name in (*boundary.signorini, *boundary.neumann)
+        if used and comm.allreduce(len(domain.facets[name])) != found.headers[f"part_{index}"].shape[0]:
+            raise InputError(f"part '{name}' has facets that are not on the boundary")
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    rows = find_rows(comm, facet_vertices(mesh, spaces.facets), [arrays["facet_vertices"]])[:, 0]
+    missing, count = comm.allreduce(np.array([np.count_nonzero(rows < 0), len(rows)]))
+    if missing > 0 or count != found.headers["facet_vertices"].shape[0]:
+        raise InputError("its facets with values are not those of Γ_S")
+    return spaces, rows
 
 
 def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:
-    """σ_h and u_h from cell values on rank 0 in the original order of the mesh (collective)."""
+    """σ_h and u_h from the cell values of the file (collective)."""
     mesh = spaces.mesh
     dim = mesh.geometry.dim
     centroid = spaces.centroids
     middle = fem.Function(centroid.function_space)
     divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
     for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
-        values = fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays.get(key))
+        values = fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays[key])
         function.x.array[:] = values.ravel()
     sigma = fem.Function(spaces.V, name="sigma")
     x = ufl.SpatialCoordinate(mesh)
     sigma.interpolate(fem.Expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points))
     sigma.x.scatter_forward()
     return sigma, u
-
-
-def _rows(known: Indices, wanted: Indices) -> Indices:
-    """Row of each facet in the file, found by its vertices."""
-    row = {tuple(vertices): index for index, vertices in enumerate(known.tolist())}
-    return np.array([row[tuple(vertices)] for vertices in wanted.tolist()], dtype=np.int64)

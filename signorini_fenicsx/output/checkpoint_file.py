@@ -1,28 +1,33 @@
-"""Reads the file of a checkpoint without trusting it: only contents that this program can have written reach DOLFINx.
+"""Reads the files of a checkpoint without trusting them: only what this program can have written reaches DOLFINx.
 
-All functions run on rank 0.
+Each rank reads a share of the rows of each array, however many ranks have written it.
 """
 
+import contextlib
 import tokenize
-import warnings
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
+from signorini_fenicsx.base.array_files import Header, read_header, read_share
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.meshes.checks import Contents, check_boundary, checked
 from signorini_fenicsx.meshes.domain import AXES, Boundary
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 
 type Arrays = dict[str, npt.NDArray]
 
@@ -48,11 +53,12 @@ LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
 """Type and shape of the arrays of a file; a word stands for the same number everywhere."""
 VALUES = ("u", "sigma", "divergence", "facet_u", "facet_p", "facet_flux")
 """Arrays that need not be finite if the run has failed."""
-SIMPLICES = {1: "line", 2: "triangle", 3: "tetra"}
+FOLDER, TEXT = "checkpoint", "about.json"
+"""The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""
 
-
-FORMAT = 2
-"""Format of the files that are written. Files of format 1 have no format number and no problems given in Python."""
+FORMAT = 3
+"""Format that is written: a folder with TEXT and `<name>.npy` for each array. Formats 1 and 2 are one file, see
+`checkpoint_npz`; in format 1 there are no format number and no problems given in Python."""
 
 
 class GivenInPython(BaseModel):
@@ -93,6 +99,7 @@ class About(BaseModel):
         parts: For each boundary part the label of the coordinate along it.
         regions: Names of the regions.
         bend: See `Domain`.
+        made: How the mesh was made, in words.
         history: One step per iteration.
         beta: β of the ROBIN facets.
         kkt: The KKT residuals when it was written; files of version 0.1 do not have them.
@@ -108,6 +115,7 @@ class About(BaseModel):
     parts: dict[str, str]
     regions: list[str]
     bend: FiniteFloat = Field(ge=0)
+    made: str = "given"
     history: list[Step]
     beta: FiniteFloat = Field(gt=0)
     kkt: dict[str, float] | None = None
@@ -128,14 +136,18 @@ class Checkpoint:
     """A file that has passed all checks except that of its residuals.
 
     Attributes:
+        path: Where it is.
         about: Its contents besides arrays.
         case: Its case; None for a problem given in Python.
-        arrays: Its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary part, shape
-            (facets, dim); `inside`, shape (cells, regions), if there are regions.
+        headers: Shape and type of its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary
+            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions.
+        arrays: The rows of its arrays that this rank has read; rows continue from rank to rank.
     """
 
+    path: Path
     about: About
     case: Case | None
+    headers: dict[str, Header]
     arrays: Arrays
 
     @property
@@ -168,59 +180,84 @@ class Checkpoint:
     @property
     def dim(self) -> int:
         """Dimension, 2 or 3."""
-        return int(self.arrays["points"].shape[1])
+        return self.headers["points"].shape[1]
 
 
-def read_checkpoint(path: Path) -> Checkpoint:
-    """Read a file and check everything that can be checked without spaces and residuals.
+def read_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint:
+    """Read a checkpoint and check everything that can be checked without spaces and residuals (collective).
+
+    Args:
+        comm: Communicator.
+        folder: The results folder.
 
     Raises:
-        InputError: If there is no file, or it cannot come from this program.
+        InputError: On all ranks, if there is no checkpoint, or it cannot come from this program.
+    """
+    old: list[Arrays] = []  # the arrays of a file of an old version, on rank 0
+
+    def begin() -> Checkpoint:
+        path = place_of(folder)
+        with _told(path):
+            if path.name == OLD_FILE:
+                old.append(read_npz(path))
+                text = str(old[0].pop("about", ""))
+                headers = {name: Header(array.shape, array.dtype, 0) for name, array in old[0].items()}
+            else:
+                text = (path / TEXT).read_text(encoding="utf-8")
+                files = sorted(file for file in path.glob("*.npy") if file.is_file())
+                headers = {file.stem: read_header(file) for file in files}
+            about = About.model_validate_json(text)
+            found = Checkpoint(path, about, _case(about), headers, {})
+            _check_layout(found)
+        return found
+
+    found = on_root(comm, begin)
+    with _told(found.path):
+        if found.path.name == OLD_FILE:
+            empty = {name: np.empty((0, *head.shape[1:]), head.kind) for name, head in found.headers.items()}
+            found = replace(found, arrays=old[0] if old else empty)
+        else:
+            files = {name: (found.path / f"{name}.npy", header) for name, header in found.headers.items()}
+            found = replace(found, arrays={name: read_share(comm, *file) for name, file in files.items()})
+        refuse(comm, _wrong_value(found))
+        try:
+            check_cells(comm, found.arrays["points"], found.arrays["cells"])
+        except InputError as error:
+            raise InputError(f"is damaged: its mesh: {error}") from None
+    return found
+
+
+def place_of(folder: Path) -> Path:
+    """Where the checkpoint of a results folder is.
+
+    Raises:
+        InputError: If there is none.
+        OSError: If the folder cannot be read.
     """
     try:
-        if not path.is_file():
-            raise InputError(f"{path.parent}: holds no {path.name}, so there is no solution to read")
-        arrays = _read(path)
-        about = About.model_validate_json(str(arrays.pop("about", "")))
-        found = Checkpoint(about, _case(about), arrays)
-        _check_layout(found)
-        _check_mesh(found)
-        return found
+        for name in (FOLDER, f"{FOLDER}.part"):  # a run killed at the right moment has left the latter, complete
+            if (folder / name / TEXT).is_file():
+                return folder / name
+        if (folder / OLD_FILE).is_file():
+            return folder / OLD_FILE
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from None
+    raise InputError(f"{folder}: holds no {FOLDER}, so there is no solution to read")
+
+
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn all errors of reading into one sentence with the path."""
+    try:
+        yield
     except ValidationError as error:
         raise InputError(f"{path}: not a readable solution ({complaint(error, About)})") from None
     except InputError as error:
-        raise error if str(path.parent) in str(error) else InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
     except UNREADABLE as error:
         raise InputError(f"{path}: not a readable solution ({error})") from None
-
-
-def _read(path: Path) -> Arrays:
-    """All arrays of a file. Their stated sizes are compared with the size of the file before memory is allocated."""
-    with zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="error"):
-        entries = archive.infolist()
-        if any(entry.flag_bits & 1 or entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-            raise InputError("not a readable solution (it is compressed or encrypted; this program never does that)")
-        if sum(entry.file_size for entry in entries) > path.stat().st_size:
-            raise InputError("not a readable solution (it states larger sizes than it has)")
-        return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
-
-
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray:
-    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    with archive.open(entry) as file:
-        version = np.lib.format.read_magic(file)
-        if version not in header:
-            raise InputError(f"not a readable solution ({entry.filename} is not an array)")
-        shape, _, kind = header[version](file)
-        count = 1
-        for length in shape:
-            count *= length
-        if kind.hasobject or min(shape, default=0) < 0 or count * kind.itemsize != entry.file_size - file.tell():
-            raise InputError(f"not a readable solution ({entry.filename} does not have the size that it states)")
-        file.seek(0)
-        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
 
 def _case(about: About) -> Case | None:
@@ -233,58 +270,47 @@ def _case(about: About) -> Case | None:
 
 
 def _check_layout(found: Checkpoint) -> None:
-    """Check types and shapes, that values are finite, and that conditions and parts are known ones."""
-    about, arrays = found.about, found.arrays
+    """Check the types and shapes of the arrays, and that parts, shape and dimension fit (rank 0)."""
+    about, headers = found.about, found.headers
     layout = LAYOUT | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
-    missing = [name for name in layout if name not in arrays]
+    missing = [name for name in layout if name not in headers]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
-    points = arrays["points"]
-    dim = points.shape[-1] if points.shape[-1:] in ((2,), (3,)) else 0
+    dim = headers["points"].shape[-1] if headers["points"].shape[-1:] in ((2,), (3,)) else 0
     sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions)}
     for name, (kind, *words) in layout.items():
-        array = arrays[name]
-        lengths = [sizes.setdefault(word, size) for word, size in zip(words, array.shape, strict=False)]
-        if dim == 0 or array.dtype != kind or list(array.shape) != lengths or len(words) != array.ndim:
-            raise InputError(f"not a readable solution ({name} has type {array.dtype} and shape {array.shape})")
-        if kind is np.float64 and not (np.isfinite(array).all() or (name in VALUES and not about.converged)):
-            raise InputError(f"is damaged: {name} is not finite everywhere")
-    if not np.isin(arrays["facet_condition"], list(Condition)).all():
-        raise InputError("is damaged: facet_condition has a value that is no condition")
-    if not np.isin(arrays["facet_part"], range(len(about.part_names))).all():
-        raise InputError("is damaged: facet_part has a value that is no part")
-    if found.shape is not None and SHAPES[found.shape].dim != dim:
-        raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
-    if found.case is not None:
-        found.case.check_dimension(dim)
-
-
-def _check_mesh(found: Checkpoint) -> None:
-    """Check the mesh like that of any file; Γ_S must be the facets that have values."""
-    about, arrays, dim = found.about, found.arrays, found.dim
+        shape = headers[name].shape
+        lengths = [sizes.setdefault(word, size) for word, size in zip(words, shape, strict=False)]
+        if dim == 0 or headers[name].kind != kind or list(shape) != lengths or len(words) != len(shape):
+            raise InputError(f"not a readable solution ({name} has type {headers[name].kind} and shape {shape})")
+    for name in set(headers) - set(layout):
+        del headers[name]
     if found.shape is None:
         known = set(about.parts.values()) <= set(AXES[:dim])
     else:
         known = list(about.parts) == list(SHAPES[found.shape].parts)
+        if SHAPES[found.shape].dim != dim:
+            raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
     if about.part_names != list(found.boundary.signorini):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
-    facets = [arrays[f"part_{index}"] for index in range(len(about.parts))]
-    kinds = [(SIMPLICES[dim], arrays["cells"]), *((SIMPLICES[dim - 1], rows) for rows in facets)]
-    groups = [(name, dim - 1, [(k, np.arange(len(facets[k - 1])))]) for k, name in enumerate(about.parts, 1)]
-    try:
-        mesh = checked(Contents(arrays["points"], kinds, groups))
-        check_boundary(mesh, {key: list(names) for key, names in vars(found.boundary).items()})
-    except InputError as error:
-        raise InputError(f"is damaged: its mesh: {error}") from None
-    if len(mesh.points) != len(arrays["points"]):
-        raise InputError("is damaged: its mesh has points without cells")
-    gamma = np.unique(np.concatenate([mesh.parts[name] for name in about.part_names]), axis=0)
-    vertices = arrays["facet_vertices"]
-    if len(vertices) != len(gamma) or not np.array_equal(np.unique(vertices, axis=0), gamma):
-        raise InputError("is damaged: its facets with values are not those of Γ_S")
+    if found.case is not None:
+        found.case.check_dimension(dim)
+
+
+def _wrong_value(found: Checkpoint) -> str:
+    """What is wrong with the values that this rank has read; empty if nothing is."""
+    for name, rows in found.arrays.items():
+        may_fail = name in VALUES and not found.about.converged
+        if rows.dtype == np.float64 and not may_fail and not np.isfinite(rows).all():
+            return f"is damaged: {name} is not finite everywhere"
+    if not np.isin(found.arrays["facet_condition"], list(Condition)).all():
+        return "is damaged: facet_condition has a value that is no condition"
+    if not np.isin(found.arrays["facet_part"], range(len(found.about.part_names))).all():
+        return "is damaged: facet_part has a value that is no part"
+    return ""

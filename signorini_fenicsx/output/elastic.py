@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, io
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off, gather_rows, on_root
-from signorini_fenicsx.base.text import write_table
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
 from signorini_fenicsx.discrete.elastic_kkt import imbalance
-from signorini_fenicsx.methods.history import Step
-from signorini_fenicsx.output.field_files import write_files, write_vtx
-from signorini_fenicsx.output.writing import write_summary
+from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
+from signorini_fenicsx.output.field_files import write_vtx
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 DIGITS = 10
@@ -50,54 +47,33 @@ class ContactTable:
     touching: Mask
 
 
-@dataclass(frozen=True)
-class Deformed:
-    """Cells of all ranks with what pictures show of them (rank 0).
-
-    Attributes:
-        vertices: Shape (cells, d + 1, d).
-        u: Displacement there.
-        von_mises: Largest equivalent stress at the subcells' vertices, shape (cells,).
-    """
-
-    vertices: Array
-    u: Array
-    von_mises: Array
-
-
-@collector_off()
-def write_elastic(
-    solution: ElasticSolution, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False
-) -> None:
-    """Write all files of an elastic solution into an existing folder (collective).
+def tables_and_pictures(
+    solution: ElasticSolution, folder: Path, certificate: Certificate | None, *, plot: bool
+) -> Callable[[], None]:
+    """Gather what tables and pictures show of an elastic solution (collective).
 
     Args:
         solution: What to write.
         folder: Where; files of the same names are overwritten.
         certificate: Its error bound, if it has one.
-        plot: Also draw PNGs, in the plane.
+        plot: Also draw PNGs.
+
+    Returns:
+        What writes them on rank 0.
     """
-    folder, watch, comm = Path(folder), Stopwatch(), solution.spaces.mesh.comm
-    with watch.phase("output"):
-        table, summary = contact_table(solution), solution.summary()
-        deformed = gather_deformed(solution) if plot and solution.spaces.dim == 2 else None
-        if certificate is not None:
-            summary["certificate"] = certificate.summary()
-            summary["timings"] |= {"certificate": certificate.seconds}
+    table = contact_table(solution)
+    body = gather_body(solution, None if certificate is None else certificate.indicator) if plot else None
 
-        def write() -> None:
-            if table is not None:
-                write_contact(folder / "contact.csv", solution.boundary.contact, table)
-            write_table(folder / "history.csv", Step, solution.outcome.history)
-            if table is not None and deformed is not None:
-                from signorini_fenicsx.output.pictures import elastic  # costs a second, only where it is needed
+    def write() -> None:
+        if table is not None:
+            write_contact(folder / "contact.csv", solution.boundary.contact, table)
+        if table is not None and body is not None:
+            from signorini_fenicsx.output.pictures import elastic  # costs a second, only where it is needed
 
-                elastic.draw(folder, solution, table, deformed, certificate)
+            with doing("drawing"):
+                elastic.draw(folder, solution, table, body, certificate)
 
-        on_root(comm, write)
-        write_files(comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate))
-    summary["timings"] |= watch.longest(comm)
-    on_root(comm, lambda: write_summary(folder, summary))
+    return write
 
 
 def write_contact(path: Path, parts: Sequence[str], table: ContactTable) -> None:
@@ -140,41 +116,7 @@ def contact_table(solution: ElasticSolution) -> ContactTable | None:
     )
 
 
-def gather_deformed(solution: ElasticSolution) -> Deformed | None:
-    """Collect the cells on rank 0; None elsewhere (collective)."""
-    spaces = solution.spaces
-    comm = spaces.mesh.comm
-    largest = von_mises(in_space(solution)).max(axis=(1, 2))
-    found = [gather_rows(comm, values) for values in (spaces.vertices, spaces.displacement_values(solution.u), largest)]
-    vertices, u, stress = found
-    if vertices is None or u is None or stress is None:
-        return None
-    return Deformed(vertices, u, stress)
-
-
-def in_space(solution: ElasticSolution) -> Array:
-    """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
-
-    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
-    """
-    spaces, data = solution.spaces, solution.data
-    missing = 3 - spaces.dim
-    found = np.pad(solution.stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
-    if missing and not data.in_space:
-        for cells in blocks_of_cells(spaces):
-            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
-            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", solution.stresses[cells])
-    return found
-
-
-def von_mises(stresses: Array) -> Array:
-    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
-    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
-    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
-    return found
-
-
-def _sizes(solution: ElasticSolution) -> dict[str, int]:
+def sizes_of_files(solution: ElasticSolution) -> dict[str, int]:
     """About the largest sizes that the files of fields may have, in bytes (collective)."""
     spaces, dim = solution.spaces, solution.spaces.dim
     mesh = spaces.mesh
@@ -190,7 +132,7 @@ def _sizes(solution: ElasticSolution) -> dict[str, int]:
     }
 
 
-def _write_fields(solution: ElasticSolution, folder: Path, certificate: Certificate | None) -> None:
+def write_fields(solution: ElasticSolution, folder: Path, certificate: Certificate | None) -> None:
     """Write `solution.bp` on the subcells, `contact.bp` on Γ_C and, with means over cells, `solution.xdmf`."""
     spaces, split = solution.spaces, solution.spaces.split
     comm, dim, mesh = spaces.mesh.comm, spaces.dim, spaces.mesh
@@ -208,7 +150,7 @@ def _write_fields(solution: ElasticSolution, folder: Path, certificate: Certific
     write_vtx(comm, folder / "solution.bp", functions)
 
     values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
-    write_vtx(comm, folder / "contact.bp", [_on_contact(solution, name, each) for name, each in values.items()])
+    write_vtx(comm, folder / "contact.bp", [solution.on_contact(each, name) for name, each in values.items()])
 
     left = np.linalg.norm(imbalance(spaces, solution.data, solution.stresses), axis=2).max(axis=1)
     means = {
@@ -225,20 +167,3 @@ def _write_fields(solution: ElasticSolution, folder: Path, certificate: Certific
             file.write_function(function)
         if certificate is not None:
             file.write_function(certificate.indicator)
-
-
-def _on_contact(solution: ElasticSolution, name: str, values: npt.NDArray) -> fem.Function:
-    """The function on Γ_C with these values at the vertices of its facets."""
-    spaces = solution.spaces
-    multipliers = spaces.scalar.Lambda
-    space = fem.functionspace(multipliers.mesh, ("DG", 1))
-    function = fem.Function(space, name=name)
-    size = multipliers.dofmap.index_map.size_local
-    facets = multipliers.dofmap.list[:size, 0]
-    cells = np.arange(size, dtype=np.int32)
-    nodes = dolfinx.mesh.entities_to_geometry(multipliers.mesh, spaces.dim - 1, cells)
-    here = multipliers.mesh.geometry.x[nodes, : spaces.dim]
-    distances = np.square(here[:, :, None] - spaces.contact.vertices[facets][:, None]).sum(axis=3)
-    found = np.take_along_axis(values[facets], distances.argmin(axis=2), axis=1)
-    function.x.array[space.dofmap.list[:size]] = found
-    return function

@@ -19,7 +19,7 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class FacetTable:
-    """One row per Γ_S facet of all ranks, ordered by part and then along the part.
+    """One row per facet of Γ_S, on rank 0 for all ranks, ordered by part and then along the part.
 
     Attributes:
         part: Index into the parts of Γ_S.
@@ -83,52 +83,49 @@ class Fields:
     u: Array
     sigma: Array
     divergence: Array
-    indicator: Array | None
+    indicator: Array | None = None
 
 
-def gather_facets(solution: Solution) -> FacetTable | None:
-    """Collect the Γ_S facets on rank 0; None on other ranks (collective)."""
+def facet_table(solution: Solution) -> FacetTable:
+    """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces = solution.spaces
     size = len(spaces.facets)
-    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets)
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
         on_part = spaces.part_of_facet == index
         along[on_part] = spaces.domain.parts[name].along(midpoints[on_part].T)
-    columns = [
-        spaces.part_of_facet,
-        *midpoints.T,
-        along,
-        spaces.facet_measure,
-        solution.u.x.array[spaces.cells],
-        solution.p.x.array[:size],
-        spaces.normal_flux(solution.sigma),
-        solution.data.psi_h,
-        solution.data.q_Sh,
-        solution.outcome.conditions.kind,
-        solution.data.laws.labels(solution.segments().segment),
-        *facet_vertices(spaces.mesh, spaces.facets).T,
-    ]
-    rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
-    if rows is None:
-        return None
-    scale = 2.0 ** np.ceil(np.log2(np.abs(rows[:, 1:5]).max(initial=TINY)))
-    *x, along = np.round(rows[:, 1:5].T / scale, 10)  # rounded, so that the order does not depend on the partition
-    rows = rows[np.lexsort((*x[::-1], along, rows[:, 0]))]
     return FacetTable(
-        part=rows[:, 0].astype(np.int64),
-        x=rows[:, 1:4],
-        along=rows[:, 4],
-        measure=rows[:, 5],
-        u=rows[:, 6],
-        p=rows[:, 7],
-        flux=rows[:, 8],
-        psi=rows[:, 9],
-        q_S=rows[:, 10],
-        condition=rows[:, 11].astype(np.int64),
-        segment=rows[:, 12].astype(np.int64),
-        vertices=rows[:, 13:].astype(np.int64),
+        part=spaces.part_of_facet.astype(np.int64),
+        x=midpoints,
+        along=along,
+        measure=spaces.facet_measure,
+        u=solution.u.x.array[spaces.cells],
+        p=solution.p.x.array[:size],
+        flux=spaces.normal_flux(solution.sigma),
+        psi=solution.data.psi_h,
+        q_S=solution.data.q_Sh,
+        condition=solution.outcome.conditions.kind.astype(np.int64),
+        segment=solution.data.laws.labels(solution.segments().segment).astype(np.int64),
+        vertices=facet_vertices(spaces.mesh, spaces.facets),
     )
+
+
+def gather_facets(solution: Solution) -> FacetTable | None:
+    """Collect the Γ_S facets on rank 0, in order; None on other ranks (collective)."""
+    comm, columns = solution.spaces.mesh.comm, vars(facet_table(solution))
+    rows = {key: gather_rows(comm, values) for key, values in columns.items()}
+    found = {key: values for key, values in rows.items() if values is not None}
+    return in_order(FacetTable(**found)) if found else None
+
+
+def in_order(table: FacetTable) -> FacetTable:
+    """A table ordered by part and then along the part (not collective)."""
+    places = np.column_stack([table.x, table.along])
+    scale = 2.0 ** np.ceil(np.log2(np.abs(places).max(initial=TINY)))
+    *x, along = np.round(places.T / scale, 10)  # rounded, so that the order does not depend on the partition
+    order = np.lexsort((*x[::-1], along, table.part))
+    return FacetTable(**{key: rows[order] for key, rows in vars(table).items()})
 
 
 def gather_boundary(solution: Solution) -> Boundary | None:
@@ -181,32 +178,33 @@ def centroid_flux(solution: Solution) -> fem.Function:
     return sigma
 
 
+def cell_values(solution: Solution) -> dict[str, Array]:
+    """u_h, σ_h at the centroids and ∇·σ_h in the cells of this rank, named as in `Fields` (collective)."""
+    spaces, dim = solution.spaces, solution.spaces.mesh.geometry.dim
+    size = spaces.Q.dofmap.index_map.size_local
+    divergence = fem.Function(spaces.Q)
+    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), spaces.Q.element.interpolation_points))
+    return {
+        "u": solution.u.x.array[:size],
+        "sigma": centroid_flux(solution).x.array.reshape(-1, dim)[:size],
+        "divergence": divergence.x.array[:size],
+    }
+
+
 def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> Fields | None:
     """Collect mesh and cell values on rank 0; None on other ranks (collective)."""
     mesh = solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     size = mesh.topology.index_map(mesh.topology.dim).size_local
+    values = cell_values(solution) | ({} if indicator is None else {"indicator": indicator.x.array[:size]})
     ids = gather_rows(comm, geometry.input_global_indices)
     points = gather_rows(comm, geometry.x[:, :dim])
     cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmaps[0][:size]])
-    u = gather_rows(comm, solution.u.x.array[:size])
-    sigma = gather_rows(comm, centroid_flux(solution).x.array.reshape(-1, dim)[:size])
-    divergence = fem.Function(solution.spaces.Q)
-    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), solution.spaces.Q.element.interpolation_points))
-    div_sigma = gather_rows(comm, divergence.x.array[:size])
-    eta = None if indicator is None else gather_rows(comm, indicator.x.array[:size])
     order = gather_rows(comm, mesh.topology.original_cell_index[:size])
-    if ids is None or points is None or cells is None or u is None or sigma is None:
-        return None
-    if div_sigma is None or order is None:
+    found = {key: gather_rows(comm, rows) for key, rows in values.items()}
+    if ids is None or points is None or cells is None or order is None:
         return None
     used, first = np.unique(ids, return_index=True)
     rows = np.argsort(order)
-    return Fields(
-        points[first],
-        np.searchsorted(used, cells)[rows],
-        u[rows],
-        sigma[rows],
-        div_sigma[rows],
-        None if eta is None else eta[rows],
-    )
+    in_rows = {key: each[rows] for key, each in found.items() if each is not None}
+    return Fields(points[first], np.searchsorted(used, cells)[rows], **in_rows)

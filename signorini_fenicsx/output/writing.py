@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import errno
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, io
 from mpi4py import MPI
@@ -17,24 +19,29 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
-from signorini_fenicsx.base.text import json_text, write_table
+from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
-from signorini_fenicsx.output.checkpoint import FILE, write_checkpoint
+from signorini_fenicsx.output import elastic
+from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import interpolated, write_files, write_vtx
 from signorini_fenicsx.output.gather import (
     FacetTable,
     centroid_flux,
+    facet_table,
     gather_boundary,
     gather_facets,
     gather_fields,
     gather_marks,
+    in_order,
 )
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -52,7 +59,7 @@ def write_results(
 
 @collector_off()
 def write_solution(
-    solution: Solution,
+    solution: AnySolution,
     folder: Path | str,
     *,
     certificate: Certificate | None = None,
@@ -69,62 +76,63 @@ def write_solution(
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         plot: Also draw PNGs.
-        html: Also write `solution.html`, pictures that the mouse can turn.
+        html: Also write `solution.html`, pictures that the mouse can turn; elastic solutions have none.
         fields: Also write the fields for ParaView.
 
     Raises:
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    folder = Path(folder)
-    watch = Stopwatch()
+    folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
-        indicator = None if certificate is None else certificate.indicator
-        table, cells = gather_facets(solution), gather_fields(solution, indicator)
-        boundary = gather_boundary(solution) if plot or html else None
-        marks = gather_marks(solution.spaces.domain)
+        if isinstance(solution, ElasticSolution):
+            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot))
+        else:
+            write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
+            write_table_of_facets(folder, solution)
+            if plot or html:
+                with doing("drawing"):
+                    draw(folder, solution, certificate, plot=plot, html=html)
+        on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
+        if fields:
+            write_fields(solution, folder, certificate)
         summary = solution.summary()
         if certificate is not None:
             summary["certificate"] = certificate.summary()
             summary["timings"] |= {"certificate": certificate.seconds}
         if proof is not None:
             summary["certificate"] |= proof.summary()
-
-        def write() -> None:
-            if table is not None and cells is not None:
-                part = folder / f"{FILE}.part"
-                write_checkpoint(part, solution, cells, table, marks)
-                part.rename(folder / FILE)  # written first: it is complete even if the disk is too full for the others
-                names = solution.data.laws.names() if solution.data.laws.listed else []
-                write_facets(folder / "facets.csv", solution.spaces.part_names, table, names)
-                if boundary is not None:
-                    from signorini_fenicsx.output import pictures  # takes a second to import
-
-                    with doing("drawing"):
-                        scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
-                        if plot:
-                            pictures.draw_all(folder, scene)
-                        if html:
-                            pictures.write_page(folder / "solution.html", scene)
-            write_table(folder / "history.csv", Step, solution.outcome.history)
-
-        comm = solution.spaces.mesh.comm
-        on_root(comm, write)
-        if fields:
-            write_fields(solution, folder, certificate)
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 
 
+def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
+    """Draw a solution on rank 0 (collective)."""
+    cells = gather_fields(solution, None if certificate is None else certificate.indicator)
+    table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
+
+    def write() -> None:
+        if table is not None and cells is not None and boundary is not None:
+            from signorini_fenicsx.output import pictures  # takes a second to import
+
+            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+            if plot:
+                pictures.draw_all(folder, scene)
+            if html:
+                pictures.write_page(folder / "solution.html", scene)
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
 def write_convergence(
-    case: Case, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+    case: AnyCase, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
 ) -> None:
     """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
 
     def write() -> None:
         from signorini_fenicsx.output import pictures
 
-        write_table(folder / "convergence.csv", ErrorRow, rows)
+        write_rows(folder / "convergence.csv", rows[0].columns(), [row.columns() for row in rows])
         against = {
             Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
             Vary.EPS: "alg1 on the same mesh",
@@ -136,7 +144,7 @@ def write_convergence(
             "algorithm": case.solve.algorithm,
             "vary": vary.value,
             "reference": against,
-            "rows": [asdict(row) for row in rows],
+            "rows": [row.columns() for row in rows],
             "slopes": fitted_slopes(rows, vary),
             "ranks": comm.size,
         }
@@ -145,17 +153,17 @@ def write_convergence(
     on_root(comm, write)
 
 
-def write_adapt(solution: Solution, rows: list[AdaptRow], folder: Path) -> None:
+def write_adapt(solution: AnySolution, rows: list[AdaptRow], folder: Path) -> None:
     """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
-    table, cells, boundary = gather_facets(solution), gather_fields(solution), gather_boundary(solution)
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    scene = pictures.gathered_scene(solution)
 
     def write() -> None:
-        from signorini_fenicsx.output import pictures
-
         write_table(folder / "adapt.csv", AdaptRow, rows)
-        pictures.draw_bounds(folder / "adapt.png", rows, solution.spaces.mesh.topology.dim, solution.name)
-        if table is not None and cells is not None and boundary is not None:
-            pictures.draw_mesh(folder / "mesh.png", pictures.scene_of(solution, cells, table, boundary))
+        pictures.draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
+        if scene is not None:
+            pictures.draw_mesh(folder / "mesh.png", scene)
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -166,19 +174,57 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
 
 
-def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str] = ()) -> None:
+def write_table_of_facets(folder: Path, solution: Solution) -> None:
+    """Write `facets.csv`; for a large Γ_S `facets/<rank>.parquet` with the facets of each rank instead (collective).
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+    """
+    spaces, laws = solution.spaces, solution.data.laws
+    comm, segments = spaces.mesh.comm, laws.names() if laws.listed else []
+    if spaces.Lambda.dofmap.index_map.size_global <= solution.options.tuning.one_table_up_to:
+        table = gather_facets(solution)
+        on_root(comm, lambda: write_facets(folder / "facets.csv", spaces.part_names, table, segments))
+        return
+    import pyarrow.parquet  # takes a second to import
+
+    on_root(comm, lambda: (folder / "facets").mkdir(exist_ok=True))
+    columns = facet_columns(spaces.part_names, in_order(facet_table(solution)), segments)
+    failure = ""
+    try:
+        pyarrow.parquet.write_table(pyarrow.table(columns), folder / "facets" / f"{comm.rank:05}.parquet")
+    except OSError as error:
+        failure = error.strerror or str(error)
+    failure = comm.allreduce(failure, MPI.MAX)
+    if failure:
+        raise OSError(errno.EIO, failure, str(folder))
+
+
+def facet_columns(part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str]) -> dict[str, npt.NDArray]:
+    """The columns of the table of Γ_S that is written."""
+    return {
+        "part": np.array(part_names)[table.part],
+        **dict(zip("xyz", table.x.T, strict=True)),
+        **{key: getattr(table, key) for key in ("measure", "p", "flux")},
+        "condition": np.array([condition.name.lower() for condition in Condition])[table.condition],
+        **({"segment": np.array(segments)[table.segment]} if segments else {}),
+    }
+
+
+def write_facets(
+    path: Path, part_names: tuple[str, ...], table: FacetTable | None, segments: Sequence[str] = ()
+) -> None:
     """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
+    assert table is not None
+    columns = facet_columns(part_names, table, segments)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["part", "x", "y", "z", "measure", "p", "flux", "condition", *["segment"][: len(segments)]])
-        columns = table.x.tolist(), table.measure, table.p, table.flux, table.condition, table.segment
-        for part, x, measure, p, flux, condition, segment in zip(table.part, *columns, strict=True):
-            name = [segments[segment]] if segments else []
-            writer.writerow([part_names[part], *x, measure, p, flux, Condition(condition).name.lower(), *name])
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
-def write_fields(solution: Solution, folder: Path, certificate: Certificate | None = None) -> None:
-    """Write `solution.bp`, `multiplier.bp` and `solution.xdmf`; the last contains η_T of the certificate (collective).
+def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None = None) -> None:
+    """Write `solution.bp`, `multiplier.bp` or `contact.bp`, and `solution.xdmf` with η_T of the bound (collective).
 
     A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.
     `solution.xdmf` uses P0, with σ_h at the centroids.
@@ -187,9 +233,12 @@ def write_fields(solution: Solution, folder: Path, certificate: Certificate | No
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    write_files(
-        solution.spaces.mesh.comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate)
-    )
+    comm = solution.spaces.mesh.comm
+    if isinstance(solution, ElasticSolution):
+        sizes = elastic.sizes_of_files(solution)
+        write_files(comm, folder, sizes, lambda: elastic.write_fields(solution, folder, certificate))
+    else:
+        write_files(comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate))
 
 
 def _sizes(solution: Solution) -> dict[str, int]:

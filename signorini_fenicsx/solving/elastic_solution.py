@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import dolfinx.mesh
 import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition
@@ -57,6 +61,12 @@ class ElasticSolution(Solved):
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
+    order = 2
+
+    @property
+    def approach(self) -> str:
+        """What was solved and how, in words."""
+        return f"elastic contact, {self.options.algorithm_name}"
 
     @cached_property
     def stresses(self) -> Array:
@@ -82,6 +92,28 @@ class ElasticSolution(Solved):
     def touching(self) -> Mask:
         """Whether these vertices are in contact, shape (facets, d)."""
         return (self.outcome.conditions.kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
+
+    @property
+    def contact_parts(self) -> Sequence[str]:
+        """The parts of Γ_C."""
+        return self.boundary.contact
+
+    def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:
+        """The function on the mesh of Γ_C with these values at the vertices of its facets, linear on each."""
+        spaces = self.spaces
+        multipliers = spaces.scalar.Lambda
+        space = fem.functionspace(multipliers.mesh, ("DG", 1))
+        function = fem.Function(space, name=name)
+        size = multipliers.dofmap.index_map.size_local
+        facets = multipliers.dofmap.list[:size, 0]
+        cells = np.arange(size, dtype=np.int32)
+        nodes = dolfinx.mesh.entities_to_geometry(multipliers.mesh, spaces.dim - 1, cells)
+        here = multipliers.mesh.geometry.x[nodes, : spaces.dim]
+        distances = np.square(here[:, :, None] - spaces.contact.vertices[facets][:, None]).sum(axis=3)
+        found = np.take_along_axis(values[facets], distances.argmin(axis=2), axis=1)
+        function.x.array[space.dofmap.list[:size]] = found
+        function.x.scatter_forward()
+        return function
 
     def contact_set(self) -> FacetSet:
         """The facets of Γ_C with a vertex in contact."""

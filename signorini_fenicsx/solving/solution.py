@@ -100,6 +100,7 @@ class Solution(Solved):
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
+    order = 1
 
     def _repr_html_(self) -> str | None:
         """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
@@ -179,6 +180,11 @@ class Solution(Solved):
         entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
         ds = ufl.Measure("ds", domain=self.spaces.mesh, subdomain_data=[(1, entities)])
         return self.spaces.integrate(ufl.dot(self.sigma, self.spaces.n) * ds(1))
+
+    @property
+    def contact_parts(self) -> Sequence[str]:
+        """The parts of Γ_S."""
+        return self.boundary.signorini
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""

@@ -1,5 +1,7 @@
 """What the solutions of all physics have in common."""
 
+from typing import ClassVar
+
 from dolfinx import fem
 
 from signorini_fenicsx.methods.history import Outcome
@@ -11,8 +13,17 @@ class Solved:
     """A problem with the way it was solved and what came out; the fields are those of its subclasses."""
 
     name: str
+    title: str
     options: Options
     outcome: Outcome
+
+    order: ClassVar[int]
+    """Order in h of ‖σ − σ_h‖ for a smooth u."""
+
+    @property
+    def best_rate(self) -> float:
+        """The best possible slope of the error against the number of unknowns."""
+        return -self.order / self.u.function_space.mesh.topology.dim
 
     @property
     def sigma(self) -> fem.Function:
@@ -33,6 +44,11 @@ class Solved:
     def method(self) -> Method:
         """The method that solved it."""
         return self.options.method
+
+    @property
+    def approach(self) -> str:
+        """What was solved and how, in words."""
+        return self.method.title
 
     def __repr__(self) -> str:
         mesh = self.u.function_space.mesh

@@ -13,9 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
-from signorini_fenicsx.cases.case import Case, Solve, load_case
+from signorini_fenicsx.cases.case import Solve
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.domains import rough_cells
+from signorini_fenicsx.cases.elastic_case import AnyCase, load_any_case
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
 from signorini_fenicsx.methods.registry import METHODS
@@ -91,7 +92,7 @@ class Run:
     """
 
     name: str
-    case: Case
+    case: AnyCase
     convergence: Convergence | None
     fields: bool
     plot: bool
@@ -196,7 +197,7 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     if not isinstance(name, str):
         raise InputError("case: must be the name or path of a case, at the top of the file or in a list of [vary]")
     path = folder / name
-    case = load_case(path if name.endswith(".toml") else name).with_values(values)
+    case = load_any_case(path if name.endswith(".toml") else name).with_values(values)
     task = study.convergence
     if task is not None and task.vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
@@ -219,7 +220,7 @@ def _file_digest(path: str) -> str:
         raise InputError(f"mesh {path}: {error.strerror}") from None
 
 
-def make_run(case: Case, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
+def make_run(case: AnyCase, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
     """A run; its name contains a digest of its contents.
 
     Keys with default values do not enter the digest, so old runs stay valid when a new key is introduced.
@@ -241,7 +242,7 @@ def make_run(case: Case, task: Convergence | None = None, *, fields: bool = Fals
     return Run(f"{case.name}-{case.solve.algorithm}-{digest}", case, task, fields, plot, sum(_cells(case, task)))
 
 
-def _cells(case: Case, task: Convergence | None) -> Iterator[float]:
+def _cells(case: AnyCase, task: Convergence | None) -> Iterator[float]:
     """Rough sizes of the meshes of a run."""
     if task is None:
         yield rough_cells(case)

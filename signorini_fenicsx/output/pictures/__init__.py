@@ -8,14 +8,33 @@ import matplotlib as mpl
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
-from signorini_fenicsx.output.pictures import plane_files, style
+from signorini_fenicsx.output.elastic_body import gather_body
+from signorini_fenicsx.output.gather import (
+    Boundary,
+    FacetTable,
+    Fields,
+    gather_boundary,
+    gather_facets,
+    gather_fields,
+)
+from signorini_fenicsx.output.pictures import elastic, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
 from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
-__all__ = ["draw_all", "draw_bounds", "draw_errors", "draw_mesh", "overview", "scene_of", "write_page"]
+__all__ = [
+    "draw_all",
+    "draw_bounds",
+    "draw_errors",
+    "draw_mesh",
+    "gathered_scene",
+    "overview",
+    "scene_of",
+    "write_page",
+]
 
 
 def scene_of(
@@ -40,6 +59,17 @@ def scene_of(
         segments=solution.data.laws.names() if solution.data.laws.listed else [],
         history=solution.outcome.history,
     )
+
+
+def gathered_scene(solution: AnySolution) -> Scene | None:
+    """The scene of a solution of any physics on rank 0; None elsewhere (collective)."""
+    if isinstance(solution, ElasticSolution):
+        body = gather_body(solution)
+        return None if body is None else elastic.scene_of(solution, body)
+    cells, facets, boundary = gather_fields(solution), gather_facets(solution), gather_boundary(solution)
+    if cells is None or facets is None or boundary is None:
+        return None
+    return scene_of(solution, cells, facets, boundary)
 
 
 def caption(solution: Solution, cells: int, certificate: Certificate | None) -> str:

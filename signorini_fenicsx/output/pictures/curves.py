@@ -22,7 +22,13 @@ ERROR_LABELS = {
     "p_Lambda": r"$\|p_{\mathrm{ref}}-p_h\|_\Lambda$",
     "p_half": r"$\|p_{\mathrm{ref}}-p_h\|_{1/2}$",
     "flux_scaled": r"$\sqrt{\varepsilon}\,\|(\sigma_{\mathrm{ref}}-\sigma_h)\cdot n\|_\Lambda$",
+    "energy": r"$|\sigma_{\mathrm{ref}}-\sigma_h|$",
+    "u_L2": r"$\|u_{\mathrm{ref}}-u_h\|$",
+    "pressure_L2": r"$\|(\sigma_{\mathrm{ref}}-\sigma_h)_{nn}\|_{\Gamma_C}$",
+    "gap_L2": r"$\|(u_{\mathrm{ref}}-u_h)_n\|_{\Gamma_C}$",
 }
+GUIDES = {"sigma_V": (1.0, 0.5), "energy": (2.0, 1.5)}
+"""Slopes to compare with, by the error that is named first."""
 
 
 def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
@@ -52,18 +58,21 @@ def draw_iterations(path: Path, history: list[Step], title: str) -> None:
 
 @mpl.rc_context(style.STYLE)
 def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> None:
-    """Draw errors over h or ε on logarithmic axes, with those of the slides and lines of slope 1 and ½ (rank 0)."""
+    """Draw errors over h or ε on logarithmic axes, with those of the slides and lines of slopes to expect (rank 0)."""
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     axes = figure.add_subplot()
     base = 10 if vary is Vary.EPS else 2
     x = np.array([float(base) ** -row.level for row in rows])
-    for index, (name, label) in enumerate(ERROR_LABELS.items()):
+    tables = [row.columns() for row in rows]
+    first = next(iter(rows[0].errors))
+    for index, name in enumerate(rows[0].errors):
         for key, look, suffix in ((name, "o-", ""), (f"slides_{name}", "x:", ", slides")):
-            values = [getattr(row, key, None) or np.nan for row in rows]
+            values = [table.get(key) or np.nan for table in tables]
             if not np.all(np.isnan(values)):
-                axes.loglog(x, values, look, color=f"C{index}", label=label + suffix, markersize=5)
-    for slope, look in ((1.0, "k--"), (0.5, "k:")):
-        axes.loglog(x, rows[0].sigma_V * 0.5 * (x / x[0]) ** slope, look, linewidth=0.8, label=f"slope {slope:g}")
+                axes.loglog(x, values, look, color=f"C{index}", label=ERROR_LABELS[name] + suffix, markersize=5)
+    for slope, look in zip(GUIDES[first], ("k--", "k:"), strict=True):
+        guide = (tables[0][first] or np.nan) * 0.5 * (x / x[0]) ** slope
+        axes.loglog(x, guide, look, linewidth=0.8, label=f"slope {slope:g}")
     axes.set_xscale("log", base=base)
     axes.set(xlabel=r"$\varepsilon$" if vary is Vary.EPS else "$h$", ylabel="error", title=title)
     figure.legend(loc="outside right center")
@@ -71,8 +80,8 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
 
 
 @mpl.rc_context(style.STYLE)
-def draw_bounds(path: Path, rows: list[AdaptRow], dim: int, title: str) -> None:
-    """Draw the certified error over the unknowns, with a line of the best possible slope −1/d (rank 0)."""
+def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> None:
+    """Draw the certified error over the unknowns, with a line of the best possible slope (rank 0)."""
     figure = Figure(figsize=(5.6, 4.6), layout="constrained")
     axes = figure.add_subplot()
     for refinement, look in (("adaptive", "o-"), ("uniform", "s--")):
@@ -81,7 +90,7 @@ def draw_bounds(path: Path, rows: list[AdaptRow], dim: int, title: str) -> None:
             x, bounds = [row.unknowns for row in chosen], [row.bound for row in chosen]
             axes.loglog(x, bounds, look, label=refinement, markersize=4)
     ends = np.array([rows[0].unknowns, max(row.unknowns for row in rows)])
-    axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** (-1 / dim), "k:", label=f"slope $-1/{dim}$")
+    axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** best, "k:", label=f"slope ${best:.2g}$")
     axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
     style.legend_below(figure, axes.get_legend_handles_labels()[0])
     style.save(figure, path)

@@ -1,68 +1,95 @@
-"""Pictures of an elastic solution in the plane: the deformed body, and the contact pressure."""
+"""Pictures of an elastic solution: the deformed body, the contact pressure, where the error is."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.output.elastic_body import Body
+from signorini_fenicsx.output.pictures import plane_files, style
+from signorini_fenicsx.output.pictures.plane import Plane
+from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.output.elastic import ContactTable, Deformed
+    from signorini_fenicsx.output.elastic import ContactTable
 
 SHARE = 0.1
 """Of the body's size that the largest displacement is drawn as."""
 
 
-@mpl.rc_context(style.STYLE)
-def draw(
-    folder: Path,
-    solution: ElasticSolution,
-    table: "ContactTable",
-    deformed: "Deformed",
-    certificate: Certificate | None,
-) -> None:
-    """Draw `deformed.png` and `pressure.png` (rank 0)."""
-    caption = f"{solution.title or solution.name}, {len(deformed.vertices)} cells"
+def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | None = None) -> Scene:
+    """The body as it was, with Γ_C for Γ_S (rank 0)."""
+    caption = f"{solution.title or solution.name}, {len(body.fields.cells)} cells"
     if certificate is not None and np.isfinite(certificate.bound):
         caption += rf", energy error $\leq$ {100 * certificate.relative:.3g} %"
-    style.save(_deformed(deformed, caption), folder / "deformed.png")
-    style.save(_pressure(solution.boundary.contact, solution, table, caption), folder / "pressure.png")
+    return Scene(
+        title=solution.title or solution.name,
+        caption=caption,
+        fields=body.fields,
+        facets=body.facets,
+        boundary=body.boundary,
+        regions=None,
+        labels={name: solution.spaces.domain.parts[name].label for name in solution.contact_parts},
+        contact=Condition.ZERO_TRACE,
+        segments=[],
+        history=solution.outcome.history,
+        strength="von Mises stress",
+        gamma=r"$\Gamma_C$",
+    )
 
 
-def _deformed(deformed: "Deformed", caption: str) -> Figure:
-    """The deformed body, coloured by the equivalent stress, over the outline of its cells."""
-    size = np.ptp(deformed.vertices.reshape(-1, 2), axis=0)
-    largest = float(np.linalg.norm(deformed.u, axis=2).max(initial=0.0))
-    factor = _rounded(SHARE * size.max() / largest) if largest > 0 else 1.0
-    figure = Figure(figsize=(6.4, 1.4 + 5.0 * min(max(size[1] / size[0], 0.3), 1.6)), layout="constrained")
+@mpl.rc_context(style.STYLE)
+def draw(
+    folder: Path, solution: ElasticSolution, table: "ContactTable", body: Body, certificate: Certificate | None
+) -> None:
+    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png` (rank 0)."""
+    scene = scene_of(solution, body, certificate)
+    size = float(np.ptp(body.fields.points, axis=0).max())
+    largest = float(np.linalg.norm(body.displacement, axis=1).max(initial=0.0))
+    factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
+    moved = replace(scene, fields=replace(body.fields, points=body.fields.points + factor * body.displacement))
+    title = f"{scene.caption}\ndisplacement × {factor:g}"
+    if scene.dim == 2:
+        style.save(_deformed(scene, moved, title), folder / "deformed.png")
+        style.save(_pressure(solution.contact_parts, scene, table), folder / "pressure.png")
+        plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
+        return
+    from signorini_fenicsx.output.pictures import space_files  # imports VTK
+
+    space_files.draw_body_files(folder, scene, moved, title)
+
+
+def _deformed(scene: Scene, moved: Scene, title: str) -> Figure:
+    """The deformed body, coloured by the equivalent stress, over its mesh before."""
+    width, height = np.ptp(scene.fields.points, axis=0)
+    figure = Figure(figsize=(6.4, 1.4 + 5.0 * min(max(height / width, 0.3), 1.6)), layout="constrained")
     axes = figure.add_subplot()
-    axes.add_collection(PolyCollection(deformed.vertices, facecolors="none", edgecolors="0.85", linewidths=0.3))
-    low, high, extend = style.limits(deformed.von_mises, _areas(deformed.vertices))
-    moved = PolyCollection(deformed.vertices + factor * deformed.u, cmap=style.FLUX_MAP, edgecolors="face")
-    moved.set(array=deformed.von_mises, clim=(low, high), linewidth=0.3, rasterized=True)
-    axes.add_collection(moved)
-    style.colour_bar(figure, axes, moved, "von Mises stress", extend)
-    style.shape_axes(axes, f"{caption}\ndisplacement × {factor:g}")
-    axes.autoscale_view()
+    axes.triplot(Triangulation(*scene.fields.points.T, scene.fields.cells), color="0.85", linewidth=0.3)
+    low, high, extend = style.limits(scene.sigma_norm, scene.measure)
+    after = Triangulation(*moved.fields.points.T, scene.fields.cells)
+    look = {"cmap": style.FLUX_MAP, "vmin": low, "vmax": high, "edgecolors": "face", "linewidth": 0.3}
+    image = axes.tripcolor(after, facecolors=scene.sigma_norm, rasterized=True, **look)
+    style.colour_bar(figure, axes, image, scene.strength, extend)
+    style.shape_axes(axes, title)
     return figure
 
 
-def _pressure(parts: Sequence[str], solution: ElasticSolution, table: "ContactTable", caption: str) -> Figure:
+def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Figure:
     """−σ_nn along each part of Γ_C, linear on each facet, and the gap."""
     figure = Figure(figsize=(6.4, 0.6 + 2.9 * len(parts)), layout="constrained")
     for index, name in enumerate(parts):
         mine = table.part == index
         axes = figure.add_subplot(len(parts), 1, index + 1)
         axes.plot(table.along[mine], table.pressure[mine], color=style.CONTACT, label=r"pressure $-\sigma_{nn}$")
-        axes.set(xlabel=f"${solution.spaces.domain.parts[name].label}$", ylabel="pressure", title=f"{name}: {caption}")
+        axes.set(xlabel=f"${scene.labels[name]}$", ylabel="pressure", title=f"{name}: {scene.caption}")
         other = axes.twinx()
         other.grid(False)
         other.plot(table.along[mine], table.gap[mine], color=style.FREE, label=r"gap $g - u_n$")
@@ -70,11 +97,6 @@ def _pressure(parts: Sequence[str], solution: ElasticSolution, table: "ContactTa
         lines = [*axes.lines, *other.lines]
         axes.legend(handles=lines, loc="upper center", ncols=2)
     return figure
-
-
-def _areas(vertices: Array) -> Array:
-    edges = vertices[:, 1:] - vertices[:, :1]
-    return np.abs(np.linalg.det(edges)) / 2
 
 
 def _rounded(value: float) -> float:

@@ -158,7 +158,7 @@ class Plane:
         listed = [
             (
                 True,
-                rf"$\Gamma_S$, {group.name}" + seepage * (group.name == "contact"),
+                f"{scene.gamma}, {group.name}" + seepage * (group.name == "contact"),
                 {"color": group.colour, "linewidth": 3},
             )
             for group in scene.groups

@@ -19,8 +19,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     plane = Plane(scene)
     _draw_u(folder / "u.png", plane)
     _draw_map(folder / "sigma.png", plane, "sigma")
-    if scene.fields.indicator is not None:
-        _draw_map(folder / "certificate.png", plane, "certificate")
+    draw_certificate_file(folder / "certificate.png", plane)
     _draw_traces(folder / "signorini.png", scene)
     style.save(_overview(plane), folder / "overview.png")
 
@@ -37,6 +36,12 @@ def draw_mesh_file(path: Path, scene: Scene) -> None:
     plane.draw_mesh(axes)
     style.legend_below(figure, plane.handles())
     style.save(figure, path)
+
+
+def draw_certificate_file(path: Path, plane: Plane) -> None:
+    """Draw `certificate.png`, if there is a certificate."""
+    if plane.scene.fields.indicator is not None:
+        _draw_map(path, plane, "certificate")
 
 
 def _one_map(plane: Plane) -> tuple[Figure, Axes]:

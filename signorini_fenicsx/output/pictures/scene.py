@@ -43,6 +43,8 @@ class Scene:
         contact: Condition on the facets in contact.
         segments: Names of the segments of all laws, if there are others than the Signorini law.
         history: Steps of the algorithm.
+        strength: What |σ_h| is called.
+        gamma: What Γ_S is called.
     """
 
     title: str
@@ -55,6 +57,8 @@ class Scene:
     contact: Condition
     segments: list[str]
     history: list[Step]
+    strength: str = r"$|\sigma_h|$"
+    gamma: str = r"$\Gamma_S$"
 
     @property
     def dim(self) -> int:

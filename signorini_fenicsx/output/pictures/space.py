@@ -146,14 +146,22 @@ class Space:
 
     def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
         """|σ_h| on half of the domain."""
+        self._draw_strength(figure, axes, title, "sigma", self.half())
+
+    def draw_outside(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+        """|σ_h| on the surface of the domain."""
+        self._draw_strength(figure, axes, title, "outside", self.grid.extract_surface(algorithm=None))
+
+    def _draw_strength(
+        self, figure: Figure | SubFigure, axes: Axes, title: str, key: str, surface: pyvista.PolyData
+    ) -> None:
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
-        half = self.half()
 
         def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, half, "sigma_norm", style.FLUX_MAP, (low, high))
+            _add_colours(plotter, surface, "sigma_norm", style.FLUX_MAP, (low, high))
 
-        self._show(axes, title, "sigma", build, self.views[0])
-        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, r"$|\sigma_h|$", extend)
+        self._show(axes, title, key, build, self.views[0])
+        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
 
     def draw_streamlines(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
         """Streamlines of σ_h, coloured by |σ_h|, and the contact set."""
@@ -217,7 +225,7 @@ class Space:
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S."""
-        return [Patch(color=group.colour, label=rf"$\Gamma_S$, {group.name}") for group in self.scene.groups]
+        return [Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in self.scene.groups]
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)

@@ -1,5 +1,6 @@
 """The picture files of a solution in space."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -23,21 +24,8 @@ def draw_files(folder: Path, scene: Scene) -> None:
     space.draw_streamlines(figure, right, r"(b) streamlines of $\sigma_h$")
     _finish(figure, space, folder / "sigma.png")
 
-    if scene.fields.indicator is not None:
-        figure, (axes,) = _row(1)
-        space.draw_certificate(figure, axes, r"contributions $\eta_T$ to the certified error, half of the domain")
-        style.save(figure, folder / "certificate.png")
-
-    figure = Figure(figsize=(12, 0.6 + 3.8 * len(space.views)), layout="constrained")
-    panels = figure.subplots(len(space.views), 3, squeeze=False)
-    number = 0
-    for row, view in zip(panels, space.views, strict=True):
-        for axes, (column, label) in zip(row, TRACES.items(), strict=False):
-            space.draw_trace(figure, axes, column, f"{style.letter(number)} {label} on $\\Gamma_S$", view)
-            number += 1
-        space.draw_contact(figure, row[2], f"{style.letter(number)} contact set", view)
-        number += 1
-    _finish(figure, space, folder / "signorini.png")
+    _draw_certificate_file(folder, space)
+    _draw_traces(folder / "signorini.png", space, TRACES)
     style.save(_overview(space), folder / "overview.png")
 
 
@@ -46,7 +34,48 @@ def overview(scene: Scene) -> style.Page:
     return _overview(Space(scene))
 
 
-TRACES = {"p": "$p_h$", "flux": r"$\sigma_h\cdot n$"}
+TRACES = {"p": r"$p_h$ on $\Gamma_S$", "flux": r"$\sigma_h\cdot n$ on $\Gamma_S$"}
+OF_BODY = {"flux": r"pressure $-\sigma_{nn}$", "p": "gap $g - u_n$"}
+
+
+def draw_body_files(folder: Path, scene: Scene, moved: Scene, title: str) -> None:
+    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png` of an elastic body.
+
+    Args:
+        folder: Where.
+        scene: The body as it was.
+        moved: The deformed body.
+        title: Title of the deformed body.
+    """
+    space, after = Space(scene), Space(moved)
+    figure, (left, right) = _row(2)
+    after.draw_outside(figure, left, "(a) deformed body")
+    after.draw_sigma(figure, right, "(b) half of it")
+    figure.suptitle(title, fontsize=11)
+    style.save(figure, folder / "deformed.png")
+    _draw_certificate_file(folder, space)
+    _draw_traces(folder / "pressure.png", space, OF_BODY)
+
+
+def _draw_certificate_file(folder: Path, space: Space) -> None:
+    if space.scene.fields.indicator is not None:
+        figure, (axes,) = _row(1)
+        space.draw_certificate(figure, axes, r"contributions $\eta_T$ to the certified error, half of the domain")
+        style.save(figure, folder / "certificate.png")
+
+
+def _draw_traces(path: Path, space: Space, columns: Mapping[str, str]) -> None:
+    """Two columns of the table of facets and the contact set, from all sides that show them."""
+    figure = Figure(figsize=(12, 0.6 + 3.8 * len(space.views)), layout="constrained")
+    panels = figure.subplots(len(space.views), 3, squeeze=False)
+    number = 0
+    for row, view in zip(panels, space.views, strict=True):
+        for axes, (column, label) in zip(row, columns.items(), strict=False):
+            space.draw_trace(figure, axes, column, f"{style.letter(number)} {label}", view)
+            number += 1
+        space.draw_contact(figure, row[2], f"{style.letter(number)} contact set", view)
+        number += 1
+    _finish(figure, space, path)
 
 
 def draw_mesh_file(path: Path, scene: Scene) -> None:

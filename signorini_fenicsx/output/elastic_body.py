@@ -1,0 +1,146 @@
+"""An elastic solution as plain arrays on rank 0, for pictures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
+from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI
+from signorini_fenicsx.meshes.domain import facet_vertices
+from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+
+
+@dataclass(frozen=True)
+class Body:
+    """What pictures show of an elastic solution, in the form that scalar solutions have (rank 0).
+
+    Attributes:
+        fields: Mesh and cell values: for σ the largest von Mises stress, shape (cells, 1), and for u the mean of |u|.
+        facets: Γ_C: for p the mean gap, for σ·n the mean pressure.
+        boundary: The whole boundary.
+        displacement: u at the vertices, the mean over the cells around, shape (points, d).
+    """
+
+    fields: Fields
+    facets: FacetTable
+    boundary: Boundary
+    displacement: Array
+
+
+def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None) -> Body | None:
+    """Collect an elastic solution on rank 0; None elsewhere (collective)."""
+    spaces = solution.spaces
+    mesh, dim, size = spaces.mesh, spaces.dim, len(spaces.order)
+    ids = np.take_along_axis(mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0][:size]], spaces.order, axis=1)
+    u = spaces.displacement_values(solution.u)
+    columns = [
+        ids,
+        spaces.vertices.reshape(size, -1),
+        u.reshape(size, -1),
+        von_mises(in_space(solution)).max(axis=(1, 2)),
+        np.linalg.norm(u, axis=2).mean(axis=1),
+        np.full(size, np.nan) if indicator is None else indicator.x.array[:size],
+        mesh.topology.original_cell_index[:size],
+    ]
+    rows = gather_rows(mesh.comm, np.column_stack(columns))
+    facets, boundary = _facets(solution), _boundary(solution)
+    if rows is None or facets is None or boundary is None:
+        return None
+    rows = rows[np.argsort(rows[:, -1])]
+    corners = dim + 1
+    used, first, cells = np.unique(rows[:, :corners].ravel(), return_index=True, return_inverse=True)
+    places, moved = (
+        rows[:, corners + k * corners * dim : corners + (k + 1) * corners * dim].reshape(-1, dim) for k in (0, 1)
+    )
+    count = np.bincount(cells.ravel())
+    displacement = np.column_stack([np.bincount(cells.ravel(), component) / count for component in moved.T])
+    stress, length, eta = rows[:, -4:-1].T
+    fields = Fields(
+        points=places[first],
+        cells=cells.reshape(-1, corners),
+        u=length,
+        sigma=stress[:, None],
+        divergence=np.zeros(len(rows)),
+        indicator=None if indicator is None else eta,
+    )
+    facets.vertices[:] = np.searchsorted(used, facets.vertices)
+    boundary.vertices[:] = np.searchsorted(used, boundary.vertices)
+    return Body(fields, facets, boundary, displacement)
+
+
+def in_space(solution: ElasticSolution) -> Array:
+    """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
+
+    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
+    """
+    spaces, data = solution.spaces, solution.data
+    missing = 3 - spaces.dim
+    found = np.pad(solution.stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
+    if missing and not data.in_space:
+        for cells in blocks_of_cells(spaces):
+            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
+            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", solution.stresses[cells])
+    return found
+
+
+def von_mises(stresses: Array) -> Array:
+    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
+    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
+    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
+    return found
+
+
+def _facets(solution: ElasticSolution) -> FacetTable | None:
+    spaces = solution.spaces
+    contact, scalar = spaces.contact, spaces.scalar
+    middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - spaces.dim)))
+    along = np.empty(len(middle))
+    for index, name in enumerate(scalar.part_names):
+        mine = scalar.part_of_facet == index
+        along[mine] = spaces.domain.parts[name].along(middle[mine].T)
+    columns: list[np.ndarray] = [
+        scalar.part_of_facet,
+        along,
+        middle,
+        contact.measure,
+        solution.gap.mean(axis=1),
+        solution.pressure.mean(axis=1),
+        solution.contact_set().inside,
+        facet_vertices(spaces.mesh, contact.facets),
+    ]
+    rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
+    if rows is None:
+        return None
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    none = np.zeros(len(rows))
+    return FacetTable(
+        part=rows[:, 0].astype(np.int64),
+        x=rows[:, 2:5],
+        along=rows[:, 1],
+        measure=rows[:, 5],
+        u=none,
+        p=rows[:, 6],
+        flux=rows[:, 7],
+        psi=none,
+        q_S=none,
+        condition=rows[:, 8].astype(np.int64),
+        segment=none.astype(np.int64),
+        vertices=rows[:, 9:].astype(np.int64),
+    )
+
+
+def _boundary(solution: ElasticSolution) -> Boundary | None:
+    scalar = solution.spaces.scalar
+    kinds = {SIGNORINI: scalar.facets, DIRICHLET: scalar.dirichlet_facets, NEUMANN: scalar.neumann_facets}
+    columns = [
+        np.column_stack([np.full(len(facets), kind), facet_vertices(scalar.mesh, facets)])
+        for kind, facets in kinds.items()
+    ]
+    rows = gather_rows(scalar.mesh.comm, np.concatenate(columns))
+    if rows is None:
+        return None
+    return Boundary(rows[:, 0].astype(np.int64), np.full(len(rows), np.nan), rows[:, 1:].astype(np.int64))
