@@ -97,8 +97,10 @@ class Data:
         """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
         return spaces.has_dirichlet or self.c_h is not None
 
-    def after(self, memory: fem.Function) -> Data:
-        """The data of a step of a problem in time, with what it takes from those before."""
+    def after(self, memory: fem.Function | None) -> Data:
+        """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
+        if memory is None:
+            return self
         f_h = self.f_h.copy()
         f_h.x.array[:] += memory.x.array
         return replace(self, f_h=f_h, memory=memory)

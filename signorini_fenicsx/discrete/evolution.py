@@ -69,7 +69,12 @@ class Evolution:
 
 
 class Steps:
-    """The problems of the steps on a mesh."""
+    """The problems of the steps on a mesh.
+
+    Attributes:
+        capacity: Mean of C on each owned cell.
+        initial: u_0.
+    """
 
     def __init__(self, spaces: Spaces, problem: Problem, evolution: Evolution):
         """Read the data, and take means of C (collective).
@@ -82,7 +87,7 @@ class Steps:
         try:
             self._capacity = parsed(evolution.capacity, "xyz"[:dim])
             self.capacity = self._means("capacity", regional_datum(spaces, "capacity", self._capacity))
-            self._initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim]))
+            self.initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim]))
         except InputError as error:
             raise InputError(str(error).replace("[problem]", "[time]")) from None
         comm = spaces.mesh.comm
@@ -98,7 +103,7 @@ class Steps:
             InputError: If they are not finite.
         """
         u = fem.Function(self._spaces.Q, name="u")
-        u.x.array[:] = self._means("initial", self._initial)
+        u.x.array[:] = self._means("initial", self.initial)
         return u
 
     def problem(self, step: int) -> Problem:
@@ -111,11 +116,14 @@ class Steps:
         a, _ = self._evolution.formula(step)
         return replace(problem, c=_plus(problem.c, self._capacity, a))
 
+    def weights(self, step: int) -> tuple[float, ...]:
+        """w_1, w_2, … of a step."""
+        return self._evolution.formula(step)[1]
+
     def memory(self, step: int, before: list[fem.Function]) -> fem.Function:
         """C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
-        _, weights = self._evolution.formula(step)
         memory = fem.Function(self._spaces.Q, name="memory")
-        for weight, u in zip(weights, before, strict=False):
+        for weight, u in zip(self.weights(step), before, strict=False):
             memory.x.array[:] += weight * self.capacity * u.x.array
         return memory
 

@@ -25,11 +25,13 @@ class Instant:
         step: Number of the step, from 1.
         t: The time.
         solution: σ_h, u_h and p_h then, as the solution of the step's own problem.
+        steps: The problem in time on its mesh.
     """
 
     step: int
     t: float
     solution: Solution
+    steps: Steps
 
 
 @dataclass(frozen=True)
@@ -108,4 +110,4 @@ def evolve(
             on_step=on_step,
         )
         u, segments = [solution.u, *u[:1]], solution.segments()
-        yield Instant(step, evolution.time(step), solution)
+        yield Instant(step, evolution.time(step), solution, steps)

@@ -100,8 +100,7 @@ class Solver:
         options, watch, spaces = options or Options(), watch or Stopwatch(), self.spaces
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
-            data = project_data(spaces, problem, self._known)
-            data = data if memory is None else data.after(memory)
+            data = project_data(spaces, problem, self._known).after(memory)
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
             constant = 0.0 if method.stabilised else data.common_constant(spaces)
