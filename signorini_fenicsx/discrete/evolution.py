@@ -123,7 +123,8 @@ class Steps:
     def memory(self, step: int, before: list[fem.Function]) -> fem.Function:
         """C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
         memory = fem.Function(self._spaces.Q, name="memory")
-        for weight, u in zip(self.weights(step), before, strict=False):
+        weights = self.weights(step)
+        for weight, u in zip(weights, before[: len(weights)], strict=True):
             memory.x.array[:] += weight * self.capacity * u.x.array
         return memory
 

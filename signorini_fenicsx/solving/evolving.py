@@ -40,7 +40,7 @@ class Past:
 
     Attributes:
         step: Its number.
-        u: u_h, then that of the step before, and so on; none for 0.
+        u: u_h, and that of the step before; without u_0.
         segments: The segments on which it ended.
     """
 
@@ -96,8 +96,8 @@ def evolve(
     options = options or Options()
     solver = place if isinstance(place, Solver) else Solver(place, gamma_s(boundary, problem))
     steps = Steps(solver.spaces, problem, evolution)
-    start = Past(0, [steps.start()], None) if past is None else past(solver)
-    u, segments = list(start.u), start.segments
+    start = Past(0, [], None) if past is None else past(solver)
+    u, segments = [*start.u, steps.start()][:2], start.segments
     for step in range(start.step + 1, evolution.steps + 1):
         solution = solver.solve(
             steps.problem(step),
