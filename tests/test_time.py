@@ -65,12 +65,9 @@ def test_orders_in_time():
         assert np.log2(errors[0] / errors[1]) > order, (scheme, errors)
 
 
-@pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("algorithm", ["alg1", "alg4", "vi"])
 def test_the_steady_state_is_the_solution(algorithm: str):
     """With data that settle down the end is that of `solve`, for laws, regions of c and methods of any kind."""
-    if algorithm != "alg1" and COMM.size > 1:
-        return
     laws = [Wall(["left"], beta=2, level="0.3*(1 - exp(-9*t))")] if algorithm == "alg1" else []
     problem = Problem(f="20*(x - 0.6)*(1 - exp(-9*t))", kappa="1 + y", c="x", psi="-0.01*x", laws=laws)
     evolution = Evolution(end=60.0, steps=16, initial="sin(9*x)", capacity="1/2 if x > 0.5 else 1/5")

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import adios2
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -55,6 +54,8 @@ def table(path: Path) -> list[dict[str, Any]]:
 
 def series(folder: Path) -> dict[str, np.ndarray]:
     """The last step of the fields, without what depends on the order of the cells."""
+    import adios2  # after DOLFINx, which brings its own
+
     with adios2.FileReader(str(folder / "solution.bp")) as file:
         steps = file.num_steps()
         last = {name: file.read(name, step_selection=[steps - 1, 1]) for name in ("u", "sigma")}
@@ -93,14 +94,14 @@ def test_a_killed_run_goes_on(tmp_path: Path):
         run(case(**{"solve.h": 1 / 3}), tmp_path / "x", restart=True)
     run(case(), tmp_path / "x", restart=True)
     assert not (tmp_path / "x.steps").exists()
-    run(case(), tmp_path / "whole")
+    run(case(), tmp_path / "whole", plot=True)
     assert_same_results(tmp_path / "x", tmp_path / "whole")
+    check_files(tmp_path / "whole")
 
 
-def test_files(tmp_path: Path):
-    """Each step has a row, each facet a row for each step; the series ends at the end; a rerun replaces all."""
-    run(case(), tmp_path / "x", plot=True)
-    rows, facets = table(tmp_path / "x" / "steps.csv"), table(tmp_path / "x" / "facets.csv")
+def check_files(folder: Path) -> None:
+    """Each step has a row, each facet a row for each step; the series ends at the end; the summary has the largest."""
+    rows, facets = table(folder / "steps.csv"), table(folder / "facets.csv")
     assert [float(row["t"]) for row in rows] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     number = len(facets) // 5
     for row in rows:
@@ -108,18 +109,15 @@ def test_files(tmp_path: Path):
         assert len(mine) == number
         assert sum(facet["condition"] == "zero_trace" for facet in mine) == int(row["contact_facets"])
         assert 0.5 * float(row["sigma_L2"]) < float(row["sigma_bound"])
-    np.testing.assert_allclose(series(tmp_path / "x")["times"], [0.2, 0.4, 0.6, 0.8, 1.0])
-    summary = json.loads((tmp_path / "x" / "summary.json").read_text())
+    np.testing.assert_allclose(series(folder)["times"], [0.2, 0.4, 0.6, 0.8, 1.0])
+    summary = json.loads((folder / "summary.json").read_text())
     assert summary["time"]["steps"] == 5
     assert summary["time"]["largest"]["bound"] == max(float(row["bound"]) for row in rows)
     assert summary["errors"]["sigma_L2"] == float(rows[-1]["sigma_L2"])
-    for name in ("contact.png", "animation.gif", "u.png"):
-        assert (tmp_path / "x" / name).stat().st_size > 1000
-    run(case(), tmp_path / "x", certify_steps=False)
-    assert not (tmp_path / "x" / "contact.png").exists()
+    for name in ("contact.png", "animation.gif"):
+        assert (folder / name).stat().st_size > 1000
 
 
-@pytest.mark.parallel([1, 2])
 def test_bounds_of_steps():
     """Against the exact solution of one step: steady data from their own solution make u_old exact, and all bounds."""
     steady = {"problem.f": "-6*(max(x - 0.4, 0) - y*max(0.4 - x, 0))", "solve.h": 1 / 16, "time.steps": 2}

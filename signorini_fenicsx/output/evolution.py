@@ -11,14 +11,14 @@ import numpy as np
 from dolfinx import fem, io
 
 from signorini_fenicsx.base.errors import WriteFailure
-from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.points import corners
 from signorini_fenicsx.output.field_files import check_room
 from signorini_fenicsx.output.steps import Row, StepFolder
-from signorini_fenicsx.output.writing import draw, facet_columns, write_summary
+from signorini_fenicsx.output.writing import facet_columns, write_summary
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solution import Solution
 
@@ -72,7 +72,6 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
     _write_series(folder, steps, times, solution)
     if plot:
         with doing("drawing"):
-            draw(folder, solution, None, plot=True, html=False)
             _draw(folder, steps, times, solution)
     summary = solution.summary()
     on_root(comm, lambda: write_summary(folder, summary | _along(rows)))
@@ -144,15 +143,20 @@ def _draw(folder: Path, steps: StepFolder, times: Sequence[float], solution: Sol
     """Draw `contact.png` and, in the plane, `animation.gif` (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
 
+    spaces, comm = solution.spaces, solution.spaces.mesh.comm
     scene = pictures.gathered_scene(solution)
+    order = gather_rows(comm, spaces.mesh.topology.original_cell_index)
+    frames = []
+    for step in pictures.shown(len(times)) if spaces.mesh.topology.dim == 2 else []:
+        u = gather_rows(comm, steps.cells(spaces, step, "u"))
+        if u is not None and order is not None:
+            frames.append((times[step - 1], u[np.argsort(order)], steps.facets(step)))
 
     def write() -> None:
         if scene is not None:
-            pictures.draw_sets(
-                folder / "contact.png", scene, [steps.facets(step + 1) for step in range(len(times))], times
-            )
-            if scene.dim == 2:
-                frames = ((t, steps.in_order(i, "u"), steps.facets(i)) for i, t in enumerate(times, start=1))
-                pictures.animate(folder / "animation.gif", scene, frames, len(times))
+            tables = [steps.facets(step) for step in range(1, len(times) + 1)]
+            pictures.draw_sets(folder / "contact.png", scene, tables, times)
+            if frames:
+                pictures.animate(folder / "animation.gif", scene, frames)
 
-    on_root(solution.spaces.mesh.comm, write)
+    on_root(comm, write)

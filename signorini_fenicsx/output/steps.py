@@ -1,6 +1,7 @@
 """The steps of a run in time, kept beside its results until these are complete: a folder of NumPy arrays for each.
 
-All ranks write and read it together, and any number of ranks can go on with it. See `checkpoint_writing`.
+All ranks write and read it together, each its own cells in its own order. Cells and facets are identified by their
+places, the sums of their vertices, which each run that adds steps writes once. So any number of ranks can go on.
 """
 
 from __future__ import annotations
@@ -15,20 +16,21 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.array_files import read_header, read_share, write_arrays
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import delete
 from signorini_fenicsx.base.parallel import on_root
-from signorini_fenicsx.base.rows import Order, fetch_rows, find_rows
+from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.certificate.enclosures import facet_vertices
 from signorini_fenicsx.discrete.contact_sets import FacetSegments
+from signorini_fenicsx.discrete.points import corners
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.gather import FacetTable, cell_values, facet_table, in_order
 from signorini_fenicsx.solving.evolving import Instant, Past
 from signorini_fenicsx.solving.solver import Solver
 
-CASE, ROW = "case.json", "row.json"
+CASE, ROW, MESH = "case.json", "row.json", "mesh-"
 type Row = Mapping[str, Any]
 """The numbers of a step."""
 
@@ -40,7 +42,8 @@ class StepFolder:
         """Keep the place; nothing on disk changes."""
         self._comm = comm
         self.path = target.with_name(target.name + ".steps")
-        self._order: tuple[Spaces, Order] | None = None
+        self._saved: Spaces | None = None
+        self._rows: dict[tuple[int, str], Indices] = {}
 
     def begin(self, case: Case, *, restart: bool) -> int:
         """Make the folder, or find out where to go on.
@@ -83,13 +86,14 @@ class StepFolder:
             OSError: On all ranks, if the disk is full.
         """
         solution, comm = instant.solution, self._comm
-        spaces = solution.spaces
-        if self._order is None or self._order[0] is not spaces:
-            self._order = spaces, Order(comm, spaces.mesh.topology.original_cell_index)
+        if self._saved is None:
+            self._saved = solution.spaces
+            place = self.path / f"{MESH}{instant.step:06}"
+            on_root(comm, lambda: place.mkdir(exist_ok=True))
+            write_arrays(comm, place, _places(solution.spaces))
         part = self._place(instant.step).with_suffix(".part")
         on_root(comm, part.mkdir)
-        arrays = {key: self._order[1].sorted(rows) for key, rows in cell_values(solution).items()}
-        arrays |= {f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()}
+        arrays = cell_values(solution) | {f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()}
         arrays["facet_own"] = solution.segments().segment
         write_arrays(comm, part, arrays)
 
@@ -109,14 +113,12 @@ class StepFolder:
         return [json.loads((place / ROW).read_text(encoding="utf-8")) for place in self._places()]
 
     def cells(self, spaces: Spaces, step: int, key: str) -> Array:
-        """u, sigma or divergence in the cells of this rank after a step, see `gather.Fields`."""
-        found: Array = fetch_rows(self._comm, spaces.mesh.topology.original_cell_index, self._read(step, key))
-        return found
+        """u, sigma or divergence in the cells of this rank after a step, see `gather.Fields`.
 
-    def in_order(self, step: int, key: str) -> Array:
-        """The same for all cells in the order of the mesh (rank 0, not collective)."""
-        found: Array = np.load(self._place(step) / f"{key}.npy")
-        return found
+        Raises:
+            InputError: If these are not the cells of this mesh.
+        """
+        return self._fetch(spaces, step, key, "cells")
 
     def facets(self, step: int) -> FacetTable:
         """Γ_S after a step (rank 0, not collective)."""
@@ -135,17 +137,35 @@ class StepFolder:
             values = fem.Function(spaces.Q, name="u")
             values.x.array[:] = self.cells(spaces, earlier, "u").ravel()
             u.append(values)
-        own, vertices = self._read(step, "facet_own"), self._read(step, "facet_vertices").astype(np.int64)
-        rows = find_rows(self._comm, facet_vertices(spaces.mesh, spaces.facets), [vertices])[:, 0]
-        if self._comm.allreduce(int(np.count_nonzero(rows < 0))) > 0:
-            raise InputError(f"--restart: {self.path} is of another mesh")
-        return Past(step, u, FacetSegments(spaces, fetch_rows(self._comm, rows, own)))
+        own = self._fetch(spaces, step, "facet_own", "facets")
+        return Past(step, u, FacetSegments(spaces, own))
 
-    def _read(self, step: int, key: str) -> Array:
-        path = self._place(step) / f"{key}.npy"
-        rows: Array = read_share(self._comm, path, on_root(self._comm, lambda: read_header(path)))
-        return rows
+    def _fetch(self, spaces: Spaces, step: int, key: str, kind: str) -> Any:
+        """An array of a step for the cells or facets of this rank."""
+        first = on_root(self._comm, lambda: self._first(step))
+        if (first, kind) not in self._rows:
+            known = self._read(self.path / f"{MESH}{first:06}" / f"{kind}.npy")
+            rows = find_rows(self._comm, _places(spaces)[kind], [known])[:, 0]
+            if self._comm.allreduce(int(np.count_nonzero(rows < 0))) > 0:
+                raise InputError(f"--restart: {self.path} is of another mesh")
+            self._rows[first, kind] = rows
+        return fetch_rows(self._comm, self._rows[first, kind], self._read(self._place(step) / f"{key}.npy"))
+
+    def _first(self, step: int) -> int:
+        """The first step of the run that did this one (rank 0)."""
+        begun = (int(entry.name.removeprefix(MESH)) for entry in self.path.glob(f"{MESH}*"))
+        return max(first for first in begun if first <= step)
+
+    def _read(self, path: Path) -> Any:
+        return read_share(self._comm, path, on_root(self._comm, lambda: read_header(path)))
 
     def remove(self) -> None:
         """Remove the folder with all steps."""
         on_root(self._comm, lambda: delete(self.path))
+
+
+def _places(spaces: Spaces) -> dict[str, Indices]:
+    """What identifies the owned cells and the facets of Γ_S on any rank: the bits of the sums of their vertices."""
+    vertices = {"cells": corners(spaces.mesh), "facets": facet_vertices(spaces.mesh, spaces.facets)}
+    sums = {key: np.sort(x, axis=1).sum(axis=1) + 0.0 for key, x in vertices.items()}  # sorted: the same bits
+    return {key: np.ascontiguousarray(rows).view(np.int64) for key, rows in sums.items()}

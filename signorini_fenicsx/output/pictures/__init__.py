@@ -21,7 +21,7 @@ from signorini_fenicsx.output.gather import (
 )
 from signorini_fenicsx.output.pictures import elastic, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
-from signorini_fenicsx.output.pictures.evolution import animate, draw_sets
+from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
@@ -36,6 +36,7 @@ __all__ = [
     "gathered_scene",
     "overview",
     "scene_of",
+    "shown",
     "write_page",
 ]
 

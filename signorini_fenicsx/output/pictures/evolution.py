@@ -1,6 +1,6 @@
 """Pictures of a run in time: the contact set over time, and an animation."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,18 +88,20 @@ def _numbers(groups: Sequence[Group], names: Sequence[str], size: int) -> Indice
     return found
 
 
+def shown(steps: int) -> list[int]:
+    """The steps that an animation shows: all, or some of them with the last one."""
+    return list(range(steps, 0, -steps // MOST_FRAMES))[::-1]
+
+
 @mpl.rc_context(style.STYLE)
-def animate(path: Path, scene: Scene, frames: Iterable[Frame], number: int) -> None:
+def animate(path: Path, scene: Scene, chosen: Sequence[Frame]) -> None:
     """Write u_h and the sets over time as an animated GIF (rank 0).
 
     Args:
         path: The file.
         scene: The scene of the last step.
-        frames: The steps in order.
-        number: How many there are.
+        chosen: The steps that `shown` chooses.
     """
-    every = -(-number // MOST_FRAMES)
-    chosen = [frame for i, frame in enumerate(frames, start=1) if i % every == 0 or i == number]
     low, high = min(u.min() for _, u, _ in chosen), max(u.max() for _, u, _ in chosen)
     plane = Plane(scene)
     triangulation, rows = plane.triangulation
