@@ -39,6 +39,12 @@ with |w|² = (ℂε(w), ε(w)), ‖τ‖² = (𝔸τ, τ), and ⟨·,·⟩ on Γ
 Proof: ½‖ℂε(v) − y‖² = ½|v − u|² + ½‖σ − y‖² + (ε(v − u), σ − y). As ∇·(σ − y) = 0 and σ − y is symmetric, the last term
 is ⟨v − u, (σ − y)n⟩, which is on Γ_C alone and there ⟨v_n − u_n, σ_nn − y_nn⟩ = ⟨−σ_nn, g − v_n⟩ − ⟨−y_nn, g − v_n⟩ +
 ⟨−y_nn, g − u_n⟩, because (g − u_n)σ_nn = 0. All terms on the left are ≥ 0.
+
+*Friction* (Tresca). In the place of σ_t = 0 it is |σ_t| ≤ k and k|u_t| + σ_t u_t = 0 on Γ_C. For y with |y_t| ≤ k
+
+    the left side + ⟨k, |v_t|⟩ + ⟨σ_t, v_t⟩ + ⟨k, |u_t|⟩ + ⟨y_t, u_t⟩ = gap(v, y) + ⟨k, |v_t|⟩ + ⟨y_t, v_t⟩,
+
+since the last term of the proof has ⟨v_t − u_t, σ_t − y_t⟩ as well, and −⟨u_t, σ_t⟩ = ⟨k, |u_t|⟩. All terms are ≥ 0.
 """
 
 from ufl import Form, Identity, Measure, div, grad, inner, sym, tr

@@ -20,7 +20,8 @@ Solving it:
 
 Elastic contact:
 
-- `ElasticBoundary` and `ElasticProblem` say what is given; `solve_elastic` gives an `ElasticSolution`;
+- `ElasticBoundary` and `ElasticProblem` say what is given, `Friction` and `Coulomb` are laws of friction;
+- `solve_elastic` gives an `ElasticSolution`;
 - `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too.
 
 Algorithms and backends, and how to replace them:
@@ -48,6 +49,7 @@ __all__ = [
     "Boundary",
     "Condition",
     "Corners",
+    "Coulomb",
     "Data",
     "Domain",
     "ElasticBoundary",

@@ -82,7 +82,7 @@ from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.laws import (
     Corners,
     Friction,
@@ -115,6 +115,7 @@ __all__ = [
     "Boundary",
     "Condition",
     "Corners",
+    "Coulomb",
     "Data",
     "Domain",
     "ElasticBoundary",

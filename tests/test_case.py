@@ -26,9 +26,22 @@ h = "1/8"
 def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
-    exact += ["friction", "two_sided", "wall", "regulator", "staircase"]
+    exact += ["crack", "fault", "friction", "two_sided", "wall", "regulator", "staircase"]
     assert case_names() == sorted(
-        [*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
+        [
+            *examples,
+            *exact,
+            "membrane",
+            "moving_transition",
+            "seepage_falling",
+            "ball",
+            "cube",
+            "dam",
+            "edge",
+            "electropainting",
+            "hertz",
+            "lprism",
+        ]
     )
     for name in case_names():
         assert load_any_case(name).name == name
@@ -94,7 +107,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 def test_unknown_names():
     with pytest.raises(
-        InputError, match="unknown case 'example7'; use one of ball, biactive, cube, dam, edge, electro"
+        InputError, match="unknown case 'example7'; use one of ball, biactive, crack, cube, dam, edge, electro"
     ):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):

@@ -2,11 +2,10 @@
 
 import dolfinx.mesh
 import numpy as np
-import piqp
 import pytest
 import ufl
 from dolfinx import fem
-from elastic import box, half_plane_contact, smooth
+from elastic import box, complementary_energy, half_plane_contact, smooth
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -123,51 +122,6 @@ def test_contact_with_a_singular_solution(nu: float):
     assert errors[1]["energy"] < 3e-3
     assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 1.4
     assert errors[1]["contact_hausdorff"] <= 1 / 16
-
-
-def complementary_energy(solution: ElasticSolution) -> np.ndarray:
-    """Stresses that minimise ½(𝔸σ, σ) − ⟨u_D, σn⟩ − ⟨g, σ_nn⟩ over all that are in balance with σ_nn ≤ 0.
-
-    By an interior-point solver for the coefficients on each cell, with no trace and no set.
-    """
-    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
-    element, cells = reference(dim), Cells(spaces.vertices)
-    numbers = np.arange(len(spaces.order), dtype=np.int32)
-    number, basis = len(numbers), element.stresses.shape[2]
-    product = compliance_product(cells.stresses(element.stresses), *data.masses(spaces, numbers, cells.measure))
-    tractions = cells.tractions(element.tractions).reshape(number, dim + 1, dim, dim, basis)
-    hessian = np.zeros((number * basis, number * basis))
-    facets = np.zeros((spaces.traces.dofmap.index_map.size_local, dim, dim, number * basis))
-    balance = np.zeros((number, (dim + 1) * dim, number * basis))
-    for cell in numbers:
-        mine = slice(cell * basis, (cell + 1) * basis)
-        hessian[mine, mine] = product[cell]
-        balance[cell, :, cell * basis + element.free : (cell + 1) * basis] = np.eye((dim + 1) * dim)
-        for facet, block in enumerate(spaces.dofs[cell]):
-            facets[block, :, :, mine] += tractions[cell, facet]
-    moments = data.moments_of_f(spaces, numbers, cells.measure)
-    given = -np.linalg.solve(cells.derivative, moments.transpose(0, 2, 1)).transpose(0, 2, 1)
-    inner = np.setdiff1d(np.arange(len(facets)), np.concatenate([spaces.dirichlet.blocks, spaces.contact.blocks]))
-    normals = spaces.contact.normals
-    along = np.einsum("fair,fi->far", facets[spaces.contact.blocks], normals)
-    shear = facets[spaces.contact.blocks] - along[:, :, None] * normals[:, None, :, None]
-    equal = np.vstack([balance.reshape(-1, number * basis), facets[inner].reshape(-1, number * basis)])
-    equal = np.vstack([equal, shear.reshape(-1, number * basis)])
-    tractions = data.load.reshape(-1, dim, dim)[inner]
-    right = np.concatenate([given.ravel(), tractions.ravel(), np.zeros(shear.size // shear.shape[-1])])
-    # on Γ_D and Γ_C values at vertices are paired with the moments that `facets` gives
-    linear = -np.einsum(
-        "fai,fair->r", data.lift.reshape(-1, dim, dim)[spaces.dirichlet.blocks], facets[spaces.dirichlet.blocks]
-    )
-    dual = (dim + 1) * np.eye(dim) - 1
-    pull = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)  # |e|/d σ_nn at the vertices
-    linear -= data.lift[spaces.sites] @ pull
-    solver = piqp.DenseSolver()
-    solver.settings.eps_abs = solver.settings.eps_rel = 1e-11
-    solver.setup(hessian, linear, equal, right, pull, None, np.zeros(len(pull)))
-    assert solver.solve() == piqp.PIQP_SOLVED
-    values = np.einsum("nvek,nk->nve", cells.stresses(element.stresses), solver.result.x.reshape(number, basis))
-    return to_matrices(values.reshape(number, dim + 1, dim + 1, -1))
 
 
 def pressed(comm: MPI.Comm, n: int = 2, nu: float = 0.4) -> ElasticSolution:

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.gather import (
     Boundary,
     FacetTable,
@@ -22,6 +24,7 @@ from signorini_fenicsx.output.gather import (
     gather_marks,
 )
 from signorini_fenicsx.output.pictures import overview, scene_of, style, traces
+from signorini_fenicsx.output.pictures.curves import draw_steps
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.streams import on_grid
@@ -154,6 +157,14 @@ def test_boundary_is_the_same_on_all_ranks():
         return table[np.lexsort(table[:, 1::-1].T)]
 
     np.testing.assert_allclose(rows(together), rows(alone), atol=1e-10)
+
+
+def test_no_step_changes_the_first_sets():
+    """Then there is a line of text in the place of a diagram without points."""
+    axes = Figure().add_subplot()
+    draw_steps(axes, [Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)], "steps")
+    assert not axes.axison
+    assert [text.get_text() for text in axes.texts] == ["none: the first sets are final"]
 
 
 def test_chains():

@@ -6,10 +6,12 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.jumps import jumps_of_facets
 from signorini_fenicsx.backends.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.nodes import Jumps
 from signorini_fenicsx.discrete.sources import sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
@@ -19,7 +21,7 @@ class AuxiliarySpace:
     """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.
 
     It has the facet conditions too, otherwise many more iterations are needed: vertices of ZERO_TRACE facets and of Γ_D
-    are fixed, ROBIN facets add their lumped mass.
+    are fixed, ROBIN facets add their lumped mass. Where the facet system has jumps, P1 has them too.
     """
 
     def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
@@ -30,14 +32,20 @@ class AuxiliarySpace:
         form, s = stiffness(u, v, ufl.dx, data.kappa_h), sources(spaces, data).s
         if s is not None:
             form += reaction(u, v, ufl.dx, s)
-        self._operator = ConstrainedMatrix(fem.form(form), PETSc.Mat.Option.SPD)
+        self._jumps = Jumps.of(self._space, spaces)
+        basis = None if self._jumps is None else self._jumps.basis
+        self._operator = ConstrainedMatrix(fem.form(form), PETSc.Mat.Option.SPD, basis)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
 
-        self._levels = TwoLevel(pc, facet_means(self._space, data.u_lift.function_space), "jacobi")
+        interpolation = facet_means(self._space, data.u_lift.function_space)
+        to_jumps = jumps_of_facets(spaces, back=True)
+        if to_jumps is not None:
+            interpolation = to_jumps.matMult(interpolation.matMult(basis))
+        self._levels = TwoLevel(pc, interpolation, "jacobi")
         self._levels.coarse.setOperators(self._operator.matrix)
 
     def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
@@ -49,9 +57,10 @@ class AuxiliarySpace:
         """
         if not self._has_hierarchy:
             self._build_hierarchy()
-        fixed = np.union1d(
-            self._dirichlet, owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
-        )
+        held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
+        if self._jumps is not None:
+            held = np.setdiff1d(held, self._jumps.tips)
+        fixed = np.union1d(self._dirichlet, held).astype(np.int32)
         self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
         self._levels.leave_out(essential, fixed)
 
@@ -79,6 +88,8 @@ class AuxiliarySpace:
         self._beta.x.scatter_forward()
         lumped = fem.assemble_vector(self._robin)
         lumped.scatter_reverse(la.InsertMode.add)
+        if self._jumps is not None:
+            lumped.array[self._jumps.tips] = 0.0
         return lumped.array[: len(self._all)]
 
 

@@ -25,7 +25,7 @@ from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData
@@ -44,7 +44,8 @@ SPRING = 1e-6
 class ElasticBackend:
     """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
-    ZERO_TRACE is contact, NO_FLUX a free vertex.
+    ZERO_TRACE is contact, NO_FLUX a free vertex. After these sites come those with friction, where p = u_t and the flux
+    is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips.
     """
 
     name = "elastic"
@@ -68,8 +69,10 @@ class ElasticBackend:
         """
         self.spaces, self._data = spaces, data
         self.comm = spaces.mesh.comm
-        self.sites = len(spaces.sites)
-        self.chains = Chains.at_corner(self.sites)
+        self._unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
+        self._measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
+        self.sites = len(self._unknowns)
+        self.friction = data.friction
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]
@@ -82,7 +85,16 @@ class ElasticBackend:
         self._x.set(0.0)
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
-        self._springs = SPRING * self.system.matrix.getDiagonal().array_r[spaces.sites]
+        self._springs = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site; with friction by its present bounds."""
+        normal = Chains.at_corner(len(self.spaces.sites))
+        if self.friction is None:
+            return normal
+        rows = np.split(np.arange(self.sites), [len(self.spaces.sites)])
+        return joined(list(zip(rows, (normal, self.friction.chains), strict=True)), self.sites)
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -98,11 +110,13 @@ class ElasticBackend:
         if conditions.counts(self.comm)[Condition.ROBIN] > 0:
             raise InputError("elastic contact takes no penalty; use alg1 or alg2")
         contact = conditions.kind == Condition.ZERO_TRACE
-        essential = np.concatenate([self._data.fixed, self.spaces.sites[contact]])
+        essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
         loose = self._loose(contact)
         sprung = ~contact & loose
-        self._operator.impose(essential, self.spaces.sites[sprung], self._springs[sprung])
+        self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
         self._b.array_w[:] = self.system.load
+        if conditions.has_values:
+            self._b.array_w[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
         self._b.array_w[essential] = 0.0
         self._x.array_w[essential] = 0.0
         self._solve(essential)
@@ -146,8 +160,9 @@ class ElasticBackend:
         x.array[: len(owned)] = owned
         x.scatter_forward()
         stresses, displacements = self.system.recover(x.array + self._data.lift)
-        pressure = -spaces.normal_stress(stresses)
-        p, flux = conditions.clean(-owned[spaces.sites], pressure, 1.0)
+        trace = np.concatenate([-owned[spaces.sites], owned[spaces.slip_sites]])
+        traction = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
+        p, flux = conditions.clean(trace, traction, 1.0)
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
         return Iterate(
             p=p,
@@ -176,10 +191,12 @@ class ElasticBackend:
         return FieldChange(self.spaces.split.stresses, self.spaces.displacements)
 
     def places(self) -> Array:
-        """The vertex, and the sum of its facet's vertices."""
-        vertices = self.spaces.contact.vertices
+        """The vertex, the sum of its facet's vertices, and whether the site is one of friction."""
+        contact, rough = self.spaces.contact.vertices, self.spaces.rough.vertices
+        vertices = np.concatenate([contact, rough])
         of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
-        return np.concatenate([vertices, of_facet], axis=2).reshape(self.sites, 2 * self.spaces.dim)
+        places = np.concatenate([vertices, of_facet], axis=2).reshape(self.sites, 2 * self.spaces.dim)
+        return np.column_stack([places, np.arange(self.sites) >= len(self.spaces.sites)])
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """As they are: σ in the Johnson-Mercier space, u linear on each cell, and conditions per facet vertex."""

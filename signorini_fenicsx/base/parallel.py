@@ -42,6 +42,14 @@ def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
     return comm.bcast(result)
 
 
+def passed_on[T](comm: MPI.Comm, block: T) -> T:
+    """Give a block to the next rank and take that of the rank before; after as many times as ranks it is back.
+
+    So each rank sees the blocks of all, one after the other, and never holds more than two (collective).
+    """
+    return comm.sendrecv(block, (comm.rank + 1) % comm.size, source=(comm.rank - 1) % comm.size)
+
+
 def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:
     """Concatenate the rows of all ranks on rank 0, in rank order; None elsewhere (collective)."""
     parts = comm.gather(rows)

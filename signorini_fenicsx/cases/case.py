@@ -14,12 +14,12 @@ from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
+from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, Positive, Whole, choice, within
-from signorini_fenicsx.discrete.evolution import SCHEMES, Evolution
-from signorini_fenicsx.discrete.given import parsed
+from signorini_fenicsx.cases.values import Expression, Positive, Whole, choice, within
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
+from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape
@@ -55,61 +55,6 @@ class Geometry(Section):
     def name(self) -> str:
         """The shape, or the name of the file."""
         return self.shape or Path(self.file or "").name
-
-
-class ProblemTexts(Section):
-    """`[problem]`: the data of a `Problem` as text in x, y, z.
-
-    κ is a text, a matrix, or one of them per region; c is a text, or one per region.
-    """
-
-    f: Expression
-    kappa: Conductivity = "1"
-    u_D: Expression = "0"
-    g_N: Expression = "0"
-    psi: Expression = "0"
-    q_S: Expression = "0"
-    c: ExpressionByRegion = "0"
-
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
-        values: list[tuple[str, str | list[list[str]]]] = []
-        for name, whole in (("kappa", self.kappa), ("c", self.c)):
-            values += (
-                [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
-            )
-        for name, value in values:
-            found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
-        return found
-
-    def read(self, names: str) -> Problem:
-        """The data as trees in these variables.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
-        return Problem(**{key: parsed(value, names) for key, value in self})
-
-
-class Time(Section):
-    """`[time]`: an `Evolution`. With it t is known to all expressions but those of this section."""
-
-    end: Annotated[Positive, within(1e-90, 1e90)]
-    steps: Annotated[Whole, within(1, 10**6)]
-    initial: Expression = "0"
-    capacity: ExpressionByRegion = "1"
-    scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
-
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        by_region = self.capacity if isinstance(self.capacity, dict) else {"": self.capacity}
-        of_regions = [(f"capacity.{region}".rstrip("."), text) for region, text in by_region.items()]
-        return [("initial", self.initial), *of_regions]
-
-    def evolution(self) -> Evolution:
-        """The same for `evolve`."""
-        return Evolution(**dict(self))
 
 
 class Exact(Section):
@@ -154,6 +99,16 @@ class CaseFile(Section):
     def last_time(self) -> float | None:
         """The end of a problem in time; None for others."""
         return None
+
+    @property
+    def inner(self) -> list[str]:
+        """The parts inside the domain."""
+        return self.parts.named.get("inner", [])
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of them."""
+        return {}
 
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
@@ -206,7 +161,7 @@ class CaseFile(Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        self.parts.check(list(shape.parts), self.geometry.name)
+        self.parts.check(shape.names, self.geometry.name, shape.inside)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -252,9 +207,20 @@ class Case(CaseFile):
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
         self.parts.refuse_repetition()
+        for part in self.boundary.inner:
+            if part not in self.law_parts:
+                raise ValueError(f"[boundary] inner: '{part}' needs a [[law]] between the jump of u and σ·n")
+        for part in self.boundary.sides:
+            if part not in self.boundary.inner or self.geometry.file is None:
+                raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
         if not self.boundary.signorini and not self.law:
             raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
         return self
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of the parts inside the domain."""
+        return self.boundary.sides
 
     @property
     def law_parts(self) -> list[str]:

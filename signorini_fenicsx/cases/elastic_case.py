@@ -9,7 +9,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
 from signorini_fenicsx.cases.parts import Parts, Section
 from signorini_fenicsx.cases.values import Expression, choice
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem, Plane
+from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
+from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.solving.elastic import RULES
 
 ELASTICITY = "elasticity"
@@ -29,7 +30,7 @@ Vector = list[Expression]
 class ElasticParts(Parts):
     """`[boundary]`: the parts in contact, with given traction, and fixed in some components; the rest is Γ_D."""
 
-    contact: list[str] = Field(min_length=1)
+    contact: list[str] = Field(default=[])
     neumann: list[str] = Field(default=[])
     fixed: dict[str, str] = Field(default={})
     dirichlet: list[str] | None = None
@@ -49,6 +50,29 @@ class ElasticParts(Parts):
             InputError: If a component is unknown.
         """
         return ElasticBoundary(self.contact, self.neumann, self.fixed)
+
+
+class FrictionTexts(Section):
+    """`[[law]]`: friction on parts of Γ_C, with g, the bound of the shear, or with μ, Coulomb's coefficient."""
+
+    kind: Annotated[str, choice("law of elastic contact", ("friction",))]
+    parts: list[str] = Field(min_length=1)
+    g: Expression | None = None
+    mu: Expression | None = None
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> Self:
+        if (self.g is None) == (self.mu is None):
+            raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
+        return self
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key."""
+        return [(key, text) for key, text in (("g", self.g), ("mu", self.mu)) if text is not None]
+
+    def law(self) -> ElasticLaw:
+        """The law."""
+        return Friction(self.parts, self.g) if self.g is not None else Coulomb(self.parts, self.mu or "0")
 
 
 class ElasticTexts(Section):
@@ -87,12 +111,19 @@ class ElasticCase(CaseFile):
     physics: Literal["elasticity"]
     boundary: ElasticParts
     problem: ElasticTexts
+    law: Annotated[list[FrictionTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: ElasticExact = ElasticExact()
 
     @property
     def parts(self) -> Parts:
-        """The section `[boundary]`."""
-        return self.boundary
+        """The section `[boundary]`, with the parts of each `[[law]]` in contact."""
+        rough = [part for law in self.law for part in law.parts if part not in self.boundary.contact]
+        return self.boundary.model_copy(update={"contact": [*self.boundary.contact, *rough]})
+
+    def condition_of(self, part: str) -> str:
+        """The condition on a part, in a word."""
+        rough = any(part in law.parts for law in self.law)
+        return "contact with friction" if rough else super().condition_of(part)
 
     @property
     def approach(self) -> str:
@@ -102,10 +133,14 @@ class ElasticCase(CaseFile):
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
         exact = [("exact", "u", entry) for entry in self.exact.u or []]
-        return [("problem", *entry) for entry in self.problem.texts()] + exact
+        laws = [("", f"law.{i}.{key}", text) for i, law in enumerate(self.law) for key, text in law.texts()]
+        return [("problem", *entry) for entry in self.problem.texts()] + exact + laws
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
+        self.parts.refuse_repetition()
+        if not self.parts.named["contact"]:
+            raise ValueError("[boundary] contact: lists no part, and there is no [[law]]")
         if self.solve.algorithm not in RULES:
             raise ValueError(f"[solve] algorithm: elastic contact is solved by {' or '.join(RULES)}")
         for key in ("backend", "rho", "eps"):
@@ -116,7 +151,7 @@ class ElasticCase(CaseFile):
     def data(self) -> ElasticProblem:
         """The data as they are given."""
         values: dict[str, Any] = {key: getattr(self.problem, key) for key in type(self.problem).model_fields}
-        return ElasticProblem(**values, exact=self.exact.u)
+        return ElasticProblem(**values, exact=self.exact.u, laws=[law.law() for law in self.law])
 
 
 type AnyCase = Case | ElasticCase

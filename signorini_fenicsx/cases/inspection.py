@@ -19,13 +19,14 @@ from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.discrete.evolution import Steps
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
+from signorini_fenicsx.meshes.cut import opened
+from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 from signorini_fenicsx.solving.solver import check_solvability
 
-FACETS_PER_CELL = {2: 1.5, 3: 2.0}
-PROCESS_BYTES = 180 * 2**20
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
 
@@ -47,7 +48,7 @@ class Cost:
     run_rate: float
 
 
-SCALAR = {2: Cost(1, 830, 177e3, 5e4), 3: Cost(1, 940, 196e3, 5e4)}
+SCALAR = {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)}
 """For alg1 to alg4 with the hybrid backend, on at least 395 000 facets; see docs/measured/speed.md."""
 ELASTIC = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
 """For elastic contact, on 110 000 to 450 000 unknowns; an order of magnitude."""
@@ -99,7 +100,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
         dim = SHAPES[geometry.shape].dim
-        parts = {name: {"condition": case.condition_of(name)} for name in SHAPES[geometry.shape].parts}
+        parts = {name: {"condition": case.condition_of(name)} for name in SHAPES[geometry.shape].names}
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))
@@ -107,6 +108,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
         parts = {
             name: {"condition": case.condition_of(name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
             for name, rows in mesh.parts.items()
+            if name not in map(other_side, case.inner)
         }
         regions = {name: len(rows) for name, rows in mesh.regions.items()}
         sides = (dim + 1) * len(mesh.cells)
@@ -145,18 +147,20 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
     with doing("assembly"):
         contact = "signorini"
         if isinstance(case, ElasticCase):
-            contact, elastic = "contact", build_elastic_spaces(domain, case.boundary.read())
-            check_rigid_motions(elastic, elastic_data(elastic, case.data()))
+            problem = case.data()
+            boundary_of_body = case.boundary.read().touching_on(problem.rough)
+            contact, elastic = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
+            check_rigid_motions(elastic, elastic_data(elastic, problem))
             spaces = elastic.scalar
         else:
             boundary = boundary_of(case)
-            spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
-            problem = case.data(domain.mesh.geometry.dim)
+            spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
+            data = case.data(domain.mesh.geometry.dim)
             if case.time is not None:
-                steps = Steps(spaces, problem, case.time.evolution())
+                steps = Steps(spaces, data, case.time.evolution())
                 steps.start()
-                problem = steps.problem(1)
-            check_solvability(spaces, project_data(spaces, problem))
+                data = steps.problem(1)
+            check_solvability(spaces, project_data(spaces, data))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -168,6 +172,7 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
 
 def _usable(case: CaseFile, mesh: FileMesh) -> FileMesh:
     try:
+        mesh = opened(mesh, case.inner, case.sides) if case.inner else mesh
         check_boundary(mesh, case.parts.named)
         case.check_dimension(mesh.dim)
     except InputError as error:

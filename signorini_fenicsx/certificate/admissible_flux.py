@@ -111,6 +111,7 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     y = y.copy()
     y.x.array[spaces.flux_dofs[beyond]] = (allowed * spaces.facet_measure / spaces.basis_flux)[beyond]
     y.x.scatter_forward()
+    spaces.carry_across(y)
     return y
 
 
@@ -124,6 +125,7 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
     if not data.holds(spaces):
         flux = spaces.normal_flux(y)
         excess = np.minimum(flux - limits[0], limits[1] - flux)
+        excess[spaces.inner.rows] = 0.0  # what flows through these stays in the domain
         largest = spaces.mesh.comm.allreduce(excess.max(initial=0.0), MPI.MAX)
         kind[excess >= largest / 2] = Condition.ZERO_TRACE
     nothing = np.zeros(len(spaces.facets))

@@ -1,7 +1,8 @@
 """The conforming displacement nearest to a stress: quadratics on the split mesh that stay off the foundation.
 
 It minimises the gap of `forms/elasticity.py` for given y, which is a problem of its own with one condition per node of
-Γ_C: contact or free. So the loop over the sets solves it, as it solves the problem itself.
+Γ_C: contact or free. So the loop over the sets solves it, as it solves the problem itself. With friction, |v_t| is
+bounded by its coefficients in Bernstein's basis, and each of these is a site with three states.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.backends.facets import FieldChange
 from signorini_fenicsx.backends.petsc import direct_solver
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.boundary_nodes import (
     boundary_nodes,
@@ -29,17 +30,18 @@ from signorini_fenicsx.certificate.boundary_nodes import (
     excess,
     facet_coefficients,
 )
-from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
+from signorini_fenicsx.discrete.elastic_friction import friction_chains
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.forms.elasticity import strain, strain_energy
 
 
 class BestDisplacement:
-    """A backend whose sites are the nodes of Γ_C.
+    """A backend whose sites are the nodes of Γ_C, then those with friction.
 
     Attributes:
         moduli: 2μ and θ on the split mesh.
@@ -73,7 +75,7 @@ class BestDisplacement:
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(1, domain)])(1)
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         n = ufl.FacetNormal(mesh)
-        pull = ufl.inner(sigma, strain(v)) * self.dx - ufl.dot(n, sigma * n) * ufl.dot(v, n) * self.ds
+        pull = ufl.inner(sigma, strain(v)) * self.dx - ufl.dot(sigma * n, v) * self.ds
         load = fem.assemble_vector(fem.form(pull))
         load.scatter_reverse(la.InsertMode.add)
         natural = assemble_matrix(fem.form(strain_energy(u, v, *self.moduli, self.dx)))
@@ -96,13 +98,36 @@ class BestDisplacement:
         self._given = (owned[:, None] * dim + np.arange(dim, dtype=np.int32))[
             np.arange(dim) < self.nodes.given[: self._size, None]
         ]
+        self._contact = facet_coefficients(spaces, self.space, spaces.contact)
         self._touching = owned[self.nodes.touching[: self._size]]
-        self._sites = self._touching * dim + self.nodes.given[self._touching].astype(np.int32)
+        self._rubbing, column, bound = self._friction()
+        self._sites = np.concatenate(
+            [self._touching * dim + self.nodes.given[self._touching], self._rubbing * dim + column]
+        ).astype(np.int32)
         self.sites, self.dofs = len(self._sites), self._operator.matrix.getSize()[0]
-        self.chains = Chains.at_corner(self.sites)
+        self.chains = Chains.at_corner(len(self._touching))
+        if data.friction is not None:
+            rows = np.split(np.arange(self.sites), [len(self._touching)])
+            self.chains = joined([(rows[0], self.chains), (rows[1], friction_chains(bound))], self.sites)
         self._diagonal = float(self._operator.natural.getDiagonal().norm(PETSc.NormType.INFINITY))
         self._solver = direct_solver(self._operator.matrix, "cholesky", "facet_")
-        self._contact = facet_coefficients(spaces, self.space, spaces.contact)
+
+    def _friction(self) -> tuple[Indices, Indices, Array]:
+        """Owned nodes with friction, which of their directions is the tangent, and ∫ g B for the B of each node."""
+        size, dim = self._size, self.spaces.dim
+        sums = la.vector(self.space.dofmap.index_map)
+        np.add.at(sums.array, self._contact.nodes[self.spaces.rough_rows], self._rubbing_weights())
+        sums.scatter_reverse(la.InsertMode.add)
+        column = self.nodes.given[:size] + self.nodes.touching[:size]
+        rubbing = np.flatnonzero((sums.array[:size] > 0) & (column < dim))
+        return rubbing, column[rubbing], sums.array[rubbing]
+
+    def _rubbing_weights(self) -> Array:
+        """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
+        if self._data.friction is None:
+            return np.zeros((0, self._contact.nodes.shape[1]))
+        rough = self.spaces.rough
+        return np.einsum("n,na,ak->nk", rough.measure, self._data.friction.bound, self._moments())
 
     def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
         """From coefficients in the frames of the nodes to those in coordinates."""
@@ -132,6 +157,8 @@ class BestDisplacement:
         none = np.empty(0, dtype=np.int32)
         self._operator.impose(essential, none, none)
         b, reaction = self._load.copy(), self._load.copy()
+        if conditions.has_values:
+            b.array_w[self._sites] -= np.where(conditions.kind == Condition.NO_FLUX, conditions.value, 0.0)
         b.array_w[essential] = 0.0
         self._solver.solve(b, self._x)
         self._operator.natural.mult(self._x, reaction)
@@ -158,17 +185,26 @@ class BestDisplacement:
 
     def moments_on_contact(self, v: fem.Function) -> Array:
         """∫ v φ_a over the facets of Γ_C, shape (facets, d, d): exact for quadratics."""
-        dim, facets = self.spaces.dim, self._contact.facets
+        coefficients = v.x.array.reshape(-1, self.spaces.dim)[self._contact.nodes]
+        return np.einsum("n,ak,nki->nai", self._contact.facets.measure, self._moments(), coefficients)
+
+    def _moments(self) -> Array:
+        """∫ φ_a B over the facet of measure 1 for the B of each of its nodes, shape (d, nodes)."""
+        dim = self.spaces.dim
         points, weights = facet_rule(dim, 3)
         hats = np.column_stack([1 - points.sum(axis=1), points])
         pairs = list(combinations(range(dim), 2))
         quadratics = np.column_stack([hats**2, *[2 * hats[:, i] * hats[:, j] for i, j in pairs]])
-        moments = np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, quadratics)
-        coefficients = v.x.array.reshape(-1, dim)[self._contact.nodes]
-        return np.einsum("n,ak,nki->nai", facets.measure, moments, coefficients)
+        return np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, quadratics)
+
+    def rubbed(self, v: fem.Function) -> Array:
+        """A bound of ∫ g|v_t| over the facets with friction: |v_t| is at most the mean of its |coefficients|."""
+        nodes = self._contact.nodes[self.spaces.rough_rows]
+        along = np.einsum("nki,ni->nk", v.x.array.reshape(-1, self.spaces.dim)[nodes], self.spaces.tangents)
+        return (self._rubbing_weights() * np.abs(along)).sum(axis=1)
 
     def near(self, touching: Mask) -> SiteConditions:
-        """Contact at the nodes all of whose facets, or all but their ends, are in contact (collective).
+        """Contact at the nodes all of whose facets, or all but their ends, are in contact; nothing slips (collective).
 
         Args:
             touching: Vertices of the facets of Γ_C in contact, shape (facets, d).
@@ -180,7 +216,9 @@ class BestDisplacement:
         sums.scatter_reverse(la.InsertMode.add)
         share = sums.array.reshape(-1, 2)[self._touching]
         kind = np.where(share[:, 0] >= share[:, 1] - 0.5, Condition.ZERO_TRACE, Condition.NO_FLUX)
-        return SiteConditions(kind.astype(np.int8))
+        sticking = np.full(len(self._rubbing), Condition.ZERO_TRACE)
+        conditions = SiteConditions(np.concatenate([kind, sticking]).astype(np.int8))
+        return self.chains.conditions(self.chains.segments(conditions))
 
     def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
         """Refused: there is no clip without a penalty.
@@ -206,7 +244,8 @@ class BestDisplacement:
         places = lagrange.tabulate_dof_coordinates()
         mine = np.empty((self._size + self.space.dofmap.index_map.num_ghosts, 3))
         mine[self.space.dofmap.list] = places[lagrange.dofmap.list]
-        return mine[self._touching]
+        nodes = np.concatenate([self._touching, self._rubbing])
+        return np.column_stack([mine[nodes], np.arange(self.sites) >= len(self._touching)])
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """As they are."""

@@ -113,6 +113,11 @@ class Certificate:
         of = {"of_penalty": True} if self.of_penalty else {}
         return self.numbers() | {"guaranteed": self.guaranteed} | lists | of
 
+    @property
+    def of(self) -> str:
+        """To which solution the error is, in words; empty if it is that of the problem."""
+        return " to the exact solution of the penalty problem" if self.of_penalty else ""
+
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""
         names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
@@ -211,15 +216,17 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function) -> tuple[Trace, Array, FacetLoad]:
-    """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
+def _under_laws(
+    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function
+) -> tuple[Trace, Array, list[FacetLoad]]:
+    """v, twice the gap on Γ_S per owned cell, and the loads η − y·n (collective)."""
     spaces = solution.spaces
     on = OnGammaS.of(solution, goal, metric, y)
     trace = law_trace(solution, metric, y, on)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.above(at.points)
     found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_of_piece(at, v))
-    return trace, found.per_cell(len(metric.volume)), found.load
+    return trace, found.per_cell(len(metric.volume)), found.loads(spaces)
 
 
 def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:

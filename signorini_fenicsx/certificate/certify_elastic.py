@@ -21,7 +21,8 @@ the linear solver leaves of the jumps of σ_h n.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import ufl
@@ -44,11 +45,26 @@ UPDATES = 30
 """Set updates of v at most; each v is admissible."""
 
 
+@dataclass(frozen=True)
 class ElasticCertificate(Certificate):
-    """The bound of an elastic solution."""
+    """The bound of an elastic solution.
 
+    Attributes:
+        of_last_bound: Whether u is the solution with the last bound of the shear, not that of Coulomb's law.
+    """
+
+    of_last_bound: bool = False
     if_none = "what is given of u passes the foundation"
     if_by_quadrature = "not in the discrete spaces"
+
+    @property
+    def of(self) -> str:
+        """To which solution the error is, in words; empty if it is that of the problem."""
+        return " to the exact solution with the last bound of the friction" if self.of_last_bound else ""
+
+    def summary(self) -> dict[str, Any]:
+        """All but the fields, ready for JSON."""
+        return super().summary() | ({"of_last_bound": True} if self.of_last_bound else {})
 
 
 def certify_elastic(solution: ElasticSolution) -> Certificate:
@@ -75,6 +91,8 @@ def _certificate(solution: ElasticSolution) -> Certificate:
     mismatch = fem.assemble_vector(fem.form(stress_gap(v, solution.sigma, *problem.moduli, weight, problem.dx))).array
     of_cells = mismatch[spaces.split.cells].sum(axis=1)
     np.add.at(of_cells, spaces.contact.cells, 2 * _contact_term(solution, problem, v))
+    if data.friction is not None:
+        np.add.at(of_cells, spaces.rough.cells, 2 * _friction_term(solution, problem, v))
     oscillation = _oscillation(solution)
     sums = comm.allreduce(np.array([of_cells.sum() / 2, (oscillation**2).sum()]))
     gap, osc = max(float(sums[0]), 0.0), float(np.sqrt(sums[1]))
@@ -98,6 +116,7 @@ def _certificate(solution: ElasticSolution) -> Certificate:
         coarse=np.zeros(len(spaces.order), dtype=bool),
         indicator=indicator,
         v=v,
+        of_last_bound=data.friction is not None and data.friction.by_pressure,
     )
 
 
@@ -108,6 +127,13 @@ def _contact_term(solution: ElasticSolution, problem: BestDisplacement, v: fem.F
     moments = facet_moments(spaces, "gap", solution.data.gap, facets, "on Γ_C")
     moments = moments - np.einsum("nai,ni->na", problem.moments_on_contact(v), facets.normals)
     return np.einsum("na,na->n", solution.pressure, moments)
+
+
+def _friction_term(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function) -> Array:
+    """∫ g|v_t| + σ_t v_t per facet with friction, or a little more."""
+    spaces = solution.spaces
+    along = np.einsum("nai,ni->na", problem.moments_on_contact(v)[spaces.rough_rows], spaces.tangents)
+    return problem.rubbed(v) + np.einsum("na,na->n", solution.shear, along)
 
 
 def _oscillation(solution: ElasticSolution) -> Array:
@@ -148,4 +174,5 @@ def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     found = [("f", data.f.polynomial, 0), ("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     found += [(each.name, each.polynomial, 1) for each in data.g_N.values()]
     names = [name for name, degree, most in found if degree is None or degree > most]
+    names += [] if data.friction is None else data.friction.inexact
     return tuple(names) if data.uniform else (*names, "young and poisson")

@@ -55,7 +55,7 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
     mesh = spaces.mesh
     dim = mesh.topology.dim
     number = mesh.topology.index_map(dim).size_local
-    x = corners(mesh)[:number]
+    x = corners(mesh, slice(number))
     jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
     kappa_h = data.matrices(spaces)
     inverse = np.broadcast_to(np.linalg.inv(kappa_h), (number, dim, dim))

@@ -32,7 +32,9 @@ class SolutionReport(CaseReport):
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
         self._penalised = case.method.penalty is not None
-        states = ("open", "contact") if isinstance(case, ElasticCase) else ("σ·n = 0", "p = 0")
+        states = ("σ·n = 0", "p = 0")
+        if isinstance(case, ElasticCase):
+            states = ("free", "held") if case.law else ("open", "contact")
         names = (*states, *(("penalty", "clipped") if self._penalised else ()), "changed")
         counts = "".join(f"{name:>9}" for name in names)
         self.line(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
@@ -64,6 +66,11 @@ class SolutionReport(CaseReport):
             **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
         }
+        if "friction" in summary:
+            states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
+            lines["friction"] = f"facet vertices: {', '.join(states)}"
+        if "coulomb" in summary:
+            lines["Coulomb"] = _fixed_point(summary["coulomb"]["changes"])
         for part, segments in summary.get("segments", {}).items():
             counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
             lines[f"on {part}"] = f"facets on each segment: {counts}"
@@ -88,8 +95,14 @@ def bound(certificate: Certificate) -> str:
     """The error bound in words; if it is not guaranteed, the reason."""
     if not math.isfinite(certificate.bound):
         return f"no error bound: {certificate.if_none}{_reservation(certificate)}"
-    of = " to the exact solution of the penalty problem" if certificate.of_penalty else ""
-    return f"energy error{of} {bounds_in_words(certificate)}{_reservation(certificate)}"
+    return f"energy error{certificate.of} {bounds_in_words(certificate)}{_reservation(certificate)}"
+
+
+def _fixed_point(changes: list[float]) -> str:
+    """How Coulomb's fixed point converged."""
+    few = ", ".join(f"{change:.0e}" for change in changes[1:4])
+    rate = (changes[-1] / changes[1]) ** (1 / (len(changes) - 2)) if len(changes) > 2 and changes[1] > 0 else 0.0
+    return f"the bound of the shear changed by {few} … {changes[-1]:.0e} in {len(changes)} steps, rate {rate:.2f}"
 
 
 def _forces(resultants: dict[str, list[float]], dim: int) -> str:

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.best_displacement import moduli_on_split
 from signorini_fenicsx.forms.elasticity import stress_product
@@ -136,15 +136,16 @@ def slobodeckij_norm(solution: Solution, values: Array) -> float:
     spaces = solution.spaces
     dim = spaces.mesh.topology.dim
     x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
-    rows = gather_rows(spaces.mesh.comm, np.column_stack([x, spaces.facet_measure, values]))
-    square = 0.0
-    if rows is not None:
-        x, e, p = rows[:, :3], rows[:, 3], rows[:, 4]
-        square = float(e @ p**2)
-        for i in range(len(rows) - 1):
-            distance = np.linalg.norm(x[i + 1 :] - x[i], axis=1)
-            square += 2 * e[i] * float(e[i + 1 :] @ ((p[i + 1 :] - p[i]) ** 2 / distance**dim))
-    return math.sqrt(spaces.mesh.comm.bcast(square))
+    comm, mine = spaces.mesh.comm, (x.reshape(-1, 3), spaces.facet_measure, values)
+    square = float(mine[1] @ values**2)
+    others = mine
+    for turn in range(comm.size):
+        for i, (place, e, p) in enumerate(zip(*mine, strict=True)):
+            x, measure, q = (rows[i + 1 :] for rows in others) if turn == 0 else others  # on this rank each pair once
+            distance = np.linalg.norm(x - place, axis=1)
+            square += (2 if turn == 0 else 1) * e * float(measure @ ((q - p) ** 2 / distance**dim))
+        others = passed_on(comm, others)
+    return math.sqrt(comm.allreduce(square))
 
 
 def _divergence(solution: Solution) -> fem.Function:

@@ -107,12 +107,19 @@ class Chains:
         return (before if steep else before | at).sum(axis=1).astype(np.int8)
 
     def towards(self, present: Kinds, wanted: Kinds) -> Kinds:
-        """The next segment of each chain on the way from one to another, past such as are on the line of the first."""
+        """The next segment of each chain on the way from one to another.
+
+        Past such as are on the line of the first, and such as are only a point: they would send a site back.
+        """
         step = np.sign(wanted - present)
         following = present + step
+        length = np.ones_like(self.slope, dtype=bool)
+        with np.errstate(invalid="ignore"):  # ∞ − ∞ beyond the last corner
+            length[:, 1:-1] = (np.diff(self.p, axis=1) != 0) | (np.diff(self.flux, axis=1) != 0)
         for _ in range(self.corners - 1):
             alike = [_chosen(values, following) == _chosen(values, present) for values in (self.slope, self.value)]
-            following = following + step * (alike[0] & alike[1] & (following != wanted))
+            skipped = (alike[0] & alike[1]) | ~_chosen(length, following)
+            following = following + step * (skipped & (following != wanted))
         return following
 
     def steepest(self) -> Kinds:

@@ -74,6 +74,11 @@ class SiteConditions:
         """Whether there may be a v that is not 0; the same on all ranks."""
         return isinstance(self.value, np.ndarray)
 
+    def take(self, sites: slice) -> SiteConditions:
+        """Those of some sites."""
+        beta, value = (x[sites] if isinstance(x, np.ndarray) else x for x in (self.beta, self.value))
+        return SiteConditions(self.kind[sites], beta, value)
+
     def values_where(self, sites: Mask) -> Array:
         """Values v on some sites."""
         return np.broadcast_to(self.value, self.kind.shape)[sites]

@@ -11,6 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
@@ -100,18 +101,19 @@ def hausdorff(one: FacetSet, other: FacetSet) -> float:
 def _largest_distance(one: FacetSet, other: FacetSet) -> float:
     """The largest distance of points of one set to the other set (collective)."""
     comm = one.spaces.mesh.comm
-    points = np.unique(np.concatenate(comm.allgather(one.points())), axis=0)
-    if len(points) == 0:
-        return 0.0
-    gamma = other.spaces.Lambda.mesh
-    cells = np.flatnonzero(other.inside[other.spaces.Lambda.dofmap.list[:, 0]]).astype(np.int32)
+    points = np.unique(one.points(), axis=0)
     nearest = np.full(len(points), np.inf)
-    if len(cells) > 0:
-        dim = gamma.topology.dim
-        with of_unit_size(other.spaces.domain, gamma) as factor:
+    gamma = other.spaces.Lambda.mesh
+    dim = gamma.topology.dim
+    cells = np.flatnonzero(other.inside[other.spaces.Lambda.dofmap.list[:, 0]]).astype(np.int32)
+    with of_unit_size(other.spaces.domain, gamma) as factor:
+        if len(cells) > 0:
             tree = dolfinx.geometry.bb_tree(gamma, dim, entities=cells)
             middles = dolfinx.geometry.create_midpoint_tree(gamma, dim, cells)
-            closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, factor * points)
-            nearest = np.sqrt(dolfinx.geometry.squared_distance(gamma, dim, closest, factor * points)) / factor
-    comm.Allreduce(MPI.IN_PLACE, nearest, op=MPI.MIN)
-    return float(nearest.max())
+        for _ in range(comm.size):
+            if len(cells) > 0 and len(points) > 0:
+                closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, factor * points)
+                distance = np.sqrt(dolfinx.geometry.squared_distance(gamma, dim, closest, factor * points)) / factor
+                nearest = np.minimum(nearest, distance)
+            points, nearest = passed_on(comm, (points, nearest))
+    return float(comm.allreduce(nearest.max(initial=0.0), MPI.MAX))

@@ -122,8 +122,8 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D and ψ (collective)."""
-        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
+        """The smallest and the largest facet mean of u_D and, on the boundary, of ψ (collective)."""
+        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows]]), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
@@ -138,15 +138,16 @@ class Data:
 
     def less(self, spaces: Spaces, constant: float) -> Data:
         """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
-        u_lift, f_h = self.u_lift.copy(), self.f_h
+        u_lift, psi_h, outer, f_h = self.u_lift.copy(), self.psi_h.copy(), spaces.outer_rows, self.f_h
         if self.c_h is not None:
             f_h = f_h.copy()
             f_h.x.array[:] -= constant * self.c_h.x.array
-        for facets in (spaces.dirichlet_facets, spaces.facets):
+        for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
         u_D, psi = self.u_D.less(constant), self.psi.less(constant)
-        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=self.psi_h - constant)
+        psi_h[outer] -= constant
+        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=psi_h)
 
 
 def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -> Data:
@@ -174,7 +175,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     given_flux = sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
     loads = [spaces.cell_measures * f_h.x.array, given_flux]
     lowest, highest = (
-        total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
+        total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
         for flux in laws.chains.extent()[2:]
     )
     return Data(
@@ -218,6 +219,7 @@ def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
+    spaces.carry_across(sigma_lift)
     given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws}
     return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
 

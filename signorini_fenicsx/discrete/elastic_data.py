@@ -14,6 +14,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, regional_datum
+from signorini_fenicsx.discrete.elastic_friction import FrictionBounds, friction_bounds
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.discrete.given import parsed
@@ -45,6 +46,7 @@ class ElasticData:
         lift: û where it is given, g in the normal component on Γ_C, and 0 elsewhere: unknowns of this rank, ghosts too.
         load: ⟨g_N, q⟩ for each owned unknown.
         fixed: Owned unknowns that are given.
+        friction: Bounds of the shear; None without friction.
     """
 
     f: VectorDatum
@@ -60,6 +62,7 @@ class ElasticData:
     lift: Array
     load: Array
     fixed: npt.NDArray[np.int32]
+    friction: FrictionBounds | None
 
     @property
     def uniform(self) -> bool:
@@ -157,6 +160,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
         lift=lift.x.array.astype(np.float64),
         load=load.array,
         fixed=fixed,
+        friction=friction_bounds(spaces, problem.laws),
     )
     _check_cells(spaces, data)
     return data

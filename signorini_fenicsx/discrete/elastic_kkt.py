@@ -24,9 +24,10 @@ class ElasticKKT(Residuals):
     Attributes:
         primal: 2μ‖[p]_-‖/(√L S) on Γ_C, what penetrates the foundation.
         dual: √L ‖[−σ_nn]_-‖/S, what pulls at it.
-        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S.
+        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also σ_t less its nearest admissible value to
+            σ_t − 2μu_t/L.
         tractions: (Σ |e|^(1/(d − 1)) ‖r‖²_e)^½/S, where r is the jump of σn inside Ω, what is left of σn − g_N where
-            the traction is given, and the shear on Γ_C.
+            the traction is given, and the shear on Γ_C, with friction what is above its bound.
         equilibrium: ‖h_T (∇·σ + f_h)‖/S, by the moments of both against linear functions on each cell.
     """
 
@@ -44,8 +45,9 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         spaces: The spaces.
         data: The data.
         stresses: Values of σ as in `SplitMesh.values`.
-        p: g − u_n at the sites.
+        p: g − u_n at the sites, then u_t at those with friction.
     """
+    p, slip = np.split(p, [len(spaces.sites)])
     comm, dim = spaces.mesh.comm, spaces.dim
     contact = spaces.contact
     volume = square = unbalanced = 0.0
@@ -65,7 +67,12 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     k = np.repeat(stiffness[contact.cells], dim) / length
     pressure = -spaces.normal_stress(stresses)
     on_sites = [np.minimum(k * p, 0), np.minimum(pressure, 0), np.minimum(np.abs(k * p), np.abs(pressure))]
-    squares = comm.allreduce(np.array([spaces.site_measure @ values**2 for values in on_sites]))
+    squares = np.array([spaces.site_measure @ values**2 for values in on_sites])
+    if data.friction is not None:
+        g, shear = data.friction.bound.ravel(), spaces.shear(stresses)
+        pulled = shear - np.repeat(stiffness[spaces.rough.cells], dim) / length * slip
+        squares[2] += spaces.slip_measure @ (shear - np.clip(pulled, -g, g)) ** 2
+    squares = comm.allreduce(squares)
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
 
@@ -113,6 +120,11 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
         else:
             left[facets.blocks, :, k] = 0.0
     _drop_normal(left, spaces.contact)
+    if data.friction is not None:
+        blocks, tangents = spaces.rough.blocks, spaces.tangents
+        along = np.einsum("nai,ni->na", left[blocks], tangents)
+        admissible = np.clip(along, -data.friction.bound, data.friction.bound)
+        left[blocks] -= admissible[:, :, None] * tangents[:, None]
     size = np.zeros(len(left))
     size[spaces.dofs] = measures
     squares = (left**2).sum(axis=(1, 2)) + (left.sum(axis=1) ** 2).sum(axis=1)

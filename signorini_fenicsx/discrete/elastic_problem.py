@@ -1,7 +1,9 @@
 """The data of an elastic contact problem as the user gives them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy.typing as npt
@@ -9,6 +11,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.discrete.problem import Given
 from signorini_fenicsx.meshes.domain import AXES
 
@@ -27,6 +30,28 @@ class Plane(StrEnum):
 
 
 @dataclass(frozen=True)
+class Coulomb:
+    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn, in two dimensions.
+
+    Attributes:
+        parts: Names of parts of Γ_C.
+        mu: μ ≥ 0.
+    """
+
+    parts: Sequence[str]
+    mu: Given
+
+    def __post_init__(self) -> None:
+        """Refuse a string in the place of a list."""
+        if isinstance(self.parts, str):
+            raise InputError(f"parts: must be a list of names, such as ['{self.parts}']")
+
+
+type ElasticLaw = Friction | Coulomb
+"""Friction with a given bound of the shear (Tresca), or with one by the pressure."""
+
+
+@dataclass(frozen=True)
 class ElasticProblem:
     """−∇·σ = f, σ = ℂε(u), u = u_D on Γ_D, σn = g_N on Γ_N; u_n ≤ g, σ_nn ≤ 0, one of them equal, σ_t = 0 on Γ_C.
 
@@ -40,6 +65,7 @@ class ElasticProblem:
         gap: g, the distance to the foundation along the outer normal.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
+        laws: Friction on parts of Γ_C, in two dimensions; elsewhere Γ_C is without friction.
     """
 
     young: Given | Mapping[str, Given]
@@ -50,11 +76,20 @@ class ElasticProblem:
     gap: Given = 0.0
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
+    laws: Sequence[ElasticLaw] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what is neither strain nor stress."""
+        """Refuse what is neither strain nor stress, and parts with two laws."""
         if self.plane not in list(Plane):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
+        twice = [part for part in self.rough if self.rough.count(part) > 1]
+        if twice:
+            raise InputError(f"laws: part '{twice[0]}' has two laws")
+
+    @property
+    def rough(self) -> list[str]:
+        """The parts with friction."""
+        return [part for law in self.laws for part in law.parts]
 
 
 @dataclass(frozen=True)
@@ -62,7 +97,7 @@ class ElasticBoundary:
     """Which parts of the boundary are Γ_C and Γ_N, and which are fixed in some components; the rest is Γ_D.
 
     Attributes:
-        contact: Names of the parts of Γ_C, at least one.
+        contact: Names of the parts of Γ_C; those with friction need not be among them.
         neumann: Names of the parts of Γ_N.
         fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one: a plane
             of symmetry is fixed in "n". In the others σn is given.
@@ -81,6 +116,10 @@ class ElasticBoundary:
             known = components == NORMAL or (set(components) <= set(AXES) and len(set(components)) == len(components))
             if not known or not components:
                 raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
+
+    def touching_on(self, parts: Sequence[str]) -> ElasticBoundary:
+        """The same with these parts in Γ_C as well; they may be there already."""
+        return replace(self, contact=[*self.contact, *(part for part in parts if part not in self.contact)])
 
     @property
     def named(self) -> dict[str, Sequence[str]]:

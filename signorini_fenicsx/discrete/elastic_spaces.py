@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,9 +13,10 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticBoundary
-from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, opposite
+from signorini_fenicsx.discrete.johnson_mercier import facet_normals, opposite
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, cells_and_dofs
-from signorini_fenicsx.meshes.domain import AXES, Domain, distribute
+from signorini_fenicsx.discrete.split_mesh import SplitMesh, split_mesh
+from signorini_fenicsx.meshes.domain import AXES, Domain
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class ElasticSpaces:
         order: Vertices of the owned cells in the order of their global numbers.
         dofs: Blocks of the facets opposite to them, shape (cells, d + 1).
         contact: The facets of Γ_C, in the order of `scalar.facets`.
+        rough_rows: Which of them have friction; there the tangential part has the dual basis, too.
     """
 
     scalar: Spaces
@@ -87,6 +90,7 @@ class ElasticSpaces:
     order: Indices
     dofs: npt.NDArray[np.int32]
     contact: BoundaryFacets
+    rough_rows: Indices
 
     @property
     def domain(self) -> Domain:
@@ -147,6 +151,7 @@ class ElasticSpaces:
         """
         dual = (self.dim + 1) * np.eye(self.dim) - 1
         found = [(self.contact, _frame_matrices(self.contact.normals, dual))]
+        found[0][1][self.rough_rows] = _frame_matrices(self.rough.normals, dual, dual)
         for name, components in self.boundary.fixed.items():
             if components == NORMAL:
                 part = self.part(name)
@@ -177,6 +182,26 @@ class ElasticSpaces:
         """|e|/d of each site."""
         return np.repeat(self.contact.measure / self.dim, self.dim)
 
+    @cached_property
+    def rough(self) -> BoundaryFacets:
+        """The facets of Γ_C with friction."""
+        return self.facets(self.contact.facets[self.rough_rows])
+
+    @cached_property
+    def slip_sites(self) -> npt.NDArray[np.int32]:
+        """The unknown of each site with friction, facet by facet."""
+        return self.unknowns(self.rough, 1).ravel()
+
+    @cached_property
+    def slip_measure(self) -> Array:
+        """|e|/d of each site with friction."""
+        return np.repeat(self.rough.measure / self.dim, self.dim)
+
+    @cached_property
+    def tangents(self) -> Array:
+        """Tangents of the facets with friction: n turned to the left."""
+        return _frames(self.rough.normals)[:, 1]
+
     def split_cells(self, facets: BoundaryFacets) -> Indices:
         """The cell of the split mesh behind each facet, which is opposite to its last vertex."""
         return self.split.cells[facets.cells, facets.local]
@@ -202,14 +227,18 @@ class ElasticSpaces:
         """σ_nn at the sites."""
         return np.einsum("nai,ni->na", self.tractions(self.contact, stresses), self.contact.normals).ravel()
 
+    def shear(self, stresses: Array) -> Array:
+        """σ_t at the sites with friction."""
+        return np.einsum("nai,ni->na", self.tractions(self.rough, stresses), self.tangents).ravel()
+
     @cached_property
     def split(self) -> SplitMesh:
         """The mesh of the subcells (collective)."""
-        return split_mesh(self)
+        return split_mesh(self.mesh, self.order, self.vertices)
 
 
-def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary) -> ElasticSpaces:
-    """Create the spaces (collective)."""
+def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Sequence[str] = ()) -> ElasticSpaces:
+    """Create the spaces, with friction on some parts of Γ_C (collective)."""
     scalar = build_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed])
     mesh = domain.mesh
     dim = mesh.topology.dim
@@ -219,7 +248,9 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary) -> ElasticSp
     dofs = np.take_along_axis(traces.dofmap.list[:size], order, axis=1)
     displacements = fem.functionspace(mesh, ("DG", 1, (dim,)))
     contact = _boundary_facets(traces, order, scalar.facets)
-    return ElasticSpaces(scalar, boundary, traces, displacements, order, dofs, contact)
+    names = [index for index, name in enumerate(scalar.part_names) if name in rough]
+    rows = np.flatnonzero(np.isin(scalar.part_of_facet, names))
+    return ElasticSpaces(scalar, boundary, traces, displacements, order, dofs, contact, rows)
 
 
 def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDArray[np.int32]) -> BoundaryFacets:
@@ -247,14 +278,17 @@ def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDAr
     )
 
 
-def _frame_matrices(normals: Array, dual: Array) -> Array:
-    """From unknowns (a, k) to values (vertex, component): n times the functions of `dual` for k = 0, hats beside it."""
+def _frame_matrices(normals: Array, dual: Array, beside: Array | None = None) -> Array:
+    """From unknowns (a, k) to values (vertex, component): n times the functions of `dual` for k = 0.
+
+    For other k it is a tangent times the functions of `beside`, by default the hats.
+    """
     number, dim = normals.shape
     frames = _frames(normals)
     matrices = np.zeros((number, dim, dim, dim, dim))
     matrices[:, :, :, :, 0] = np.einsum("ba,ni->nbia", dual, normals)
     for k in range(1, dim):
-        matrices[:, :, :, :, k] = np.einsum("ba,ni->nbia", np.eye(dim), frames[:, k])
+        matrices[:, :, :, :, k] = np.einsum("ba,ni->nbia", np.eye(dim) if beside is None else beside, frames[:, k])
     return matrices.reshape(number, dim**2, dim**2)
 
 
@@ -266,64 +300,3 @@ def _frames(normals: Array) -> Array:
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([normals, first, np.cross(normals, first)], axis=1)
-
-
-@dataclass(frozen=True)
-class SplitMesh:
-    """The mesh of the subcells, on the ranks of their cells.
-
-    Attributes:
-        mesh: The mesh.
-        subcells: For each of its cells the number of the subcell: the cell's, times d + 1, plus the subcell's.
-        stresses: Discontinuous linear matrices on it.
-    """
-
-    mesh: dolfinx.mesh.Mesh
-    subcells: Indices
-    stresses: fem.FunctionSpace
-
-    @cached_property
-    def cells(self) -> Indices:
-        """Its cell of each subcell, shape (cells, d + 1)."""
-        found = np.empty_like(self.subcells)
-        found[self.subcells] = np.arange(len(found))
-        return found.reshape(-1, self.mesh.geometry.dim + 1)
-
-    def stress(self, values: Array, name: str = "sigma") -> fem.Function:
-        """The stress with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""
-        return self.function(self.stresses, values, name)
-
-    def function(self, space: fem.FunctionSpace, values: Array, name: str) -> fem.Function:
-        """The same in another space of discontinuous linear functions on it, shape (cells, d + 1, d + 1, …)."""
-        function = fem.Function(space, name=name)
-        by_node = function.x.array.reshape(-1, *space.value_shape)
-        by_node[space.dofmap.list] = values.reshape(-1, *values.shape[2:])[self.subcells]
-        return function
-
-    def values(self, function: fem.Function) -> Array:
-        """Values at the vertices, shape (cells, d + 1, d + 1, …), of a discontinuous linear function on it."""
-        shape = function.function_space.value_shape
-        by_node = function.x.array.reshape(-1, *shape)[function.function_space.dofmap.list]
-        found = np.empty_like(by_node)
-        found[self.subcells] = by_node
-        size = self.mesh.geometry.dim + 1
-        return found.reshape(-1, size, size, *shape)
-
-
-def split_mesh(spaces: ElasticSpaces) -> SplitMesh:
-    """Split all cells at their centroids (collective)."""
-    mesh, comm, dim = spaces.mesh, spaces.mesh.comm, spaces.dim
-    nodes, size = mesh.geometry.index_map(), len(spaces.order)
-    begins = np.array(comm.allgather((nodes.local_range[0], size)))
-    centroids_before = np.concatenate([[0], np.cumsum(begins[:, 1])])
-    local = np.take_along_axis(mesh.geometry.dofmaps[0][:size], spaces.order, axis=1)
-    numbers = nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
-    numbers += centroids_before[np.searchsorted(begins[:, 0], numbers, side="right") - 1]
-    first = nodes.local_range[1] + centroids_before[comm.rank]
-    centroid = np.broadcast_to((first + np.arange(size))[:, None, None], (size, dim + 1, 1))
-    cells = np.concatenate([numbers[:, opposite(dim)], centroid], axis=2).reshape(-1, dim + 1)
-    points = np.concatenate([mesh.geometry.x[: nodes.size_local, :dim], Cells(spaces.vertices).vertices.mean(axis=1)])
-    split = distribute(comm, points, cells, dim, stay=True)
-    begin = split.topology.index_map(dim).local_range[0]
-    subcells = split.topology.original_cell_index[: len(cells)] - begin
-    return SplitMesh(split, subcells, fem.functionspace(split, ("DG", 1, (dim, dim))))

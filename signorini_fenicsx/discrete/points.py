@@ -78,7 +78,7 @@ class Points(ABC):
     @cached_property
     def slopes(self) -> Array:
         """Gradients of the barycentric coordinates of the cells, shape (n, dim + 1, dim)."""
-        x = corners(self.mesh)[self.cells]
+        x = corners(self.mesh, self.cells)
         inverse = np.linalg.inv((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
         return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
@@ -127,7 +127,7 @@ class CellPoints(Points):
     @cached_property
     def vertices(self) -> Array:
         """Of each cell, shape (cells, dim + 1, dim)."""
-        return corners(self.mesh)[self.cells]
+        return corners(self.mesh, self.cells)
 
     @cached_property
     def barycentric(self) -> Array:
@@ -161,7 +161,7 @@ class FacetPoints(Points):
     def vertices(self) -> Array:
         """Of each facet, shape (facets, dim, dim)."""
         local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
-        return np.take_along_axis(corners(self.mesh)[self.cells], local[:, :, None], axis=1)
+        return np.take_along_axis(corners(self.mesh, self.cells), local[:, :, None], axis=1)
 
     @cached_property
     def barycentric(self) -> Array:
@@ -171,6 +171,9 @@ class FacetPoints(Points):
     @cached_property
     def _in_cell(self) -> Array:
         """The points in each facet of the reference cell, shape (its facets, points, dim)."""
+        return self._on_facets()
+
+    def _on_facets(self) -> Array:
         cell = self.mesh.basix_cell()
         reference = [basix.geometry(cell)[vertices] for vertices in basix.topology(cell)[-2]]
         return np.stack([x[0] + self.points @ (x[1:] - x[0]) for x in reference])
@@ -210,6 +213,32 @@ class FacetPoints(Points):
         return np.bincount(self.cells, values, number)[:number]
 
 
+@dataclass(frozen=True)
+class BesideFacets(FacetPoints):
+    """The same points, moved by a small share of the way to the centroids of the cells, or, if it is < 0, away from it.
+
+    At facets inside the domain this gives the values of a function on either side.
+    """
+
+    share: float
+
+    @cached_property
+    def x(self) -> Array:
+        """The points, shape (n, points, dim)."""
+        return self.barycentric @ corners(self.mesh)[self.cells]
+
+    @cached_property
+    def _in_cell(self) -> Array:
+        """The points beside each facet of the reference cell, shape (its facets, points, dim)."""
+        on_facets = self._on_facets()
+        return on_facets + self.share * (basix.geometry(self.mesh.basix_cell()).mean(axis=0) - on_facets)
+
+    @classmethod
+    def of(cls, points: FacetPoints, share: float) -> Self:
+        """Those beside some points."""
+        return cls(points.mesh, points.cells, points.points, points.weights, points.facets, points.local, share)
+
+
 def _barycentric(points: Array) -> Array:
     """Barycentric coordinates of points of the reference cell."""
     return np.concatenate([1 - points.sum(axis=-1, keepdims=True), points], axis=-1)
@@ -247,9 +276,9 @@ def larger(a: Array, b: Array) -> Array:
     return np.where(a[..., :1] >= b[..., :1], a, b)
 
 
-def corners(mesh: dolfinx.mesh.Mesh) -> Array:
-    """Vertices of the cells of this rank, shape (cells, dim + 1, dim)."""
-    return mesh.geometry.x[mesh.geometry.dofmaps[0], : mesh.topology.dim]
+def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
+    """Vertices of cells of this rank, by default of all, shape (cells, dim + 1, dim)."""
+    return mesh.geometry.x[mesh.geometry.dofmaps[0][cells], : mesh.topology.dim]
 
 
 def quadratic_nodes(cell: basix.CellType) -> Array:

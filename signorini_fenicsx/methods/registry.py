@@ -43,8 +43,11 @@ class Method:
         starts_from_sets: Whether it can start from a contact set.
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
+        takes_inner: Whether it takes parts of Γ_S inside the domain.
         single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
+        on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
+        dense: Whether it needs dense matrices on Γ_S, see `Tuning.dense_up_to`.
     """
 
     title: str
@@ -56,15 +59,21 @@ class Method:
     starts_from_sets: bool = False
     needs_dirichlet: bool = False
     laws: tuple[type[Law], ...] | None = (Signorini,)
+    takes_inner: bool = False
     single_call: bool = False
     max_iterations: int = 50
+    on_one_rank: bool = False
+    dense: bool = False
 
     @classmethod
     def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
         """The method that runs a set rule."""
         run = partial(solve_by_sets, rule)
-        laws = None if rule.penalty is None else (Signorini,)
-        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True, laws=laws)
+        plain = rule.penalty is None
+        laws = None if plain else (Signorini,)
+        return cls(
+            title, reference, run, rule.contact, rule.penalty, starts_from_sets=True, laws=laws, takes_inner=plain
+        )
 
     @property
     def has_eps(self) -> bool:
@@ -106,6 +115,7 @@ METHODS: Mapping[str, Method] = {
         "Benson, Munson: Optim. Methods Softw. (2006)",
         solve_bound_constrained,
         laws=(Signorini, TwoSided),
+        takes_inner=True,
     ),
     "uzawa": _classical(
         "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", laws=(), max_iterations=MANY
@@ -116,6 +126,7 @@ METHODS: Mapping[str, Method] = {
         "over_relaxation.over_relaxation",
         laws=(),
         max_iterations=MANY,
+        on_one_rank=True,
     ),
     "primal-pdas": _classical(
         "primal-dual active set for (VI), conforming P1",
@@ -148,6 +159,7 @@ METHODS: Mapping[str, Method] = {
         "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
         "mixed_uzawa.half_uzawa",
         max_iterations=MANY,
+        dense=True,
     ),
     "mixed-uzawa-wang": _classical(
         "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
@@ -166,8 +178,10 @@ METHODS: Mapping[str, Method] = {
         "Theorem 2 of the slides",
         "quadratic.quadratic_programme",
         laws=None,
+        takes_inner=True,
         single_call=True,
         max_iterations=250,
+        on_one_rank=True,
     ),
 }
 """All methods by their names on the command line."""

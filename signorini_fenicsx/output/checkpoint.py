@@ -194,7 +194,7 @@ def _spaces(found: Checkpoint, comm: MPI.Comm, problem: Problem) -> tuple[Spaces
         InputError: If the parts are not on the boundary, or the facets with values are not those of Γ_S.
     """
     about, arrays = found.about, found.arrays
-    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim)
+    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim, together=arrays.get("together"))
     facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
     domain = marked_domain(
         mesh,
@@ -211,7 +211,7 @@ def _spaces(found: Checkpoint, comm: MPI.Comm, problem: Problem) -> tuple[Spaces
         used = name in (*boundary.signorini, *boundary.neumann)
         if used and comm.allreduce(len(domain.facets[name])) != found.headers[f"part_{index}"].shape[0]:
             raise InputError(f"part '{name}' has facets that are not on the boundary")
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     rows = find_rows(comm, facet_vertices(mesh, spaces.facets), [arrays["facet_vertices"]])[:, 0]
     missing, count = comm.allreduce(np.array([np.count_nonzero(rows < 0), len(rows)]))
     if missing > 0 or count != found.headers["facet_vertices"].shape[0]:

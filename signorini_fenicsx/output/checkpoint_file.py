@@ -69,6 +69,7 @@ class GivenInPython(BaseModel):
         domain: Name of its domain.
         signorini: Parts of Γ_S.
         neumann: Parts of Γ_N.
+        inner: Parts inside the domain.
         problem: The data that are numbers, texts or tables of these.
         laws: The laws, as [[law]] has them.
         missing: Names of the other data, which no file can hold.
@@ -81,6 +82,7 @@ class GivenInPython(BaseModel):
     domain: str
     signorini: list[str]
     neumann: list[str]
+    inner: list[str] = []
     problem: dict[str, Any]
     laws: list[dict[str, Any]] = []
     missing: list[str]
@@ -140,7 +142,8 @@ class Checkpoint:
         about: Its contents besides arrays.
         case: Its case; None for a problem given in Python.
         headers: Shape and type of its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary
-            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions.
+            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions; `together`, shape (pairs,
+            2), the pairs of cells at facets inside the domain, if there are parts there.
         arrays: The rows of its arrays that this rank has read; rows continue from rank to rank.
     """
 
@@ -152,11 +155,11 @@ class Checkpoint:
 
     @property
     def boundary(self) -> Boundary:
-        """Γ_S and Γ_N."""
+        """Γ_S and Γ_N, and parts inside the domain."""
         if self.case is not None:
             return boundary_of(self.case)
         assert self.about.given is not None
-        return Boundary(self.about.given.signorini, self.about.given.neumann)
+        return Boundary(self.about.given.signorini, self.about.given.neumann, self.about.given.inner)
 
     @property
     def title(self) -> str:
@@ -277,11 +280,13 @@ def _check_layout(found: Checkpoint) -> None:
     }
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
+    if found.boundary.inner:
+        layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
     dim = headers["points"].shape[-1] if headers["points"].shape[-1:] in ((2,), (3,)) else 0
-    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions)}
+    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions), "two": 2}
     for name, (kind, *words) in layout.items():
         shape = headers[name].shape
         lengths = [sizes.setdefault(word, size) for word, size in zip(words, shape, strict=False)]
@@ -311,6 +316,12 @@ def _wrong_value(found: Checkpoint) -> str:
             return f"is damaged: {name} is not finite everywhere"
     if not np.isin(found.arrays["facet_condition"], list(Condition)).all():
         return "is damaged: facet_condition has a value that is no condition"
+    if "together" in found.arrays and not _are_rows(found.arrays["together"], found.headers["cells"]):
+        return "is damaged: together has a number that is no cell"
     if not np.isin(found.arrays["facet_part"], range(len(found.about.part_names))).all():
         return "is damaged: facet_part has a value that is no part"
     return ""
+
+
+def _are_rows(numbers: npt.NDArray, of: Header) -> bool:
+    return bool(np.all((numbers >= 0) & (numbers < of.shape[0])))

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.array_files import write_arrays
@@ -20,7 +21,7 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.laws import LAWS
-from signorini_fenicsx.meshes.domain import facet_vertices, membership
+from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.gather import cell_values, facet_table
@@ -119,6 +120,10 @@ def _arrays(solution: Solution) -> Arrays:
     arrays["facet_vertices"] = renumbered(arrays["facet_vertices"])
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
+    if solution.spaces.inner.present:
+        inner, original = solution.spaces.inner, mesh.topology.original_cell_index
+        pairs = np.column_stack([solution.spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
+        arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 
 
@@ -138,6 +143,7 @@ def _problem(solution: Solution) -> dict[str, Any]:
         domain=solution.spaces.domain.name,
         signorini=list(boundary.signorini),
         neumann=list(boundary.neumann),
+        inner=list(boundary.inner),
         problem=stored,
         laws=[{"kind": law.name, **vars(law)} for law in laws],
         missing=missing,

@@ -16,6 +16,7 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.elastic_kkt import imbalance
+from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
 from signorini_fenicsx.output.field_files import write_vtx
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -36,6 +37,9 @@ class ContactTable:
         pressure: −σ_nn.
         gap: g − u_n, linear on the facet.
         touching: Whether it is in contact.
+        shear: σ_t, NaN without friction.
+        slip: u_t likewise.
+        state: Index into `Friction.segments`, −1 without friction.
     """
 
     part: npt.NDArray[np.int64]
@@ -45,6 +49,9 @@ class ContactTable:
     pressure: Array
     gap: Array
     touching: Mask
+    shear: Array
+    slip: Array
+    state: npt.NDArray[np.int64]
 
 
 def tables_and_pictures(
@@ -80,11 +87,14 @@ def write_contact(path: Path, parts: Sequence[str], table: ContactTable) -> None
     """Write one row per facet vertex of Γ_C (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["part", "x", "y", "z", "pressure", "gap", "condition"])
-        for part, x, pressure, gap, touching in zip(
-            table.part, table.x.tolist(), table.pressure, table.gap, table.touching, strict=True
+        friction = ["shear", "slip", "friction"] if (table.state >= 0).any() else []
+        writer.writerow(["part", "x", "y", "z", "pressure", "gap", "condition", *friction])
+        columns = table.pressure, table.gap, table.touching, table.shear, table.slip, table.state
+        for part, x, pressure, gap, touching, shear, slip, state in zip(
+            table.part, table.x.tolist(), *columns, strict=True
         ):
-            writer.writerow([parts[part], *x, pressure, gap, "contact" if touching else "open"])
+            tangential = [shear, slip, Friction.segments[state]] if state >= 0 else [None] * len(friction)
+            writer.writerow([parts[part], *x, pressure, gap, "contact" if touching else "open", *tangential])
 
 
 def contact_table(solution: ElasticSolution) -> ContactTable | None:
@@ -99,6 +109,7 @@ def contact_table(solution: ElasticSolution) -> ContactTable | None:
         along[part == index] = spaces.domain.parts[name].along(flat[part == index].T)
     middle = np.broadcast_to(np.sort(x, axis=1).mean(axis=1, keepdims=True), x.shape).reshape(-1, 3)
     values = [solution.pressure.ravel(), solution.linear_gap.ravel(), solution.touching.ravel()]
+    values += [values.ravel() for values in solution.on_all_contact()]
     rows = gather_rows(spaces.mesh.comm, np.column_stack([part, along, flat, middle, *values]))
     if rows is None:
         return None
@@ -113,6 +124,9 @@ def contact_table(solution: ElasticSolution) -> ContactTable | None:
         pressure=rows[:, 8],
         gap=rows[:, 9],
         touching=rows[:, 10] > 0,
+        shear=rows[:, 11],
+        slip=rows[:, 12],
+        state=np.nan_to_num(rows[:, 13], nan=-1.0).astype(np.int64),
     )
 
 
@@ -127,7 +141,7 @@ def sizes_of_files(solution: ElasticSolution) -> dict[str, int]:
     corners = (dim + 1) ** 2
     return {
         "solution.bp": cells * corners * (tensor + 8 * number + 9) + head,
-        "contact.bp": facets * dim * (8 * number + 9) + head,
+        "contact.bp": facets * dim * (11 * number + 9) + head,
         "solution.h5": cells * ((dim + 1) * number + tensor + 7 * number) + points * dim * number + head,
     }
 
@@ -150,6 +164,8 @@ def write_fields(solution: ElasticSolution, folder: Path, certificate: Certifica
     write_vtx(comm, folder / "solution.bp", functions)
 
     values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
+    if solution.data.friction is not None:
+        values |= dict(zip(("shear", "slip", "friction"), solution.on_all_contact(), strict=True))
     write_vtx(comm, folder / "contact.bp", [solution.on_contact(each, name) for name, each in values.items()])
 
     left = np.linalg.norm(imbalance(spaces, solution.data, solution.stresses), axis=2).max(axis=1)

@@ -9,9 +9,11 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
-from signorini_fenicsx.meshes.domain import Domain, Marks, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import Domain, Marks, cells_behind, facet_vertices, membership
 from signorini_fenicsx.solving.solution import Solution
 
 TINY = np.finfo(np.float64).tiny
@@ -26,8 +28,8 @@ class FacetTable:
         x: Midpoints, shape (facets, 3).
         along: Coordinate along the part.
         measure: |e|.
-        u: u_h in the cell behind the facet.
-        p: Trace p_h.
+        u: u_h in the cell behind the facet; for a facet inside the domain the jump of u_h.
+        p: Trace p_h, or the jump p_h.
         flux: σ_h·n.
         psi: Mean of ψ.
         q_S: Mean of q_S.
@@ -56,7 +58,7 @@ class Boundary:
 
     Attributes:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
-        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N.
+        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
@@ -89,7 +91,8 @@ class Fields:
 def facet_table(solution: Solution) -> FacetTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces = solution.spaces
-    size = len(spaces.facets)
+    size, u = len(spaces.facets), solution.u.x.array[spaces.cells]
+    u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
     midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
@@ -100,7 +103,7 @@ def facet_table(solution: Solution) -> FacetTable:
         x=midpoints,
         along=along,
         measure=spaces.facet_measure,
-        u=solution.u.x.array[spaces.cells],
+        u=u,
         p=solution.p.x.array[:size],
         flux=spaces.normal_flux(solution.sigma),
         psi=solution.data.psi_h,
@@ -133,7 +136,8 @@ def gather_boundary(solution: Solution) -> Boundary | None:
     spaces = solution.spaces
     lift = solution.data.u_lift
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    p = solution.p.x.array[: len(spaces.facets)]
+    p = solution.p.x.array[: len(spaces.facets)].copy()
+    p[spaces.inner.rows] = np.nan
     blocks = [
         (SIGNORINI, spaces.facets, p),
         (DIRICHLET, spaces.dirichlet_facets, u_D),
@@ -168,6 +172,19 @@ def gather_marks(domain: Domain) -> Marks:
 
 def _sorted(rows: Indices) -> Indices:
     return rows[np.lexsort(rows.T[::-1])]
+
+
+def check_drawable(cells: float, tuning: Tuning) -> None:
+    """Refuse pictures of a mesh that is too large for the rank that draws.
+
+    Raises:
+        InputError: If it is.
+    """
+    if cells > tuning.on_one_rank_up_to:
+        raise InputError(
+            f"--plot, --html: at most {tuning.on_one_rank_up_to} cells are drawn, and there are about {cells:.2g}; "
+            "ParaView shows solution.bp of any size"
+        )
 
 
 def centroid_flux(solution: Solution) -> fem.Function:

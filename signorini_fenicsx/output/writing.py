@@ -75,8 +75,8 @@ def write_solution(
         folder: The folder; files with the same names are overwritten.
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
-        plot: Also draw PNGs.
-        html: Also write `solution.html`, pictures that the mouse can turn; elastic solutions have none.
+        plot: Also draw PNGs, if one rank can draw the mesh, see `is_drawable`.
+        html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
 
     Raises:
@@ -85,12 +85,13 @@ def write_solution(
     """
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
+        drawn = is_drawable(solution)
         if isinstance(solution, ElasticSolution):
-            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot))
+            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot and drawn))
         else:
             write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
             write_table_of_facets(folder, solution)
-            if plot or html:
+            if (plot or html) and drawn:
                 with doing("drawing"):
                     draw(folder, solution, certificate, plot=plot, html=html)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
@@ -104,6 +105,12 @@ def write_solution(
             summary["certificate"] |= proof.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
+
+
+def is_drawable(solution: AnySolution) -> bool:
+    """Whether one rank can draw the mesh."""
+    topology = solution.spaces.mesh.topology
+    return bool(topology.index_map(topology.dim).size_global <= solution.options.tuning.on_one_rank_up_to)
 
 
 def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
@@ -154,10 +161,13 @@ def write_convergence(
 
 
 def write_adapt(solution: AnySolution, rows: list[AdaptRow], folder: Path) -> None:
-    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective).
+
+    There is no `mesh.png` if one rank cannot draw the mesh.
+    """
     from signorini_fenicsx.output import pictures  # takes a second to import
 
-    scene = pictures.gathered_scene(solution)
+    scene = pictures.gathered_scene(solution) if is_drawable(solution) else None
 
     def write() -> None:
         write_table(folder / "adapt.csv", AdaptRow, rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 from petsc4py import PETSc
@@ -16,19 +17,22 @@ from signorini_fenicsx.discrete.contact_sets import transferred
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_kkt import elastic_kkt
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces, build_elastic_spaces
+from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.methods.history import OnStep, Outcome
+from signorini_fenicsx.methods.history import OnStep, Outcome, Step
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
-from signorini_fenicsx.solving.solver import Remesh
+from signorini_fenicsx.solving.solver import Remesh, same_domain
 
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
+BOUND_CHANGE = 1e-9
+"""Coulomb's fixed point ends where the bound of the shear changes by this share of itself."""
+MOST_BOUNDS = 100
 
 
 def solve_elastic(
@@ -68,11 +72,12 @@ def solve_elastic(
     options, watch = options or Options(), watch or Stopwatch()
     if options.algorithm not in RULES:
         raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {options.algorithm_name}")
-    rule = RULES[str(options.algorithm)]
-    parameters = Parameters(max_iterations=options.max_iterations or options.method.max_iterations)
+    boundary = boundary.touching_on(problem.rough)
     with watch.phase("assembly"):
         check_parts(domain, boundary.named)
-        spaces = build_elastic_spaces(domain, boundary)
+        if start is not None and not same_domain(domain, start.spaces.domain):
+            raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
+        spaces = build_elastic_spaces(domain, boundary, problem.rough)
         data = elastic_data(spaces, problem)
         motions = check_rigid_motions(spaces, data)
         held_by_contact = motions.shape[1] > 0
@@ -81,11 +86,9 @@ def solve_elastic(
         with watch.phase("prediction"):
             start = _on_coarser_mesh(remesh, boundary, problem, options)
     with watch.phase("solve"):
-        first = _first(spaces, start, held_by_contact=held_by_contact)
-        try:
-            outcome = iterate_sets(backend, rule, parameters, start=first, on_step=on_step)
-        except LoopInterruption as interruption:
-            outcome = Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
+        first = _first(backend, start, held_by_contact=held_by_contact)
+        outcome, changes = _with_friction(backend, options, first, on_step)
+    data = replace(data, friction=backend.friction)
     with watch.phase("kkt"):
         kkt = elastic_kkt(spaces, data, spaces.split.values(outcome.iterate.sigma), outcome.iterate.p)
         PETSc.garbage_cleanup(domain.mesh.comm)  # in parallel PETSc only queues what Python lets go
@@ -99,6 +102,7 @@ def solve_elastic(
         data=data,
         outcome=outcome.ended(kkt.violation() if outcome.converged else outcome.reason),
         kkt=kkt,
+        bound_changes=changes,
         source=source,
         timings=watch.longest(domain.mesh.comm),
         peak_memory=peak_memory(domain.mesh.comm),
@@ -122,8 +126,52 @@ def _on_coarser_mesh(
     return None
 
 
-def _first(spaces: ElasticSpaces, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:
-    """The conditions to begin with: those of the start, contact if that has to hold the body, or None (collective)."""
+def _with_friction(
+    backend: ElasticBackend, options: Options, first: SiteConditions | None, on_step: OnStep
+) -> tuple[Outcome, tuple[float, ...]]:
+    """Run the loop over the sets; with Coulomb's friction once for each bound of the shear (collective).
+
+    Returns:
+        The outcome with the iterations of all loops, and how much the bound changed after each, relative to itself.
+    """
+    rule = RULES[str(options.algorithm)]
+    parameters = Parameters(max_iterations=options.max_iterations or options.method.max_iterations)
+    history: list[Step] = []
+    changes: list[float] = []
+    spaces = backend.spaces
+
+    def numbered(step: Step) -> Step:
+        return replace(step, iteration=step.iteration + len(history))
+
+    while True:
+        try:
+            outcome = iterate_sets(backend, rule, parameters, start=first, on_step=lambda step: on_step(numbered(step)))
+        except LoopInterruption as interruption:
+            outcome = Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
+        history += [numbered(step) for step in outcome.history]
+        outcome = replace(outcome, history=history)
+        present = backend.friction
+        if present is None or not present.by_pressure or not outcome.converged:
+            return outcome, tuple(changes)
+        pressure = outcome.iterate.flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
+        following = present.following(pressure)
+        changes.append(present.change(following, spaces))
+        if changes[-1] <= BOUND_CHANGE:
+            return outcome, tuple(changes)
+        if len(changes) == MOST_BOUNDS:
+            reason = f"the bound of the friction still changes by {changes[-1]:.1e} after {MOST_BOUNDS} steps"
+            return outcome.ended(reason), tuple(changes)
+        segments = backend.chains.segments(outcome.conditions)
+        backend.friction = following
+        first = backend.chains.conditions(segments)
+
+
+def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:
+    """The conditions to begin with: those of the start, contact if that has to hold the body, or None (collective).
+
+    Where there is friction, nothing slips then.
+    """
+    spaces = backend.spaces
     touching = np.full(len(spaces.contact.facets), held_by_contact)
     if start is not None:
         found = transferred(start.contact_set(), spaces.scalar)
@@ -132,4 +180,6 @@ def _first(spaces: ElasticSpaces, start: ElasticSolution | None, *, held_by_cont
     elif not held_by_contact:
         return None
     kinds = np.where(np.repeat(touching, spaces.dim), Condition.ZERO_TRACE, Condition.NO_FLUX)
-    return SiteConditions(kinds.astype(np.int8))
+    sticking = np.full(len(spaces.slip_sites), Condition.ZERO_TRACE)
+    conditions = SiteConditions(np.concatenate([kinds, sticking]).astype(np.int8))
+    return backend.chains.conditions(backend.chains.segments(conditions))

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
@@ -21,6 +21,7 @@ from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticP
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.errors import EXACT_CONTACT
 from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.solving.options import Options
@@ -44,6 +45,8 @@ class ElasticSolution(Solved):
         data: The data on the mesh.
         outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
         kkt: Residuals of the discrete problem.
+        bound_changes: With Coulomb's friction, by how much the bound of the shear changed in each step of the fixed
+            point, relative to itself.
         source: What the problem was read from; None if it was given in Python.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
@@ -58,6 +61,7 @@ class ElasticSolution(Solved):
     data: ElasticData
     outcome: Outcome
     kkt: ElasticKKT
+    bound_changes: tuple[float, ...] = ()
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
@@ -81,7 +85,7 @@ class ElasticSolution(Solved):
     @property
     def gap(self) -> Array:
         """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact."""
-        return self.outcome.iterate.p.reshape(-1, self.spaces.dim)
+        return self.outcome.iterate.p[: len(self.spaces.sites)].reshape(-1, self.spaces.dim)
 
     @property
     def linear_gap(self) -> Array:
@@ -91,7 +95,27 @@ class ElasticSolution(Solved):
     @property
     def touching(self) -> Mask:
         """Whether these vertices are in contact, shape (facets, d)."""
-        return (self.outcome.conditions.kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
+        kind = self.outcome.conditions.kind[: len(self.spaces.sites)]
+        return (kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
+
+    @property
+    def slip(self) -> Array:
+        """u_t on the facets with friction, in means weighted by the hats of their vertices, shape (facets, 2)."""
+        return self.outcome.iterate.p[len(self.spaces.sites) :].reshape(-1, 2)
+
+    @property
+    def shear(self) -> Array:
+        """σ_t at these vertices."""
+        return self.spaces.shear(self.stresses).reshape(-1, 2)
+
+    @property
+    def states(self) -> Indices:
+        """The state of these vertices, an index into `Friction.segments`; without shear by the sign of u_t."""
+        assert self.data.friction is not None
+        normal = len(self.spaces.sites)
+        tangential = self.outcome.conditions.take(slice(normal, None))
+        found = self.data.friction.chains.segments(tangential).astype(np.int64).reshape(-1, 2)
+        return np.where(self.data.friction.bound > 0, found, np.where(self.slip < 0, 0, 2))
 
     @property
     def contact_parts(self) -> Sequence[str]:
@@ -115,6 +139,16 @@ class ElasticSolution(Solved):
         function.x.scatter_forward()
         return function
 
+    def on_all_contact(self) -> tuple[Array, Array, Array]:
+        """σ_t, linear u_t and the state at the vertices of the facets of Γ_C; NaN where there is no friction."""
+        found = np.full((3, *self.touching.shape), np.nan)
+        if self.data.friction is not None:
+            linear_slip = (self.spaces.dim + 1) * self.slip - self.slip.sum(axis=1, keepdims=True)
+            for values, rough in zip(found, (self.shear, linear_slip, self.states), strict=True):
+                values[self.spaces.rough_rows] = rough
+        shear, slip, state = found
+        return shear, slip, state
+
     def contact_set(self) -> FacetSet:
         """The facets of Γ_C with a vertex in contact."""
         return FacetSet(self.spaces.scalar, self.touching.any(axis=1))
@@ -125,6 +159,17 @@ class ElasticSolution(Solved):
         found = np.array([np.count_nonzero(touching), self.spaces.site_measure[touching].sum()])
         count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
         return int(count), measure
+
+    def friction_states(self) -> dict[str, dict[str, float]]:
+        """Number of facet vertices with friction in each state, and their measure (collective)."""
+        states = self.states.ravel()
+        number = len(Friction.segments)
+        found = np.stack([np.bincount(states, weights, number) for weights in (None, self.spaces.slip_measure)])
+        counts, measures = self.spaces.mesh.comm.allreduce(found).tolist()
+        return {
+            name: {"vertices": int(count), "measure": measure}
+            for name, count, measure in zip(Friction.segments, counts, measures, strict=True)
+        }
 
     def resultants(self) -> dict[str, list[float]]:
         """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
@@ -208,6 +253,8 @@ class ElasticSolution(Solved):
             "dofs": outcome.dofs,
             "touching_vertices": vertices,
             "contact_measure": measure,
+            **({} if self.data.friction is None else {"friction": self.friction_states()}),
+            **({"coulomb": {"changes": list(self.bound_changes)}} if self.bound_changes else {}),
             "iterations": len(outcome.history),
             "converged": outcome.converged,
             "reason": outcome.reason,

@@ -10,6 +10,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
+from signorini_fenicsx.discrete.elastic_friction import STICKS
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import Cells
@@ -26,10 +27,12 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """Make sure that each rigid motion is prevented, by what is given of u or by contact under the loads (collective).
 
     For a motion r that what is given of u lets free, and that does not go into the foundation, r_n ≤ 0 on Γ_C, the work
-    of the loads must be negative: then contact holds the body against it.
+    of the loads must be negative, with friction less than ∫ g|r_t|: then contact holds the body against it. Coulomb's g
+    is not known, and counts as ∞ here; if it is too small, no residual is small in the end.
 
     Returns:
-        The motions that contact has to prevent, a basis: means of r_n at the sites, shape (sites, motions).
+        The motions that contact has to prevent, a basis: means of r_n at the sites, and of r_t at those with friction,
+        shape (sites, motions).
 
     Raises:
         InputError: If a motion is not prevented; it is told.
@@ -43,19 +46,28 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
 
     free = _not_given(spaces, moved)
     if free.shape[1] == 0:
-        return np.zeros((len(spaces.sites), 0))
-    work = _work(spaces, data, moved) @ free
+        return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0))
+    work, most = _work(spaces, data, moved)
+    work = work @ free / most
     into = np.einsum("nai,nair->nar", _at(spaces.contact.normals, spaces.dim), moved(spaces.contact.vertices)) @ free
+    rough = spaces.rough
+    along = np.einsum("nai,nair->nar", _at(spaces.tangents, spaces.dim), moved(rough.vertices)) @ free
+    slips, shears = along.reshape(-1, free.shape[1]), np.empty(0)
+    if data.friction is not None:
+        shears = np.repeat(rough.measure, 2) / 2 * data.friction.bound.ravel() / most
     rows = gather_rows(spaces.mesh.comm, into.reshape(-1, free.shape[1]))
+    rubbed = gather_rows(spaces.mesh.comm, np.column_stack([shears, slips]))
 
     def complain() -> None:
         assert rows is not None
-        found = _unprevented(np.unique(np.round(rows, 9), axis=0), work)
+        assert rubbed is not None
+        found = _unprevented(np.unique(np.round(rows, 9), axis=0), work, rubbed[:, 1:], rubbed[:, 0])
         if found is not None:
             raise InputError(f"the body can move rigidly, {_in_words(free @ found, middle, size)}: {HELD_BY}")
 
     on_root(spaces.mesh.comm, complain)
-    means = (into + into.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
+    found = np.concatenate([into, along])
+    means = (found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
     return means.reshape(-1, free.shape[1])
 
 
@@ -92,8 +104,8 @@ def _not_given(spaces: ElasticSpaces, moved: Moved) -> Array:
     return vectors[:, sizes <= FREE**2 * max(total, 1e-300)]
 
 
-def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> Array:
-    """What f and g_N do on the motions, over what they could do (collective)."""
+def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> tuple[Array, float]:
+    """What f and g_N do on the motions, and what they could do, 1 if they are 0 (collective)."""
     pairs = [(spaces.neumann.vertices, data.tractions)]
     for cells in blocks_of_cells(spaces):
         vertices = spaces.vertices[cells]
@@ -101,21 +113,39 @@ def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> Array:
     work = sum(np.einsum("nvi,nvir->r", moments, moved(vertices)) for vertices, moments in pairs)
     most = sum(float(np.abs(moments).sum()) for _, moments in pairs)
     work, most = spaces.mesh.comm.allreduce(work), spaces.mesh.comm.allreduce(most)
-    return work / most if most > 0 else work
+    return work, most if most > 0 else 1.0
 
 
-def _unprevented(into: Array, work: Array) -> Array | None:
-    """A motion r ≠ 0 with into·r ≤ 0 and work·r ≥ 0, by linear programmes, or None."""
+def _unprevented(into: Array, work: Array, slips: Array, shears: Array) -> Array | None:
+    """A motion r ≠ 0 with into·r ≤ 0 and work·r ≥ Σ shears |slips·r|, by linear programmes, or None.
+
+    Where nothing slips the shear is infinite.
+    """
     from scipy.optimize import linprog  # takes a second to load
 
-    rows, limits = np.vstack([into, -work]), np.append(np.zeros(len(into)), SLACK)
-    for k in range(len(work)):
+    sticks, size = shears > STICKS / 1e100, len(work)
+    stuck = np.unique(np.round(slips[sticks], 9), axis=0)
+    slips, shears = slips[~sticks], shears[~sticks]
+    own = np.eye(len(shears))  # variables behind r: bounds of |slips·r|
+    rows = np.block(
+        [
+            [into, np.zeros((len(into), len(shears)))],
+            [slips, -own],
+            [-slips, -own],
+            [-work[None], shears[None]],
+        ]
+    )
+    limits = np.append(np.zeros(len(rows) - 1), SLACK)
+    equal = None if len(stuck) == 0 else np.pad(stuck, ((0, 0), (0, len(shears))))
+    bounds = [(-1, 1)] * size + [(0, None)] * len(shears)
+    for k in range(size):
         for sign in (1.0, -1.0):
-            objective = np.zeros(len(work))
+            objective = np.zeros(size + len(shears))
             objective[k] = -sign
-            found = linprog(objective, A_ub=rows, b_ub=limits, bounds=(-1, 1))
+            right = None if equal is None else np.zeros(len(equal))
+            found = linprog(objective, A_ub=rows, b_ub=limits, A_eq=equal, b_eq=right, bounds=bounds)
             if found.success and -found.fun > 1e-6:
-                return np.asarray(found.x)
+                return np.asarray(found.x[:size])
     return None
 
 

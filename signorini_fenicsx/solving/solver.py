@@ -1,6 +1,7 @@
 """From a domain, a boundary and a problem to the solution: spaces, data, method, KKT check."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -58,7 +59,7 @@ class Solver:
 
         Args:
             domain: The mesh with its parts.
-            boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
+            boundary: The parts that are Γ_S and Γ_N, and those inside the domain; the rest is Γ_D.
 
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
@@ -66,7 +67,7 @@ class Solver:
         if not boundary.signorini:
             raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
-        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
         self._known = Known()
         self._backend: Backend[Iterate] | None = None
@@ -223,14 +224,14 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
     boundary = gamma_s(boundary, problem)
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     return spaces, project_data(spaces, problem)
 
 
 def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
     """The boundary with the parts of all laws in Γ_S."""
     parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
-    return Boundary(list(dict.fromkeys(parts)), boundary.neumann)
+    return replace(boundary, signorini=list(dict.fromkeys(parts)))
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
@@ -268,6 +269,9 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Facet
     method = options.method
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    if spaces.inner.present and not method.takes_inner:
+        usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
+        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
@@ -275,6 +279,7 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Facet
                 f"{options.algorithm_name} does not take the law '{part.law.name}' of {part.name}, it takes {takes}; "
                 "alg1, alg2 and qp take every law"
             )
+    _check_size(options, spaces)
     if start is None:
         return
     if not same_domain(spaces.domain, start.spaces.domain):
@@ -283,6 +288,25 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Facet
         *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
         usable = f"{', '.join(others)} or {last}"
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+
+
+def _check_size(options: Options, spaces: Spaces) -> None:
+    """Refuse problems that are too large for a method that works on one rank.
+
+    Raises:
+        InputError: If there are more cells, or facets of Γ_S, than it takes.
+    """
+    method, tuning = options.method, options.tuning
+    for limited, space, most, what in (
+        (method.on_one_rank, spaces.Q, tuning.on_one_rank_up_to, "cells"),
+        (method.dense, spaces.Lambda, tuning.dense_up_to, "facets of Γ_S"),
+    ):
+        number = space.dofmap.index_map.size_global
+        if limited and number > most:
+            raise InputError(
+                f"{options.algorithm_name} works on one rank, with at most {most} {what}, and there are {number}; alg1 "
+                "to alg4 have no such limit"
+            )
 
 
 def same_domain(domain: Domain, other: Domain) -> bool:

@@ -33,6 +33,11 @@ GUIDES = {"sigma_V": (1.0, 0.5), "energy": (2.0, 1.5)}
 
 def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
     """The iteration errors ‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q on a logarithmic scale."""
+    axes.set(title=title)
+    if not any(step.sigma_change > 0 or step.u_change > 0 for step in history):
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "none: the first sets are final", ha="center", va="center")
+        return
     n = np.array([step.iteration - 1 for step in history])
     few = len(n) <= FEW
     for key, label, look in (
@@ -42,7 +47,7 @@ def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
         values = np.array([getattr(step, key) for step in history])
         positive = values > 0  # 0 for a repeated set has no logarithm
         axes.semilogy(n[positive], values[positive], look, label=label, markersize=4)
-    axes.set(xlabel="$n$", title=title)
+    axes.set(xlabel="$n$")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 

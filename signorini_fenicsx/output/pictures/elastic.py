@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
+from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.output.elastic_body import Body
 from signorini_fenicsx.output.pictures import plane_files, style
 from signorini_fenicsx.output.pictures.plane import Plane
@@ -94,9 +97,25 @@ def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Figu
         other.grid(False)
         other.plot(table.along[mine], table.gap[mine], color=style.FREE, label=r"gap $g - u_n$")
         other.set_ylabel("gap")
+        if (table.state[mine] >= 0).any():
+            axes.plot(table.along[mine], table.shear[mine], color=style.SEGMENTS[1], label=r"shear $\sigma_t$")
+            axes.set_ylabel("pressure, shear")
+            _mark_states(axes, table, mine)
         lines = [*axes.lines, *other.lines]
-        axes.legend(handles=lines, loc="upper center", ncols=2)
+        axes.legend(handles=lines, loc="upper center", ncols=3)
     return figure
+
+
+def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:
+    """Marks at the lower edge where the body slips, and none where it sticks."""
+    along, state = table.along[rows], table.state[rows]
+    for name, look in (("slip+", "<"), ("slip-", ">")):
+        slipping = along[state == Friction.segments.index(name)]
+        if len(slipping):
+            place = np.full(len(slipping), 0.03)
+            axes.plot(
+                slipping, place, look, color="black", markersize=3, transform=axes.get_xaxis_transform(), label=name
+            )
 
 
 def _rounded(value: float) -> float:

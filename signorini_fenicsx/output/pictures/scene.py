@@ -1,6 +1,7 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,6 +46,7 @@ class Scene:
         history: Steps of the algorithm.
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
+        inside: The parts of Γ_S inside the domain.
     """
 
     title: str
@@ -59,6 +61,7 @@ class Scene:
     history: list[Step]
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
+    inside: Collection[str] = ()
 
     @property
     def dim(self) -> int:

@@ -1,0 +1,186 @@
+"""Friction of elastic bodies: exact solutions, a quadratic programme, Coulomb's fixed point, bounds, ranks."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from commands import signorini
+from elastic import box, complementary_energy
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.solving.options import Options
+
+COMM = MPI.COMM_WORLD
+BOTTOM = ElasticBoundary(["y0"], neumann=["x0", "x1"])
+
+
+def sliding(comm: MPI.Comm, n: int, law: Friction | Coulomb, algorithm: str = "alg1") -> ElasticSolution:
+    """A block that is pressed onto a rough plane, lifted at one end, and pushed."""
+    u_D = ["0.01", "-0.05 + 0.05*x"]
+    problem = ElasticProblem(1.0, 0.3, u_D=u_D, gap="0.01*x", laws=[law])
+    return solve_elastic(box(comm, n, [0.0, 0.0], [2.0, 1.0]), BOTTOM, problem, Options(algorithm=algorithm))
+
+
+def test_exact_slip_and_stick():
+    """A body that slips to the left, sticks in the middle and slips to the right: the states within two cells.
+
+    u_x = (x − 0.8)₊³ − (0.2 − x)₊³ + g y W(x)/μ with W from −1 to 1 where the body sticks; u_y = −y.
+    """
+    g, nu, errors = 0.1, 0.3, []
+    for n in (8, 16):
+        domain = box(COMM, n, [0.0, 0.0], [1.0, 1.0])
+        x, y = ufl.SpatialCoordinate(domain.mesh)
+        t = ufl.max_value(0, ufl.min_value(1, (x - 0.2) / 0.6))
+        step = -1 + 2 * (6 * t**5 - 15 * t**4 + 10 * t**3)
+        right, left = ufl.max_value(x - 0.8, 0), ufl.max_value(0.2 - x, 0)
+        u = ufl.as_vector([right**3 - left**3 + g * y * step * 2 * (1 + nu), -y])
+        f = -ufl.div(stress(strain(u), 1 / (1 + nu), nu))
+        problem = ElasticProblem(1.0, nu, f=f, u_D=u, exact=u, laws=[Friction(["y0"], g=g)])
+        solution = solve_elastic(domain, ElasticBoundary([]), problem)
+        assert solution.contact()[1] == pytest.approx(1.0)
+        states = solution.friction_states()
+        assert states["stick"]["measure"] == pytest.approx(0.6, abs=2.01 / n)
+        assert abs(states["slip+"]["measure"] - states["slip-"]["measure"]) < 2.01 / n
+        errors.append(solution.errors())
+    assert errors[1]["energy"] < 1.3e-2
+    assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 1.5
+
+
+def test_quadratic_programme_finds_the_same():
+    """An interior-point solver minimises the complementary energy under |σ_t| ≤ g to the same stresses."""
+    solution = sliding(MPI.COMM_SELF, 2, Friction(["y0"], g="0.008 + 0.004*x"))
+    assert min(solution.friction_states()[name]["vertices"] for name in ("stick", "slip-")) > 0
+    assert 0 < solution.contact()[0] < solution.touching.size
+    np.testing.assert_allclose(solution.stresses, complementary_energy(solution), atol=1e-7)
+
+
+@pytest.mark.parametrize("slips", [True, False])
+def test_coulomb_in_a_uniform_state(slips: bool):
+    """Under a uniform pressure σ_t is −μ times it where all slips, and less where all sticks; both are exact."""
+    nu, mu, pressure = 0.3, 0.3, 0.2
+    shear = mu * pressure * (1.0 if slips else 0.5)
+    sides = 0.0 if slips else -nu / (1 - nu) * pressure
+    wider = (1 - nu**2) * sides + nu * (1 + nu) * pressure
+    flatter = -(1 - nu**2) * pressure - nu * (1 + nu) * sides
+    u = [f"{0.1 if slips else 0.0} + {wider}*x + {2 * (1 + nu) * shear}*y", f"{flatter}*y"]
+    g_N = {"x0": [str(-sides), str(-shear)], "x1": [str(sides), str(shear)]}
+    problem = ElasticProblem(1.0, nu, u_D=u, g_N=g_N, exact=u, laws=[Coulomb(["y0"], mu)])
+    solution = solve_elastic(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), BOTTOM, problem)
+    errors = solution.errors()
+    assert errors is not None
+    assert max(errors["energy"], errors["u_L2"]) < 1e-10
+    assert solution.friction_states()["slip-" if slips else "stick"]["measure"] == pytest.approx(1.0)
+    np.testing.assert_allclose(solution.shear, -shear)
+
+
+def test_coulomb_is_a_fixed_point():
+    """The bound is μ times the pressure in the end; its changes fall like a geometric sequence."""
+    solution = sliding(COMM, 4, Coulomb(["y0"], "0.2 + 0.1*x"))
+    assert solution.data.friction is not None
+    x = solution.spaces.rough.vertices[:, :, 0]
+    np.testing.assert_allclose(solution.data.friction.bound, (0.2 + 0.1 * x) * solution.pressure, atol=1e-10)
+    changes = np.array(solution.bound_changes)
+    assert changes[-1] <= 1e-9
+    assert (changes[2:] < 0.6 * changes[1:-1]).all()
+    certificate = certify_elastic(solution)
+    assert certificate.of == " to the exact solution with the last bound of the friction"
+
+
+def test_bounds_of_random_friction():
+    """A bound is never below the error in energy; on the whole it is not far above it."""
+    rng, ratios = np.random.default_rng(7), []
+    for number in range(6):
+        nu, gap, g = float(rng.choice([0.0, 0.3])), rng.uniform(0, 0.02), rng.uniform(0.002, 0.02, 2)
+        laws = [Friction(["y0"], g=f"{g[0]} + {g[1]}*x")]
+        f = [str(rng.uniform(-0.1, 0.1)), str(rng.uniform(-0.2, 0.0))]
+        problem = ElasticProblem(1.0, nu, f=f, gap=gap, laws=laws)
+        boundary = ElasticBoundary([], neumann=["x1"] if number % 2 else ["x0", "x1"])
+        coarse, fine = (solve_elastic(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), boundary, problem) for n in (3, 12))
+        certificate = certify_elastic(coarse)
+        assert certificate.guaranteed
+        one, other = (
+            solution.norms()["energy"] ** 2 / 2 + gap * solution.norms()["contact_force"] for solution in (coarse, fine)
+        )
+        assert certificate.gap >= one - other - 1e-12
+        ratios.append(np.sqrt(certificate.gap / (one - other)))
+    assert np.median(ratios) < 1.7
+    assert max(ratios) < 2.5
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_ranks_and_algorithms():
+    """States, norms, the fixed point and the bound are those of one process; Algorithm 2 finds the same."""
+    for law in (Friction(["y0"], g=0.005), Coulomb(["y0"], 0.3)):
+        alone, together = sliding(MPI.COMM_SELF, 4, law), sliding(COMM, 4, law, "alg2")
+        assert together.friction_states() == alone.friction_states()
+        assert together.norms() == pytest.approx(alone.norms(), rel=1e-8)
+        assert together.bound_changes == pytest.approx(alone.bound_changes, rel=1e-5, abs=1e-10)
+        assert certify_elastic(together).gap == pytest.approx(certify_elastic(alone).gap, rel=1e-6)
+
+
+@pytest.mark.parallel([1, 2])
+def test_case_file(folder: Path):
+    """Tables, fields and the report name the states; other physics and three dimensions are refused."""
+    text = """physics = "elasticity"
+geometry = {shape = "square", mesh = "structured"}
+boundary = {neumann = ["left", "right"]}
+law = [{kind = "friction", parts = ["bottom"], mu = 0.3}]
+problem = {young = 1, poisson = 0.3, u_D = [0.05, -0.05]}
+solve = {h = "1/4"}
+"""
+    if COMM.rank == 0:
+        (folder / "slide.toml").write_text(text, encoding="utf-8")
+        (folder / "both.toml").write_text(text.replace("mu = 0.3", "mu = 0.3, g = 1"), encoding="utf-8")
+        space = text.replace("square", "cube").replace("-0.05]", "-0.05, 0]")
+        (folder / "space.toml").write_text(space, encoding="utf-8")
+        (folder / "negative.toml").write_text(text.replace("0.3}", '"x - 0.5"}'), encoding="utf-8")
+    COMM.Barrier()
+    done = signorini(folder, "solve", "slide.toml", "--plot", "--output", "out")
+    assert done.returncode == 0, done.stderr
+    assert COMM.rank != 0 or "rate 0." in done.stdout
+    summary = json.loads((folder / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["friction"]["slip-"]["vertices"] > 0
+    assert summary["coulomb"]["changes"][-1] < 1e-9
+    assert summary["certificate"]["of_last_bound"] is True
+    with (folder / "out" / "contact.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        bound = 0.3 * float(row["pressure"])
+        assert row["friction"] != "slip-" or float(row["shear"]) == pytest.approx(-bound, rel=1e-7)
+        assert row["friction"] != "stick" or abs(float(row["shear"])) < bound
+    expected = {
+        "both": "the law 'friction' must have either g, the bound of the shear, or mu",
+        "space": "friction: only in two dimensions",
+        "negative": "law.0.mu: must be finite and not negative",
+    }
+    for name, message in expected.items():
+        done = signorini(folder, "check", f"{name}.toml")
+        assert (done.returncode, COMM.rank != 0 or message in done.stderr) == (2, True), done.stderr
+
+
+def test_a_body_that_friction_alone_holds():
+    """A push below ∫ g is held; above it the body slides away, which is said; so it is with Coulomb's law."""
+    domain = box(COMM, 4, [0.0, 0.0], [1.0, 1.0])
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1", "y1"])
+
+    def solved(push: float, law: Friction | Coulomb) -> ElasticSolution:
+        problem = ElasticProblem(1.0, 0.3, f=[str(push), "-0.1"], laws=[law])
+        return solve_elastic(domain, boundary, problem)
+
+    for push, law in ((0.019, Friction(["y0"], g=0.02)), (0.02, Coulomb(["y0"], mu=0.3))):
+        solution = solved(push, law)
+        assert solution.resultants()["y0"][:2] == pytest.approx([-push, 0.1])
+    with pytest.raises(InputError, match=r"the body can move rigidly, along \(1, "):
+        solved(0.021, Friction(["y0"], g=0.02))
+    with pytest.raises(NumericalFailure):
+        solved(0.04, Coulomb(["y0"], mu=0.3))

@@ -1,0 +1,108 @@
+"""What changes above a size: tables by rank, pictures and methods that are refused; with small sizes instead."""
+
+import itertools
+import os
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from commands import read_rows, signorini
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.output import checkpoint_writing
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.solving.solution import Solution
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.mark.parallel([1, 3])
+def test_tables_of_the_ranks_are_the_table(folder: Path):
+    """A solution without pictures, and with a table per rank; together they have the rows of the one table."""
+    case = load_case("example1").with_values({"solve.h": 0.1})
+    write_solution(solve_case(case, COMM), folder, fields=False)
+    (folder / "by_rank").mkdir(exist_ok=True)
+    small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=10, on_one_rank_up_to=10))
+    write_solution(small, folder / "by_rank", fields=False, plot=True)
+    COMM.Barrier()
+    assert not list((folder / "by_rank").glob("*.png"))
+    assert not (folder / "by_rank" / "facets.csv").exists()
+    names = sorted(path.name for path in (folder / "by_rank" / "facets").iterdir())
+    assert names == [f"{rank:05}.parquet" for rank in range(COMM.size)]
+    tables = [pyarrow.parquet.read_table(folder / "by_rank" / "facets" / name).to_pylist() for name in names]
+    found, wanted = (
+        sorted((row["part"], round(float(row["x"]), 9), round(float(row["p"]), 9), row["condition"]) for row in rows)
+        for rows in (itertools.chain(*tables), read_rows(folder / "facets.csv"))
+    )
+    assert found == wanted
+
+
+def test_methods_and_pictures_of_one_rank_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    case = load_case("example1").with_values({"solve.h": 0.25})
+    small = Tuning(on_one_rank_up_to=10, dense_up_to=5)
+    for algorithm, most in (("psor", "10 cells"), ("qp", "10 cells"), ("mixed-uzawa-h12", "5 facets of Γ_S")):
+        with pytest.raises(InputError, match=f"{algorithm} works on one rank, with at most {most}"):
+            solve_case(case.with_values({"solve.algorithm": algorithm}), COMM, tuning=small)
+    for arguments in (
+        ["solve", "example1", "--h", "2^-11", "--plot"],
+        ["adapt", "example1", "--max-cells", "9000000", "--html"],
+    ):
+        done = signorini(tmp_path, *arguments)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+        assert "at most 2000000 cells are drawn" in done.stderr
+
+
+def checkpoints() -> tuple[Solution, Solution]:
+    """Two different solutions."""
+    case = load_case("example1").with_values({"solve.h": 0.25})
+    one, other = (solve_case(case.with_values({"problem.psi": psi}), COMM) for psi in (0, 0.1))
+    return one, other
+
+
+def is_read(folder: Path, solution: Solution) -> None:
+    COMM.Barrier()
+    assert load_solution(folder, COMM).norms() == pytest.approx(solution.norms())
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_full_disk_leaves_the_old_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    old, new = checkpoints()
+    write_checkpoint(folder, old)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "posix_fallocate", full)
+        with pytest.raises(OSError, match="No space left"):
+            write_checkpoint(folder, new)
+    is_read(folder, old)
+    write_checkpoint(folder, new)
+    is_read(folder, new)
+
+
+@pytest.mark.parametrize(("step", "new_counts"), [("write_arrays", False), ("_about", False), ("delete", True)])
+def test_a_kill_leaves_the_old_or_the_new_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, new_counts: bool
+):
+    """Before the arrays, between arrays and text, and while the old one is removed; then the next one is written."""
+    old, new = checkpoints()
+    write_checkpoint(tmp_path, old)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as during:
+        during.setattr(checkpoint_writing, step, killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_checkpoint(tmp_path, new)
+    is_read(tmp_path, new if new_counts else old)
+    write_checkpoint(tmp_path, old)
+    is_read(tmp_path, old)
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"]
