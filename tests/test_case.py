@@ -31,6 +31,9 @@ def test_examples_are_shipped():
         [
             *examples,
             *exact,
+            "membrane",
+            "moving_transition",
+            "seepage_falling",
             "ball",
             "cube",
             "dam",
