@@ -108,22 +108,6 @@ def quadratic_programme(task: Task) -> Outcome:
     )
 
 
-def _programme(
-    hessian: scipy.sparse.csr_array,
-    divergence: scipy.sparse.csr_array,
-    of_flux: Array,
-    of_cell: Array,
-    pieces: Array,
-    *,
-    obstacle: bool,
-) -> _Programme:
-    """The programme for the rows of all ranks (rank 0)."""
-    parts = _with_reaction(hessian, divergence, of_flux, of_cell[:, 2])
-    if obstacle:
-        parts = _with_obstacle(*parts, of_cell[:, 3])
-    return _with_laws(*parts, of_cell[:, 1], pieces)
-
-
 def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
     """The mass matrix and the divergence, for fluxes that are equal on both sides of inner facets (collective)."""
     sigma, tau, v = ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
@@ -251,6 +235,22 @@ def _with_obstacle(
         scipy.sparse.csr_array(scipy.sparse.hstack([divergence, scipy.sparse.eye_array(len(psi))])),
         np.concatenate([of_flux, force]),
     )
+
+
+def _programme(
+    hessian: scipy.sparse.csr_array,
+    divergence: scipy.sparse.csr_array,
+    of_flux: Array,
+    of_cell: Array,
+    pieces: Array,
+    *,
+    obstacle: bool,
+) -> _Programme:
+    """The programme for the rows of all ranks (rank 0)."""
+    parts = _with_reaction(hessian, divergence, of_flux, of_cell[:, 2])
+    if obstacle:
+        parts = _with_obstacle(*parts, of_cell[:, 3])
+    return _with_laws(*parts, of_cell[:, 1], pieces)
 
 
 def _with_laws(
