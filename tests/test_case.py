@@ -28,7 +28,7 @@ def test_examples_are_shipped():
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
     exact += ["crack", "fault", "friction", "two_sided", "wall", "regulator", "staircase"]
     assert case_names() == sorted(
-        [*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
+        [*examples, *exact, "ball", "clamp", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
     )
     for name in case_names():
         assert load_any_case(name).name == name
