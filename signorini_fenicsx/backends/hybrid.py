@@ -5,14 +5,14 @@ from functools import partial
 
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.auxiliary_space import AuxiliarySpace
+from signorini_fenicsx.backends.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.backends.condensed import Condensed
 from signorini_fenicsx.backends.contract import Inexact, Iterate
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import LinearSolver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
@@ -58,7 +58,7 @@ class HybridBackend(FacetBackend):
         self._system = FacetSystem(spaces, data, self._tuning)
         self._condensed: Condensed | None = None
         self.dofs = self._system.dofs
-        self._solver = LinearSolver(self._system.matrix, prefix)
+        self._solver = LinearSolver(self._system.matrix, prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
         self._ksp = self._solver.ksp
         iterative = multigrid or self._system.large
         self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
@@ -88,8 +88,10 @@ class HybridBackend(FacetBackend):
         return True
 
     def _is_worth_condensing(self) -> bool:
-        """Whether the matrix is factorised, also without contact, and Γ_S small."""
+        """Whether the matrix is factorised, also without contact, Γ_S small, and no cell has conditions."""
         facets = self.spaces.Lambda.dofmap.index_map.size_global
+        if self.data.obstacle is not None:
+            return False
         return self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
 
     def _offer_precise(self) -> None:
@@ -136,7 +138,7 @@ class HybridBackend(FacetBackend):
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
         """Solves as `Inexact.solve_near` says (collective)."""
-        patch = Patch(self._system.matrix, self._system.trace_dofs[sites], layers)
+        patch = Patch(self._system.matrix, self._system.unknowns(sites), layers)
 
         def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
             self._applied = None
@@ -163,7 +165,7 @@ class HybridBackend(FacetBackend):
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
                 with self._solver.options():
-                    self._auxiliary.update(conditions, essential)
+                    self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()

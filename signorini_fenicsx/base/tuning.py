@@ -20,6 +20,7 @@ class Tuning:
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
         coarsen_from: From this number of facets on, a coarser mesh gets a prediction itself; on smaller ones a
             prediction costs more than it saves.
+        predict_obstacle_from: The same where there is an obstacle, whose contact moves by one cell per step.
         patience: A solve stops early if the sets that its iterates ask for are steady for this many iterations of the
             linear solver.
         leeway: The sets count as steady if at most this share of the sites that want to change still varies. Where many
@@ -41,6 +42,7 @@ class Tuning:
     elastic_predict_from: int = 15_000
     coarsening: float = 4.0
     coarsen_from: int = 30_000
+    predict_obstacle_from: int = 300
     patience: int = 2
     leeway: float = 0.05
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})

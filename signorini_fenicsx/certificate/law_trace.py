@@ -36,21 +36,20 @@ from signorini_fenicsx.certificate.admissible_trace import (
     Trace,
     averaged,
 )
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey, with_jumps
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.nodes import Jumps, facet_nodes, largest_around
-from signorini_fenicsx.discrete.points import Points, facet_lattice, facet_type, quadratic_nodes
+from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
-QUADRATIC = 2
-"""Largest degree of bounds of jumps."""
 RIGID = 1e4
 """A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""
 STIFF = 1.0
@@ -147,17 +146,21 @@ class OnGammaS:
         return found
 
 
-def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS) -> Trace:
-    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective)."""
+def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, forces: Array | None) -> Trace:
+    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective).
+
+    `forces` is λ of the obstacle in each owned cell, None without one.
+    """
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
     v = averaged(solution, metric)
     space = v.function_space
-    edges, nodes = all_edges(space), facet_nodes(space, spaces.facets)
+    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
+    floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
@@ -180,42 +183,30 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         edges.to_bernstein(function.x.array)
     if jumps is not None:
         jumps.taken(v)
-    box = Box.of(hard, soft, fixed)
+    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
+    over = [(np.maximum(low, floor), high) for low, high in (hard, soft)]
+    box = Box.of(over[0], over[1], fixed)
     box.project(v.x.array)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
+    if forces is not None:
+        add_load(excess, spaces, forces)
     excess.x.scatter_reverse(la.InsertMode.add)
     slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
     load[tips] = 0.0
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope), jumps)
+    if obstacle is not None:
+        lower_inside(v, floor, obstacle, edges)
     if jumps is None:
         return _with_exact_data(on, data, v, u_D, feasible=feasible)
     jump = v.copy()
     jump.x.array[tips] = 0.0
     jumps.undone(v)
-    feasible = feasible and jumps.alone and _within_coefficients(on)
+    feasible = feasible and jumps.alone and jumps_obey(goal.parts, spaces)
     trace = _with_exact_data(on, data, v, u_D, feasible=feasible)
-    return replace(trace, above=partial(_with_jumps, spaces, trace, jump))
-
-
-def _with_jumps(spaces: Spaces, trace: Trace, jump: fem.Function, points: Points) -> Array:
-    """v, or its jump, in points of all facets of Γ_S (collective)."""
-    found = trace.above(points)
-    found[spaces.inner.rows] = points.quadratic(jump)[spaces.inner.rows, :, 0]
-    return found
-
-
-def _within_coefficients(on: OnGammaS) -> bool:
-    """Whether bounds of jumps are polynomials that coefficients of quadratics obey (collective)."""
-    inner = on.spaces.inner.rows
-    return all(
-        name is None or ((degree := part.data[name].polynomial) is not None and degree <= QUADRATIC)
-        for part in on.goal.parts
-        if max(on.spaces.mesh.comm.allgather(bool(np.isin(part.rows, inner).any())))
-        for name in part.law.bounds()
-    )
+    return replace(trace, above=partial(with_jumps, spaces, trace.above, jump))
 
 
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
@@ -291,13 +282,18 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
             known.append(datum)
+    if data.obstacle is not None:
+        trace.bounds.append(bound(data.obstacle, linear))
+        if not is_quadratic(data.obstacle.psi):
+            changed.append(trace.bounds[-1].near)
+            known.append(data.obstacle.psi)
     near = sum((each.x.array for each in changed), np.zeros_like(moved.x.array))
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
     )
     return Trace(
         v=v,
-        exact=trace if changed else None,
+        exact=trace if trace.bounds or changed else None,
         above=lambda points: trace.jet(points)[:, :, 0],
         cells=cells,
         at_dirichlet=at_dirichlet,

@@ -249,11 +249,11 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "AnyCase":
     """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
     from signorini_fenicsx.cases.elastic_case import load_any_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
-    from signorini_fenicsx.meshes.shapes import SHAPES
+    from signorini_fenicsx.meshes.shapes import shape_of
 
     case = load_any_case(name)
     shape = case.with_values(values).geometry.shape
-    first = {} if shape is None else {"solve.h": SHAPES[shape].diameter / FIRST_MESH}
+    first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
     return case.with_values(first | values)
 
 

@@ -13,9 +13,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
+from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.given import Given, Rows
+from signorini_fenicsx.discrete.obstacle import Obstacle, obstacle_of
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
@@ -49,9 +51,10 @@ class Data:
         psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
         q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
         laws: The laws on Γ_S.
+        obstacle: The obstacle in Ω, or None.
         conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
-            same with the largest flux, often ∞. Exactly 0 if it is only rounding.
+            same with the largest flux, often ∞, as with an obstacle. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
             of regions has names such as "kappa.core".
@@ -72,10 +75,21 @@ class Data:
     psi_h: Array
     q_Sh: Array
     laws: BoundaryLaws
+    obstacle: Obstacle | None
     conductance: float
     total_load: tuple[float, float]
     exact: Datum | None
     trees: Mapping[str, Tree | Rows]
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site: of each facet of Γ_S and, with an obstacle, of each owned cell."""
+        facets = self.laws.chains
+        if self.obstacle is None:
+            return facets
+        number, cells = len(self.psi_h), len(self.obstacle.means)
+        of_cells = np.arange(number, number + cells), Chains.at_corner(cells)
+        return joined([(np.arange(number), facets), of_cells], number + cells)
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
@@ -111,8 +125,10 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D and, on the boundary, of ψ (collective)."""
-        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows]]), spaces.mesh.comm)
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of the obstacle (collective)."""
+        in_cells = np.empty(0) if self.obstacle is None else self.obstacle.means
+        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
+        return extent(np.concatenate(means), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
@@ -134,9 +150,16 @@ class Data:
         for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
-        u_D, psi = self.u_D.less(constant), self.psi.less(constant)
         psi_h[outer] -= constant
-        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=psi_h)
+        return replace(
+            self,
+            u_D=self.u_D.less(constant),
+            psi=self.psi.less(constant),
+            f_h=f_h,
+            u_lift=u_lift,
+            psi_h=psi_h,
+            obstacle=self.obstacle and self.obstacle.less(constant),
+        )
 
 
 def project_data(spaces: Spaces, problem: Problem) -> Data:
@@ -179,6 +202,9 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
         for flux in laws.chains.extent()[2:]
     )
+    obstacle = obstacle_of(spaces, problem.obstacle, u_D)
+    if obstacle is not None:
+        highest = np.inf
     integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
     conductance = spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
     return Data(
@@ -197,6 +223,7 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         psi_h=psi_h,
         q_Sh=q_Sh,
         laws=laws,
+        obstacle=obstacle,
         conductance=conductance,
         total_load=(lowest, highest),
         exact=_exact(spaces, problem.exact),

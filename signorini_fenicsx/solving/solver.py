@@ -19,6 +19,7 @@ from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
@@ -61,8 +62,6 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        if not boundary.signorini:
-            raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
@@ -94,6 +93,7 @@ class Solver:
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
             data = project_data(spaces, problem)
+            remesh = remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
             constant = 0.0 if method.stabilised else data.common_constant(spaces)
@@ -102,7 +102,7 @@ class Solver:
                 data=data.less(spaces, constant),
                 rho=options.rho,
                 eps=options.eps,
-                max_iterations=options.max_iterations or method.max_iterations,
+                max_iterations=options.max_iterations or method.most_iterations(obstacle=data.obstacle is not None),
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
                 start=None if start is None else start.segments(),
@@ -257,13 +257,22 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
     Raises:
         InputError: If there is none, or the method cannot.
     """
-    check_solvability(spaces, data)
     method = options.method
+    if data.obstacle is None and not spaces.part_names:
+        raise InputError("signorini: lists no part, and there are no laws and no obstacle")
+    if data.obstacle is not None and not method.obstacle:
+        *others, last = (name for name, other in METHODS.items() if other.obstacle)
+        raise InputError(f"{options.algorithm_name} does not take an obstacle; {', '.join(others)} and {last} do")
+    check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     if spaces.inner.present and not method.takes_inner:
         usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
         raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
+    if spaces.inner.present and data.obstacle is not None:
+        raise InputError(
+            "[problem] obstacle: there may be no parts inside the domain as well, leave out [boundary] inner"
+        )
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
