@@ -35,6 +35,7 @@ def test_examples_are_shipped():
             "moving_transition",
             "seepage_falling",
             "ball",
+            "clamp",
             "cube",
             "dam",
             "dam_baiocchi",
