@@ -32,7 +32,7 @@ def draw(name: str) -> None:
         picture = Image.open(found).convert("RGB")
     size = (WIDTH, round(picture.height * WIDTH / picture.width))
     picture = picture.resize(size, Image.Resampling.LANCZOS)
-    picture = picture.quantize(256, Image.Quantize.MAXCOVERAGE)  # keeps the colours of thin lines
+    picture = picture.quantize(256, Image.Quantize.MEDIANCUT)  # maps of u stay smooth
     picture.save(GALLERY / f"{name}.png", optimize=True)
 
 

@@ -26,7 +26,7 @@ h = "1/8"
 def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
-    exact += ["friction", "two_sided", "wall", "regulator", "staircase"]
+    exact += ["crack", "fault", "friction", "two_sided", "wall", "regulator", "staircase"]
     assert case_names() == sorted(
         [
             *examples,
@@ -108,7 +108,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 def test_unknown_names():
     with pytest.raises(
-        InputError, match="unknown case 'example7'; use one of ball, biactive, cube, dam, dam_baiocchi, edge, electro"
+        InputError, match="unknown case 'example7'; use one of ball, biactive, crack, cube, dam, dam_baiocchi, edge, "
     ):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):

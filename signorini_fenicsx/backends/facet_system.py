@@ -10,6 +10,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.jumps import jumps_of_facets
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
@@ -27,6 +28,7 @@ class FacetSystem:
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
+    Inside the domain the unknown of a facet of Γ_S is the jump of u, see `jumps`.
 
     With an obstacle the conditions of the cells follow those of the facets. A cell in contact, ZERO_TRACE, has another
     source, so it changes the matrix and the load.
@@ -57,9 +59,11 @@ class FacetSystem:
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
+        self._named = self.trace_dofs[spaces.inner.rows]
+        self._across = cells_and_dofs(self.space, spaces.inner.facets)[1]
         self._facets = slice(len(spaces.facets))
         self.sources = sources(spaces, data)
-        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD)
+        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
         self.matrix = self._operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)
@@ -84,6 +88,8 @@ class FacetSystem:
         """Assemble the right side without conditions on Γ_S (collective)."""
         data, source = self._data, self.sources.at(self._data.u_lift)
         self._load = assembled(self.spaces.kept(_load, data.kappa_h, source, data.sigma_lift, data.u_lift))
+        given = (data.q_Sh * self.spaces.facet_measure)[self.spaces.inner.rows]
+        self._load[self._across] += self._load[self._named] - given  # what flows out of one side flows into the other
 
     def renew(self, data: Data) -> bool:
         """Go on with other data; returns whether κ and c, and so the matrix, stay (collective)."""
@@ -174,6 +180,7 @@ class FacetSystem:
         sigma.x.array[spaces.flux_dofs] = on_facets / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
+        spaces.carry_across(sigma)
         contact = None
         if self._data.obstacle is not None:
             contact = conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE
@@ -204,6 +211,7 @@ class FacetSystem:
         owned: Array = x.array_r
         u_cr = fem.Function(self.space)
         u_cr.x.array[: len(owned)] = owned
+        u_cr.x.array[self._named] += owned[self._across]
         u_cr.x.scatter_forward()
         u_cr.x.array[:] += self._data.u_lift.x.array
         return self._data.kappa_h, self.sources.at(u_cr), u_cr, self.spaces.centroids

@@ -11,6 +11,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
+from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.backends.petsc import direct_solver
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
@@ -56,10 +57,14 @@ class MixedBackend(FacetBackend):
         V, Q = spaces.V, spaces.Q
         self._stabilisation = stabilisation
         W = [V, Q]
-        self._system = ConstrainedMatrix(spaces.kept(_saddle_point, *self._coefficients()), PETSc.Mat.Option.SYMMETRIC)
+        basis = with_one_flux(spaces, sum(space.dofmap.index_map.size_local for space in W))
+        saddle_point = spaces.kept(_saddle_point, *self._coefficients())
+        self._system = ConstrainedMatrix(saddle_point, PETSc.Mat.Option.SYMMETRIC, basis)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
         self._cells = spaces.cell_measures[: Q.dofmap.index_map.size_local]
+        across = spaces.across[0] if spaces.inner.present else spaces.neumann_dofs[:0]
+        self._given = np.concatenate([spaces.neumann_dofs, across])  # these fluxes are never unknown
         self._load = self._right_side()
         self.before = fem.Function(Q)
         self._b, self._x, self._residual = (create_vector(W) for _ in range(3))
@@ -128,7 +133,7 @@ class MixedBackend(FacetBackend):
         if loaded:
             b.array_w[:] += self._load
             b.array_w[self._flux_size :] -= self._stabilisation * self._cells * self.before.x.array[: len(self._cells)]
-        b.array_w[spaces.neumann_dofs] = 0.0
+        b.array_w[self._given] = 0.0
         b.array_w[essential] = values
         self._solver.solve(b, x)
 
@@ -144,6 +149,7 @@ class MixedBackend(FacetBackend):
         p, normal_flux = conditions.clean(p, normal_flux, self.data.conductance)
         if loaded:
             sigma.x.array[:] += self.data.sigma_lift.x.array
+        spaces.carry_across(sigma)
         return Iterate(
             p=np.where(given_trace, trace, p),
             flux=np.where(given_flux, flux, normal_flux),
@@ -166,7 +172,7 @@ class MixedBackend(FacetBackend):
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)
-        essential = np.concatenate([spaces.neumann_dofs, spaces.flux_dofs[no_flux], of_cells])
+        essential = np.concatenate([self._given, spaces.flux_dofs[no_flux], of_cells])
         self._system.impose(essential, spaces.flux_dofs[robin], added)
 
     def _right_side(self) -> Array:

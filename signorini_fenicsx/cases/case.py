@@ -35,6 +35,7 @@ from signorini_fenicsx.cases.values import (
 from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
+from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
@@ -148,6 +149,16 @@ class CaseFile(Section):
         """The section `[boundary]`."""
         raise NotImplementedError
 
+    @property
+    def inner(self) -> list[str]:
+        """The parts inside the domain."""
+        return self.parts.named.get("inner", [])
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of them."""
+        return {}
+
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
         raise NotImplementedError
@@ -199,7 +210,7 @@ class CaseFile(Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        self.parts.check(list(shape.parts), self.geometry.name)
+        self.parts.check(shape.names, self.geometry.name, shape.inside)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -256,9 +267,20 @@ class Case(CaseFile):
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
         self.parts.refuse_repetition()
+        for part in self.boundary.inner:
+            if part not in self.law_parts:
+                raise ValueError(f"[boundary] inner: '{part}' needs a [[law]] between the jump of u and σ·n")
+        for part in self.boundary.sides:
+            if part not in self.boundary.inner or self.geometry.file is None:
+                raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
         if not self.boundary.signorini and not self.law and self.problem.obstacle is None:
             raise ValueError("[boundary] signorini: lists no part, and there is no [[law]] and no obstacle")
         return self
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of the parts inside the domain."""
+        return self.boundary.sides
 
     @property
     def law_parts(self) -> list[str]:

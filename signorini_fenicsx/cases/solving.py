@@ -169,8 +169,9 @@ def adapt_case(
 
 
 def boundary_of(case: Case) -> Boundary:
-    """Γ_S and Γ_N of a case."""
-    return Boundary([*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
+    """Γ_S and Γ_N of a case, and its inner parts."""
+    parts = case.boundary
+    return Boundary([*parts.signorini, *case.law_parts], parts.neumann, parts.inner)
 
 
 def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:

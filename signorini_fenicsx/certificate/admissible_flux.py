@@ -115,6 +115,7 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     y = y.copy()
     y.x.array[spaces.flux_dofs[beyond]] = (allowed * spaces.facet_measure / spaces.basis_flux)[beyond]
     y.x.scatter_forward()
+    spaces.carry_across(y)
     return y
 
 
@@ -128,6 +129,7 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
     if not data.holds(spaces):
         flux = spaces.normal_flux(y)
         excess = np.minimum(flux - limits[0], limits[1] - flux)
+        excess[spaces.inner.rows] = 0.0  # what flows through these stays in the domain
         kind = _most_room(excess, spaces.mesh.comm)
         if data.obstacle is not None:
             obstacle = replace(data.obstacle, means=np.zeros_like(data.obstacle.means))

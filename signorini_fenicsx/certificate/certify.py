@@ -214,8 +214,8 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
 
 def _under_laws(
     solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, level: fem.Function
-) -> tuple[Trace, Array, FacetLoad]:
-    """v, twice the gap on Γ_S and of an obstacle per owned cell, and the load η − y·n (collective)."""
+) -> tuple[Trace, Array, list[FacetLoad]]:
+    """v, twice the gap on Γ_S and of an obstacle per owned cell, and the loads η − y·n (collective)."""
     spaces, data = solution.spaces, solution.data
     forces = None if data.obstacle is None else obstacle.force(spaces, y, data.source(level))
     on = OnGammaS.of(solution, goal, metric, y)
@@ -226,7 +226,7 @@ def _under_laws(
     contact = found.per_cell(len(metric.volume))
     if data.obstacle is not None and forces is not None:
         contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)
-    return trace, contact, found.load
+    return trace, contact, found.loads(spaces)
 
 
 def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import SAMPLES
+from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import Points, cut_off, facet_lattice, larger, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
+QUADRATIC = 2
+"""Largest degree of bounds of jumps."""
 SAFE = 2.0
 """Factor of what ℓ needs in sampled points."""
 
@@ -100,3 +104,19 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
         above = sign * (datum.values(on_wall) - trace.jet(on_wall)[:, :, 0])
         steep = np.where((room > 0) & (above > 0), above / np.where(room > 0, room, 1.0), 0.0).max(initial=0.0)
     return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)
+
+
+def with_jumps(spaces: Spaces, above: Callable[[Points], Array], jump: fem.Function, points: Points) -> Array:
+    """A function in points of all facets of Γ_S; inside the domain its jump, which is quadratic there (collective)."""
+    found = above(points)
+    found[spaces.inner.rows] = points.quadratic(jump)[spaces.inner.rows, :, 0]
+    return found
+
+
+def jumps_obey(parts: Sequence[PartLaw], spaces: Spaces) -> bool:
+    """Whether the bounds of jumps are polynomials that coefficients of quadratics obey (collective)."""
+    inside = [bool(np.isin(part.rows, spaces.inner.rows).any()) for part in parts]
+    of_all = np.any(spaces.mesh.comm.allgather(inside), axis=0)
+    named = ((part, part.law.bounds()) for part, here in zip(parts, of_all, strict=True) if here)
+    bounds = [part.data[name] for part, names in named for name in names if name is not None]
+    return all(bound.polynomial is not None and bound.polynomial <= QUADRATIC for bound in bounds)

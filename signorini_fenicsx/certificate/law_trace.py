@@ -12,11 +12,15 @@ bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
 stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
+
+On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
+jump, see `discrete.nodes`. Bounds there are polynomials, which coefficients obey, so that only v_2 has a jump.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import basix
 import numpy as np
@@ -31,23 +35,18 @@ from signorini_fenicsx.certificate.admissible_trace import (
     Indices,
     Trace,
     averaged,
-    facet_nodes,
-    largest_around,
 )
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey, with_jumps
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside
+from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.points import (
-    facet_lattice,
-    facet_type,
-    quadratic_nodes,
-)
+from signorini_fenicsx.discrete.nodes import Jumps, facet_nodes, largest_around
+from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -156,26 +155,37 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     mesh = spaces.mesh
     v = averaged(solution, metric)
     space = v.function_space
-    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces), data.obstacle
+    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
-    for some in (nearly, fully):
-        _set_means(v, nodes[some], values[some])
     floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
+    jumps = Jumps.of(space, spaces)
+    tips = np.empty(0, dtype=np.intp) if jumps is None else jumps.tips
+    fixed = np.union1d(on_dirichlet, tips)
+    if jumps is not None:
+        jumps.taken(v)
+    given = v.x.array[fixed]
+    for some in (nearly, fully):
+        _set_means(v, nodes[some], values[some])
+    v.x.array[fixed] = given
     ends = on.ends(at_nodes)
-    feasible = _allows(v, nodes, ends[:2], on_dirichlet)
+    feasible = _allows(v, nodes, ends[:2], fixed, np.where(np.isin(fixed, tips), 0.0, given))
     (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
     hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
     soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
+    if jumps is not None:
+        jumps.undone(v)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
-    _touch(v, solution, floor, on_dirichlet)
+    if jumps is not None:
+        jumps.taken(v)
+    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
     over = [(np.maximum(low, floor), high) for low, high in (hard, soft)]
-    box = Box.of(over[0], over[1], on_dirichlet)
+    box = Box.of(over[0], over[1], fixed)
     box.project(v.x.array)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
@@ -185,32 +195,26 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     excess.x.scatter_reverse(la.InsertMode.add)
     slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
-    relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
+    load[tips] = 0.0
+    relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope), jumps)
     if obstacle is not None:
         lower_inside(v, floor, obstacle, edges)
-    return _with_exact_data(on, data, v, u_D, feasible=feasible)
+    if jumps is None:
+        return _with_exact_data(on, data, v, u_D, feasible=feasible)
+    jump = v.copy()
+    jump.x.array[tips] = 0.0
+    jumps.undone(v)
+    feasible = feasible and jumps.alone and jumps_obey(goal.parts, spaces)
+    trace = _with_exact_data(on, data, v, u_D, feasible=feasible)
+    return replace(trace, above=partial(with_jumps, spaces, trace.above, jump))
 
 
-def _touch(v: fem.Function, solution: Solution, floor: Array, on_dirichlet: Indices) -> None:
-    """Let v be I_hψ in the nodes of all cells in contact with the obstacle, but not on Γ_D (collective)."""
-    contact = solution.outcome.iterate.contact
-    if contact is None:
-        return
-    touched = fem.Function(v.function_space)
-    touched.x.array[v.function_space.dofmap.list[contact]] = 1.0
-    touched.x.scatter_reverse(la.InsertMode.add)
-    touched.x.scatter_forward()
-    touched.x.array[on_dirichlet] = 0.0
-    v.x.array[:] = np.where(touched.x.array > 0, floor, v.x.array)
-
-
-def _allows(v: fem.Function, nodes: Indices, ends: list[Array], on_dirichlet: Indices) -> bool:
-    """Whether the laws leave room for a continuous v that is u_D on Γ_D, in the nodes (collective)."""
+def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
+    """Whether the laws leave room for a continuous v, or its jump, with given values in some nodes (collective)."""
     comm = v.function_space.mesh.comm
     low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
     rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
-    at_wall = v.x.array[on_dirichlet]
-    within = (low[on_dirichlet] <= at_wall + rounding) & (at_wall <= high[on_dirichlet] + rounding)
+    within = (low[fixed] <= given + rounding) & (given <= high[fixed] + rounding)
     return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
 
 
@@ -259,20 +263,21 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     changed = [near for _, _, near in trace.levels]
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
-    corners = facet_nodes(linear, spaces)
+    corners = facet_nodes(linear, spaces.facets)
     known = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
         for sign, name in zip((1.0, -1.0), _bounds(on, part), strict=True):
             if name is None or (part.data[name].number is not None and not changed):
                 continue
-            datum, facets = part.data[name], spaces.facets[part.rows]
+            rows = np.intersect1d(part.rows, spaces.outer_rows)  # jumps obey their bounds by their coefficients
+            datum, facets = part.data[name], spaces.facets[rows]
             here = fem.Function(linear)
             here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
-            fixed = np.isin(corners[part.rows], on_dirichlet).any(axis=1)
+            fixed = np.isin(corners[rows], on_dirichlet).any(axis=1)
             lacking = np.where(fixed, *ROOM[::-1]) * np.maximum(short.max(axis=1, initial=0.0), 0.0)
-            moved.x.array[:] += sign * largest_around(linear, corners[part.rows], lacking)
+            moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
             moved.x.array[on_dirichlet] = 0.0
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
@@ -315,7 +320,7 @@ def _levels(
 
     Collective. Only data that are not numbers are among them.
     """
-    spaces, corners = on.spaces, facet_nodes(linear, on.spaces)
+    spaces, corners = on.spaces, facet_nodes(linear, on.spaces.facets)
     found = []
     everywhere = fem.Function(linear)
     everywhere.x.array[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
@@ -326,7 +331,8 @@ def _levels(
             if name is None or part.data[name].number is not None:
                 continue
             held = np.zeros(len(steep), dtype=bool)
-            held[part.rows] = (steep & (on.segment == segment))[part.rows]
+            rows = np.intersect1d(part.rows, spaces.outer_rows)
+            held[rows] = (steep & (on.segment == segment))[rows]
             near, quadratic = (
                 fem.Function(linear),
                 part.data[name].at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell())),

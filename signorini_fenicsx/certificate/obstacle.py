@@ -22,10 +22,10 @@ from __future__ import annotations
 
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.law_bounds import Bound
 from signorini_fenicsx.certificate.relaxation import Edges
@@ -66,6 +66,18 @@ def add_load(load: fem.Function, spaces: Spaces, forces: Array) -> None:
     """Add ∫λφ for each node φ, on this rank: all Bernstein polynomials of a cell have the same integral."""
     nodes = load.function_space.dofmap.list
     np.add.at(load.x.array, nodes.ravel(), np.repeat(forces * spaces.cell_measures / nodes.shape[1], nodes.shape[1]))
+
+
+def touch(v: fem.Function, contact: Mask | None, floor: Array, on_dirichlet: Indices) -> None:
+    """Let v be I_hψ in the nodes of all cells in contact with the obstacle, but not on Γ_D (collective)."""
+    if contact is None:
+        return
+    touched = fem.Function(v.function_space)
+    touched.x.array[v.function_space.dofmap.list[contact]] = 1.0
+    touched.x.scatter_reverse(la.InsertMode.add)
+    touched.x.scatter_forward()
+    touched.x.array[on_dirichlet] = 0.0
+    v.x.array[:] = np.where(touched.x.array > 0, floor, v.x.array)
 
 
 def lower_inside(v: fem.Function, floor: Array, obstacle: Obstacle, edges: Edges) -> None:

@@ -73,7 +73,7 @@ def water_filled(s: Array, weights: Array) -> Array:
 
 def contact_excess(
     spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
-) -> tuple[ContactExcess, FacetLoad | None]:
+) -> tuple[ContactExcess, list[FacetLoad]]:
     """R − s and r for the Signorini law of ψ and q_S on all of Γ_S; no r if it is 0 (collective).
 
     Args:
@@ -89,16 +89,15 @@ def contact_excess(
     q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
     s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
-    return ContactExcess(on_signorini, r - s), None if data.q_S.number is not None else FacetLoad(
-        on_signorini, r, missed
-    )
+    load = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
+    return ContactExcess(on_signorini, r - s), load
 
 
 def load_oscillation(
     spaces: Spaces,
     data: Data,
     metric: CellMetric,
-    on_signorini: FacetLoad | None,
+    on_signorini: list[FacetLoad],
     reaction: ReactionTerms | None,
     resolution: Resolution,
 ) -> Array:
@@ -108,12 +107,12 @@ def load_oscillation(
         spaces: The discrete spaces.
         data: The data.
         metric: Metric of the owned cells.
-        on_signorini: The load r on Γ_S.
+        on_signorini: The load r on Γ_S, none if it is 0.
         reaction: The terms of cu.
         resolution: Records what quadrature may have missed.
     """
     mesh = spaces.mesh
-    on_facets = [] if on_signorini is None else [on_signorini]
+    on_facets = [*on_signorini]
     if data.g_N.number is None:
         on_neumann = facet_quadrature(mesh, spaces.neumann_facets, quadrature_degree(data.g_N, power=2))
         dofs = spaces.neumann_dofs

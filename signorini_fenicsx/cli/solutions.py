@@ -77,7 +77,7 @@ def solve(
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.solution_report import SolutionReport
-    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
@@ -94,7 +94,7 @@ def solve(
         report.heading(problem, comm)
         report.columns(problem)
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
-            start = None if start_from is None else load_solution(start_from, comm)
+            start = None if start_from is None else load_any_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
         certificate = certificate_of(solution, for_signorini=for_signorini or rigorous)
@@ -273,12 +273,12 @@ def export(
     """
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.case_report import CaseReport
-    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.gather import check_drawable
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
-    solution = load_solution(results, comm)
+    solution = load_any_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
     if plot or html:
         topology = solution.spaces.mesh.topology

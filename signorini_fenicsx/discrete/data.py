@@ -125,9 +125,10 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest mean of u_D, ψ and the obstacle (collective)."""
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of the obstacle (collective)."""
         in_cells = np.empty(0) if self.obstacle is None else self.obstacle.means
-        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h, in_cells]), spaces.mesh.comm)
+        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
+        return extent(np.concatenate(means), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
@@ -142,20 +143,21 @@ class Data:
 
     def less(self, spaces: Spaces, constant: float) -> Data:
         """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
-        u_lift, f_h = self.u_lift.copy(), self.f_h
+        u_lift, psi_h, outer, f_h = self.u_lift.copy(), self.psi_h.copy(), spaces.outer_rows, self.f_h
         if self.c_h is not None:
             f_h = f_h.copy()
             f_h.x.array[:] -= constant * self.c_h.x.array
-        for facets in (spaces.dirichlet_facets, spaces.facets):
+        for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
+        psi_h[outer] -= constant
         return replace(
             self,
             u_D=self.u_D.less(constant),
             psi=self.psi.less(constant),
             f_h=f_h,
             u_lift=u_lift,
-            psi_h=self.psi_h - constant,
+            psi_h=psi_h,
             obstacle=self.obstacle and self.obstacle.less(constant),
         )
 
@@ -194,9 +196,10 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
+    spaces.carry_across(sigma_lift)
     loads = [spaces.cell_measures * f_means, spaces.neumann_measure * neumann_means]
     lowest, highest = (
-        total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
+        total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
         for flux in laws.chains.extent()[2:]
     )
     obstacle = obstacle_of(spaces, problem.obstacle, u_D)

@@ -53,6 +53,8 @@ class KKTResiduals(Residuals):
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II). Its residuals
     primal, dual and complementarity are those of the replaced quantities.
 
+    On a facet inside the domain p is the jump of u, and the flux of its two sides is one unknown.
+
     Attributes:
         primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
         dual: √L ‖k⁻¹[σ·n]_-‖_Λ / G and √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
@@ -93,7 +95,9 @@ def kkt_residuals(
     """
     constant = data.common_constant(spaces)
     data, u = data.less(spaces, constant), u.copy()
-    p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
+    p = p.copy()
+    p.x.array[spaces.outer_rows] -= constant
+    p.x.scatter_forward()
     u.x.array[:] -= constant
     length = spaces.length
     scales = _scales(spaces, sigma, u, data)
@@ -205,6 +209,7 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
     residual = assembled(spaces.kept(_flux_residual, data.kappa_h, sigma, u, p, data.u_lift))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
+    spaces.join_across(residual)
     size = spaces.V.dofmap.index_map.size_local
     owned = residual[:size]
     M = spaces.mass_diagonal[:size]

@@ -10,13 +10,15 @@ from pathlib import Path
 import dolfinx.mesh
 import gmsh
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.signals import listen_again
-from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters
+from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
+from signorini_fenicsx.meshes.cut import Side, cut, opened
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -30,7 +32,7 @@ from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_fil
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
 from signorini_fenicsx.meshes.shapes import shape_of
-from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 
 CURVATURE = 1.0
 """`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
@@ -108,8 +110,9 @@ def coarser_domains(fine: Domain) -> Callable[[float], Domain]:
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
     """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
     dim, asked = shape_of(shape_name).dim, h * 2**levels
-    simplices = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
-    domain = label_parts(distribute(comm, *simplices, dim), shape_name, made="Gmsh")
+    points, cells = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
+    points, cells, together = _opened(shape_name, points, cells)
+    domain = label_parts(distribute(comm, points, cells, dim, together=together), shape_name, made="Gmsh")
     for _ in range(levels):
         domain = refined_uniformly(domain)
     if levels > 0 and domain.h > h:  # vertices that moved to a curved boundary have made edges longer than expected
@@ -130,6 +133,19 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
+def _opened(shape_name: str, points: Array, cells: Indices) -> tuple[Array, Indices, Indices | None]:
+    """The mesh of a named shape, cut along its inner parts, and the pairs of cells there, see `distribute`."""
+    shape = shape_of(shape_name)
+    inner = [shape.parts[name] for name in shape.inside]
+    if not inner:
+        return points, cells, None
+    everything, along = faces(cells), np.zeros((points.shape[1], len(points)))
+    along[:] = points.T
+    on_cut = np.any([part.contains(along)[everything].all(axis=1) for part in inner], axis=0)
+    done = cut(points, cells, np.unique(everything[on_cut], axis=0))
+    return done.points, done.cells, done.pairs
+
+
 def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -> Domain:
     """Find the facets of each boundary part of a named shape (collective)."""
     dim, shape = mesh.topology.dim, shape_of(shape_name)
@@ -137,22 +153,44 @@ def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
     }
+    for name, part in shape.parts.items():
+        if part.side:
+            facets[name] = facets[name][part.side * height_of_cells(mesh, facets[name]) > 0]
     return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, CURVATURE, shape_name, True, made)
 
 
-def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
+def height_of_cells(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
+    """How far the cell behind each boundary facet is above it, in the last coordinate."""
+    dim = mesh.topology.dim
+    of_facets = mesh.topology.connectivity(dim - 1, dim)
+    cells = of_facets.array[of_facets.offsets[facets]]
+    middle = [
+        dolfinx.mesh.compute_midpoints(mesh, d, some)[:, dim - 1] for d, some in ((dim, cells), (dim - 1, facets))
+    ]
+    return np.asarray(middle[0] - middle[1], dtype=np.float64)
+
+
+def own_domain(
+    comm: MPI.Comm,
+    path: str,
+    h: float | None,
+    conditions: Mapping[str, Sequence[str]],
+    sides: Mapping[str, Side] | None = None,
+) -> Domain:
     """Read a mesh, or make the mesh of a `.geo` file, and check it (collective).
 
     Args:
         comm: Communicator of the mesh; rank 0 reads it.
         path: Path of the file.
         h: Wanted largest cell diameter for the mesh of a `.geo` file; None for the sizes in the file.
-        conditions: The parts with each kind of condition, see `check_boundary`.
+        conditions: The parts with each kind of condition, see `check_boundary`; the mesh is cut along those of "inner".
+        sides: The named sides of inner parts, see `cut.opened`.
 
     Raises:
         InputError: If the file, its mesh or its parts cannot be used, or the mesh does not fit into memory.
     """
     read: list[FileMesh] = []
+    inner = conditions.get("inner", ())
     if h is not None:
         check_memory(comm, f"mesh {path}, h = {h:g}", *on_root(comm, lambda: expected_size(path, h)), h)
 
@@ -160,6 +198,7 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
         levels = _file_refinements(path, h)
         mesh = _coarse_enough(path, h, levels)
         try:
+            mesh = opened(mesh, inner, sides or {}) if inner else mesh
             check_boundary(mesh, conditions)
         except InputError as error:
             raise InputError(f"mesh {path}: {error}") from None
@@ -172,14 +211,15 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
     check_memory(comm, f"mesh {path}", dim, size * 2 ** (dim * levels))
     points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
     facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
-    inside = None
+    inside, together = None, np.empty((0, 2), dtype=np.int64) if inner else None
     if read:
+        together = read[0].together
         points, cells, facets = read[0].points, read[0].cells, read[0].parts
         inside = np.zeros((len(cells), len(regions)), dtype=bool)
         for column, chosen in enumerate(read[0].regions.values()):
             inside[chosen, column] = True
     parts = {name: axis_part(label) for name, label in labels.items()}
-    mesh, marks = distribute(comm, points, cells, dim), Marks(facets, inside, regions)
+    mesh, marks = distribute(comm, points, cells, dim, together=together), Marks(facets, inside, regions)
     made = "Gmsh" if is_geometry(path) else "file"
     domain = marked_domain(mesh, parts, marks, curvature=curvature, name=Path(path).name, made=made)
     for _ in range(levels):
@@ -200,8 +240,7 @@ def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
     asked = None if h is None else h * 2**levels
     mesh = read_mesh_file(path, asked)
     while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
-        coarse = distribute(MPI.COMM_SELF, mesh.points, mesh.cells, mesh.dim)
-        achieved = 2 * refined_uniformly(Domain(coarse, math.inf, {}, {}, {}, OWN_CURVATURE)).h
+        achieved = 2 * refined_diameter(mesh.points, mesh.cells)
         if achieved <= h * 2**levels:
             break
         asked *= 0.98 * h * 2**levels / achieved
@@ -270,6 +309,8 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
             points, cells = _gmsh_simplices(shape.dim)
             if levels == 0:
                 achieved = float(diameters(points, cells).max())
+            elif all(part.nearest is None for part in shape.parts.values()):
+                achieved = 2 * refined_diameter(points, cells)
             else:
                 coarse = label_parts(distribute(MPI.COMM_SELF, points, cells, shape.dim), shape_name)
                 achieved = 2 * refined_uniformly(coarse).h

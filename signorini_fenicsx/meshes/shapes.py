@@ -16,7 +16,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.expressions import parse_number
-from signorini_fenicsx.meshes.domain import Part
+from signorini_fenicsx.meshes.domain import Part, other_side
 from signorini_fenicsx.meshes.grids import (
     Share,
     Simplices,
@@ -36,9 +36,11 @@ class NamedPart(Part):
 
     Attributes:
         contains: Maps points of shape (3, n) to a mask of those on the part.
+        side: Of an inner part 1 for its upper side, −1 for its lower one; 0 for parts of the boundary.
     """
 
     contains: Callable[[Array], Mask] = field(kw_only=True)
+    side: int = 0
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Shape:
         dim: Dimension, 2 or 3.
         measure: Area or volume.
         diameter: Largest distance between two of its points.
-        parts: Boundary parts; they cover the boundary.
+        parts: Boundary parts; they cover the boundary. Inner parts are among them, with both sides.
         outline: Adds the domain to the current Gmsh model.
         grid: Makes a rank's share of the structured mesh for h and a diagonal; None if there is none.
     """
@@ -60,6 +62,16 @@ class Shape:
     parts: Mapping[str, NamedPart]
     outline: Callable[[], None]
     grid: Callable[[float, str, Share], Simplices] | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The parts, each inner one once."""
+        return [name for name, part in self.parts.items() if part.side >= 0]
+
+    @property
+    def inside(self) -> list[str]:
+        """The inner parts."""
+        return [name for name, part in self.parts.items() if part.side > 0]
 
 
 def _plane(axis: int, value: float, size: float = 1.0) -> NamedPart:
@@ -126,6 +138,21 @@ def _annulus() -> None:
     gmsh.model.geo.addPlaneSurface([_circle_loop(1.0), _circle_loop(0.5)])
 
 
+def _slit_square() -> None:
+    """The square (−1, 1)² with a line in it, from the middle of its left side to its centre."""
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, 0)]
+    points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
+    lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+    square = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+    slit = gmsh.model.geo.addLine(points[-1], gmsh.model.geo.addPoint(0, 0, 0))
+    gmsh.model.geo.synchronize()
+    gmsh.model.mesh.embed(1, [slit], 2, square)
+
+
+def _slit(side: int) -> NamedPart:
+    return NamedPart(lambda x: x[0], "x", contains=lambda x: np.isclose(x[1], 0) & (x[0] < 1e-9), side=side)
+
+
 def _ball() -> None:
     """The unit ball, made of eight octants, so that the mesh resolves the equator."""
     centre, *equator, south, north = [
@@ -176,6 +203,20 @@ SHAPES: Mapping[str, Shape] = {
         },
         _polygon(*L_CORNERS),
         lshape_grid,
+    ),
+    "slit": Shape(
+        2,
+        4.0,
+        2 * math.sqrt(2),
+        {
+            "left": _plane(0, -1),
+            "right": _plane(0, 1),
+            "bottom": _plane(1, -1),
+            "top": _plane(1, 1),
+            "slit": _slit(1),
+            other_side("slit"): _slit(-1),
+        },
+        _slit_square,
     ),
     "half_disk": Shape(
         2, math.pi / 2, 2.0, {"arc": _circle(1.0, lower_half=True), "diameter": _plane(1, 0)}, _half_disk

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
-from signorini_fenicsx.meshes.domain import Domain, Marks, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import Domain, Marks, cells_behind, facet_vertices, membership
 from signorini_fenicsx.solving.solution import Solution
 
 TINY = np.finfo(np.float64).tiny
@@ -28,8 +28,8 @@ class FacetTable:
         x: Midpoints, shape (facets, 3).
         along: Coordinate along the part.
         measure: |e|.
-        u: u_h in the cell behind the facet.
-        p: Trace p_h.
+        u: u_h in the cell behind the facet; for a facet inside the domain the jump of u_h.
+        p: Trace p_h, or the jump p_h.
         flux: σ_h·n.
         psi: Mean of ψ.
         q_S: Mean of q_S.
@@ -58,7 +58,7 @@ class Boundary:
 
     Attributes:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
-        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N.
+        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
@@ -93,7 +93,8 @@ class Fields:
 def facet_table(solution: Solution) -> FacetTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces = solution.spaces
-    size = len(spaces.facets)
+    size, u = len(spaces.facets), solution.u.x.array[spaces.cells]
+    u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
     midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
@@ -104,7 +105,7 @@ def facet_table(solution: Solution) -> FacetTable:
         x=midpoints,
         along=along,
         measure=spaces.facet_measure,
-        u=solution.u.x.array[spaces.cells],
+        u=u,
         p=solution.p.x.array[:size],
         flux=spaces.normal_flux(solution.sigma),
         psi=solution.data.psi_h,
@@ -137,7 +138,8 @@ def gather_boundary(solution: Solution) -> Boundary | None:
     spaces = solution.spaces
     lift = solution.data.u_lift
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    p = solution.p.x.array[: len(spaces.facets)]
+    p = solution.p.x.array[: len(spaces.facets)].copy()
+    p[spaces.inner.rows] = np.nan
     blocks = [
         (SIGNORINI, spaces.facets, p),
         (DIRICHLET, spaces.dirichlet_facets, u_D),

@@ -87,11 +87,11 @@ def write_solution(
     """
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
+        write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
         drawn = is_drawable(solution)
         if isinstance(solution, ElasticSolution):
             on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot and drawn))
         else:
-            write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
             write_table_of_facets(folder, solution)
             if solution.data.obstacle is not None:
                 write_free_boundary(folder / "free_boundary.csv", solution)

@@ -1,6 +1,7 @@
 """From a domain, a boundary and a problem to the solution: spaces, data, method, KKT check."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -56,13 +57,13 @@ class Solver:
 
         Args:
             domain: The mesh with its parts.
-            boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
+            boundary: The parts that are Γ_S and Γ_N, and those inside the domain; the rest is Γ_D.
 
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
         check_parts(domain, vars(boundary))
-        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
         self._backend: Backend[Iterate] | None = None
         self._made_for: tuple[object, Tuning] | None = None
@@ -215,14 +216,14 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
     boundary = gamma_s(boundary, problem)
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     return spaces, project_data(spaces, problem)
 
 
 def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
     """The boundary with the parts of all laws in Γ_S."""
     parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
-    return Boundary(list(dict.fromkeys(parts)), boundary.neumann)
+    return replace(boundary, signorini=list(dict.fromkeys(parts)))
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
@@ -265,6 +266,13 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None)
     check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    if spaces.inner.present and not method.takes_inner:
+        usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
+        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
+    if spaces.inner.present and data.obstacle is not None:
+        raise InputError(
+            "[problem] obstacle: there may be no parts inside the domain as well, leave out [boundary] inner"
+        )
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"

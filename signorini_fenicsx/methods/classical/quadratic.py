@@ -24,13 +24,16 @@ import scipy.sparse
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
+from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import touching
-from signorini_fenicsx.discrete.spaces import assembled
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.history import Outcome, Recorder
@@ -48,15 +51,14 @@ def quadratic_programme(task: Task) -> Outcome:
     V, Q, comm = spaces.V, spaces.Q, spaces.mesh.comm
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
     data = task.data
-    sigma, tau, v = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(Q)
-    hessian, divergence = (
-        _on_root(form) for form in (flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx))
-    )
+    tau, v = ufl.TestFunction(V), ufl.TestFunction(Q)
+    hessian, divergence = (matrix_on_root(matrix) for matrix in _matrices(spaces, data))
     weight = 1 / np.sqrt(spaces.cell_measures[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
     )[:flux_size]
+    spaces.join_across(linear)
     reaction = np.zeros(cells) if data.c_h is None else data.c_h.x.array
     psi = np.full(cells, np.nan) if data.obstacle is None else data.obstacle.means
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
@@ -90,6 +92,7 @@ def quadratic_programme(task: Task) -> Outcome:
     p = flux_rows.scatter(left)[spaces.flux_dofs] / spaces.basis_flux
     flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
+    spaces.carry_across(sigma_h)
     contact = touching(spaces, data, sigma_h, u_h)
     iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h, contact=contact)
     law = data.laws.chains
@@ -109,11 +112,19 @@ def quadratic_programme(task: Task) -> Outcome:
     )
 
 
-def _on_root(form: ufl.Form) -> scipy.sparse.csr_array | None:
-    """A matrix on rank 0, None on the other ranks (collective)."""
-    matrix = assemble_matrix(fem.form(form))
-    matrix.assemble()
-    return matrix_on_root(matrix)
+def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
+    """The mass matrix and the divergence, for fluxes that are equal on both sides of inner facets (collective)."""
+    sigma, tau, v = ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
+    blocks = flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx)
+    matrices = [assemble_matrix(fem.form(form)) for form in blocks]
+    for matrix in matrices:
+        matrix.assemble()
+    basis = with_one_flux(spaces, spaces.V.dofmap.index_map.size_local)
+    if basis is None:
+        return matrices
+    mass, divergence = matrices[0].ptap(basis), matrices[1].matMult(basis)
+    mass.zeroRowsColumns(spaces.across[0] + mass.getOwnershipRange()[0])
+    return [mass, divergence]
 
 
 def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
@@ -127,6 +138,8 @@ def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
     spaces, law = task.spaces, task.data.laws.chains
     bounds = np.tile([-np.inf, np.inf, 0.0, 0.0], (flux_size, 1))
     bounds[spaces.neumann_dofs, :2] = 0.0
+    if spaces.inner.present:
+        bounds[spaces.across[0], :2] = 0.0
     e, basis, steep = spaces.facet_measure, spaces.basis_flux, law.slope > 0
     several = steep.sum(axis=1) > 1
     ends = np.stack(law.extent()[2:], axis=1) * (e / basis)[:, None]

@@ -59,6 +59,7 @@ def scene_of(
         contact=solution.method.contact,
         segments=solution.data.laws.names() if solution.data.laws.listed else [],
         history=solution.outcome.history,
+        inside=solution.boundary.inner,
         phreatic_line=phreatic_line,
     )
 

@@ -87,7 +87,8 @@ def _draw_traces(path: Path, scene: Scene) -> None:
 def _draw_part(scene: Scene, row: list[Axes], part: int, number: int) -> None:
     """Both panels of a part of Γ_S."""
     name = list(scene.labels)[part]
-    for axes, (panel, title) in zip(row, traces.TITLES.items(), strict=True):
+    titles = traces.TITLES | ({"u": "jump of $u$"} if name in scene.inside else {})
+    for axes, (panel, title) in zip(row, titles.items(), strict=True):
         traces.draw_trace(scene, axes, part, panel, f"{style.letter(number)} {title} on {name}")
         number += 1
 

@@ -1,6 +1,7 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,6 +46,7 @@ class Scene:
         history: Steps of the algorithm.
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
+        inside: The parts of Γ_S inside the domain.
         phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
     """
 
@@ -60,6 +62,7 @@ class Scene:
     history: list[Step]
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
+    inside: Collection[str] = ()
     phreatic_line: Array | None = None
 
     @property
