@@ -124,22 +124,22 @@ class Scene:
 
     def interfaces(self) -> Indices:
         """Edges between cells of different regions, in the plane: shape (edges, 2)."""
-        return self._edges_between(self.regions if self.regions is not None and self.regions.shape[1] > 1 else None)
+        return self._facets_between(self.regions if self.regions is not None and self.regions.shape[1] > 1 else None)
 
     def free_boundary(self) -> Indices:
-        """Edges between cells in contact with the obstacle and others, in the plane: shape (edges, 2)."""
+        """Facets between cells in contact with the obstacle and others, shape (facets, dim)."""
         contact = self.fields.contact
-        return self._edges_between(None if contact is None else contact[:, None])
+        return self._facets_between(None if contact is None else contact[:, None])
 
-    def _edges_between(self, groups: Mask | None) -> Indices:
-        """Edges between cells that differ in the groups that they are in; `groups` is a mask, a column for each."""
+    def _facets_between(self, groups: Mask | None) -> Indices:
+        """Facets between cells that differ in the groups that they are in; `groups` is a mask, a column for each."""
         if groups is None:
-            return np.empty((0, 2), dtype=np.int64)
-        cells = self.fields.cells
-        edges = np.sort(np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
+            return np.empty((0, self.dim), dtype=np.int64)
+        cells, corners = self.fields.cells, list(itertools.combinations(range(self.dim + 1), self.dim))
+        facets = np.sort(np.concatenate([cells[:, some] for some in corners]), axis=1)
         _, region = np.unique(groups, axis=0, return_inverse=True)
-        both = np.column_stack([edges, np.tile(region.ravel(), 3)])
-        different = np.unique(both, axis=0)[:, :2]
+        both = np.column_stack([facets, np.tile(region.ravel(), len(corners))])
+        different = np.unique(both, axis=0)[:, : self.dim]
         found, times = np.unique(different, axis=0, return_counts=True)
         return found[times == 2]
 
