@@ -58,7 +58,8 @@ class HybridBackend(FacetBackend):
         self._system = FacetSystem(spaces, data, self._tuning)
         self._condensed: Condensed | None = None
         self.dofs = self._system.dofs
-        self._solver = LinearSolver(self._system.matrix, prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
+        defaults = MUMPS_WORKSPACE | (DEFAULTS if data.obstacle is None else {})
+        self._solver = LinearSolver(self._system.matrix, prefix, defaults=defaults)
         self._ksp = self._solver.ksp
         iterative = multigrid or self._system.large
         self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
