@@ -12,7 +12,7 @@ from PIL import Image
 from signorini_fenicsx.api import solve_case, write_solution
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
@@ -24,7 +24,7 @@ def draw(name: str) -> None:
     """Solve one case and keep the picture of u, of an elastic one that of the deformed body."""
     case = load_any_case(name)
     if case.geometry.shape is not None:
-        shape = SHAPES[case.geometry.shape]
+        shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
         write_solution(solve_case(case), folder, plot=True, fields=False)

@@ -26,7 +26,6 @@ import basix
 import numpy as np
 from dolfinx import fem, la
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import (
@@ -39,12 +38,13 @@ from signorini_fenicsx.certificate.admissible_trace import (
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.nodes import Jumps, facet_nodes, largest_around
+from signorini_fenicsx.discrete.nodes import Jumps, extreme_around, facet_nodes, largest_around, set_means
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
@@ -145,17 +145,21 @@ class OnGammaS:
         return found
 
 
-def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS) -> Trace:
-    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective)."""
+def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, forces: Array | None) -> Trace:
+    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective).
+
+    `forces` is λ of the obstacle in each owned cell, None without one.
+    """
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
     v = averaged(solution, metric)
     space = v.function_space
-    edges, nodes = all_edges(space), facet_nodes(space, spaces.facets)
+    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
+    floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
@@ -165,29 +169,35 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         jumps.taken(v)
     given = v.x.array[fixed]
     for some in (nearly, fully):
-        _set_means(v, nodes[some], values[some])
+        set_means(v, nodes[some], values[some])
     v.x.array[fixed] = given
     ends = on.ends(at_nodes)
     feasible = _allows(v, nodes, ends[:2], fixed, np.where(np.isin(fixed, tips), 0.0, given))
     (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
-    hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
-    soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
+    hard = extreme_around(space, nodes, low, largest=True), extreme_around(space, nodes, high, largest=False)
+    soft = extreme_around(space, nodes, soft_low, largest=True), extreme_around(space, nodes, soft_high, largest=False)
     if jumps is not None:
         jumps.undone(v)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
     if jumps is not None:
         jumps.taken(v)
-    box = Box.of(hard, soft, fixed)
+    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
+    over = [(np.maximum(low, floor), high) for low, high in (hard, soft)]
+    box = Box.of(over[0], over[1], fixed)
     box.project(v.x.array)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
+    if forces is not None:
+        add_load(excess, spaces, forces)
     excess.x.scatter_reverse(la.InsertMode.add)
     slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
     load[tips] = 0.0
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope), jumps)
+    if obstacle is not None:
+        lower_inside(v, floor, obstacle, edges)
     jump = None
     if jumps is not None:
         jump = v.copy()
@@ -200,7 +210,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
     """Whether the laws leave room for a continuous v, or its jump, with given values in some nodes (collective)."""
     comm = v.function_space.mesh.comm
-    low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
+    low, high = (extreme_around(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
     rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
     within = (low[fixed] <= given + rounding) & (given <= high[fixed] + rounding)
     return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
@@ -214,29 +224,6 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
         middle = 2 * values[:, corners:] - (values[:, first] + values[:, second]) / 2
     middle = np.where(np.isfinite(middle), middle, values[:, corners:])
     return np.hstack([values[:, :corners], middle])
-
-
-def _set_means(function: fem.Function, nodes: Indices, values: Array) -> None:
-    """Set the nodes of some facets to the means of what the facets say (collective)."""
-    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
-    np.add.at(total.x.array, nodes.ravel(), values.ravel())
-    np.add.at(count.x.array, nodes.ravel(), 1.0)
-    for each in (total, count):
-        each.x.scatter_reverse(la.InsertMode.add)
-        each.x.scatter_forward()
-    found = count.x.array > 0
-    function.x.array[found] = total.x.array[found] / count.x.array[found]
-
-
-def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest: bool) -> Array:
-    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
-    sign = 1.0 if largest else -1.0
-    found = fem.Function(space)
-    found.x.array[:] = -np.inf
-    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
-    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    found.x.scatter_forward()
-    return np.asarray(sign * found.x.array, dtype=np.float64)
 
 
 def _with_exact_data(
@@ -272,6 +259,11 @@ def _with_exact_data(
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
             known.append(datum)
+    if data.obstacle is not None:
+        trace.bounds.append(bound(data.obstacle, linear))
+        if not is_quadratic(data.obstacle.psi):
+            changed.append(trace.bounds[-1].near)
+            known.append(data.obstacle.psi)
     near = sum((each.x.array for each in changed), np.zeros_like(moved.x.array))
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
@@ -280,7 +272,7 @@ def _with_exact_data(
         feasible = jumps_obey(trace, jump, on.goal.parts, spaces) and feasible
     return Trace(
         v=v,
-        exact=trace if changed else None,
+        exact=trace if trace.bounds or changed else None,
         above=partial(trace.on_gamma_s, spaces, jump),
         cells=cells,
         at_dirichlet=at_dirichlet,

@@ -23,7 +23,7 @@ from signorini_fenicsx.cases.solving import AnySolution, options_of
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticLaw, ElasticProblem
-from signorini_fenicsx.discrete.kkt import kkt_residuals
+from signorini_fenicsx.discrete.kkt import kkt_residuals, touching
 from signorini_fenicsx.discrete.laws import LAWS, Friction, Law
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
@@ -113,7 +113,9 @@ def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options:
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
     outcome = Outcome(
-        iterate=Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u),
+        iterate=Iterate(
+            p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=touching(spaces, data, sigma, u)
+        ),
         conditions=conditions,
         history=about.history,
         **{key: getattr(about, key) for key in OUTCOME},

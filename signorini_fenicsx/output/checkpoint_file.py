@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary
 from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.meshes.domain import AXES, Boundary
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, VALUES
@@ -294,8 +294,8 @@ def _check_layout(found: Checkpoint) -> None:
     if found.shape is None:
         known = set(about.parts.values()) <= set(AXES[:dim])
     else:
-        known = list(about.parts) == list(SHAPES[found.shape].parts)
-        if SHAPES[found.shape].dim != dim:
+        known = list(about.parts) == list(shape_of(found.shape).parts)
+        if shape_of(found.shape).dim != dim:
             raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")

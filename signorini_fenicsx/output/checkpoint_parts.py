@@ -14,7 +14,7 @@ from signorini_fenicsx.discrete.kkt import Residuals
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.output.checkpoint_file import About, Checkpoint
 
@@ -69,7 +69,7 @@ def rows_of_facets(found: Checkpoint, spaces: Spaces) -> Indices:
 
 def _parts(found: Checkpoint) -> Mapping[str, Part]:
     if found.shape is not None:
-        return SHAPES[found.shape].parts
+        return shape_of(found.shape).parts
     return {name: axis_part(label) for name, label in found.about.parts.items()}
 
 
