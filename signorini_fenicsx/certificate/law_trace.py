@@ -25,7 +25,6 @@ import basix
 import numpy as np
 from dolfinx import fem, la
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import (
@@ -43,7 +42,7 @@ from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.nodes import Jumps, facet_nodes, largest_around
+from signorini_fenicsx.discrete.nodes import Jumps, extreme_around, facet_nodes, largest_around, set_means
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.solving.solution import Solution
 
@@ -72,13 +71,13 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         jumps.taken(v)
     given = v.x.array[fixed]
     for some in (nearly, fully):
-        _set_means(v, nodes[some], values[some])
+        set_means(v, nodes[some], values[some])
     v.x.array[fixed] = given
     ends = on.ends(at_nodes)
     feasible = _allows(v, nodes, ends[:2], fixed, np.where(np.isin(fixed, tips), 0.0, given))
     (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
-    hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
-    soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
+    hard = extreme_around(space, nodes, low, largest=True), extreme_around(space, nodes, high, largest=False)
+    soft = extreme_around(space, nodes, soft_low, largest=True), extreme_around(space, nodes, soft_high, largest=False)
     if jumps is not None:
         jumps.undone(v)
     for function in (v, u_D):
@@ -113,7 +112,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
     """Whether the laws leave room for a continuous v, or its jump, with given values in some nodes (collective)."""
     comm = v.function_space.mesh.comm
-    low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
+    low, high = (extreme_around(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
     rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
     within = (low[fixed] <= given + rounding) & (given <= high[fixed] + rounding)
     return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
@@ -127,29 +126,6 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
         middle = 2 * values[:, corners:] - (values[:, first] + values[:, second]) / 2
     middle = np.where(np.isfinite(middle), middle, values[:, corners:])
     return np.hstack([values[:, :corners], middle])
-
-
-def _set_means(function: fem.Function, nodes: Indices, values: Array) -> None:
-    """Set the nodes of some facets to the means of what the facets say (collective)."""
-    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
-    np.add.at(total.x.array, nodes.ravel(), values.ravel())
-    np.add.at(count.x.array, nodes.ravel(), 1.0)
-    for each in (total, count):
-        each.x.scatter_reverse(la.InsertMode.add)
-        each.x.scatter_forward()
-    found = count.x.array > 0
-    function.x.array[found] = total.x.array[found] / count.x.array[found]
-
-
-def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest: bool) -> Array:
-    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
-    sign = 1.0 if largest else -1.0
-    found = fem.Function(space)
-    found.x.array[:] = -np.inf
-    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
-    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    found.x.scatter_forward()
-    return np.asarray(sign * found.x.array, dtype=np.float64)
 
 
 def _with_exact_data(
