@@ -15,7 +15,7 @@ from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
 from signorini_fenicsx.cli.evolving import solve_in_time
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
@@ -27,7 +27,7 @@ def draw(name: str) -> None:
     """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of the sets."""
     case = load_any_case(name)
     if case.geometry.shape is not None:
-        shape = SHAPES[case.geometry.shape]
+        shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
         found = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")

@@ -24,7 +24,8 @@ Elastic contact:
 
 - `ElasticBoundary` and `ElasticProblem` say what is given, `Friction` and `Coulomb` are laws of friction;
 - `solve_elastic` gives an `ElasticSolution`;
-- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too.
+- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too;
+- `load_any_case` and `load_any_solution` read those of any physics.
 
 Algorithms and backends, and how to replace them:
 
@@ -93,6 +94,8 @@ __all__ = [
     "domain_of",
     "evolve",
     "evolve_case",
+    "load_any_case",
+    "load_any_solution",
     "load_case",
     "load_solution",
     "solve",

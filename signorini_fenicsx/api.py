@@ -81,6 +81,7 @@ from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
@@ -109,7 +110,7 @@ from signorini_fenicsx.methods.history import Outcome, Step
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
-from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -165,6 +166,8 @@ __all__ = [
     "domain_of",
     "evolve",
     "evolve_case",
+    "load_any_case",
+    "load_any_solution",
     "load_case",
     "load_solution",
     "solve",

@@ -35,12 +35,15 @@ def test_examples_are_shipped():
             "moving_transition",
             "seepage_falling",
             "ball",
+            "clamp",
             "cube",
             "dam",
+            "dam_baiocchi",
             "edge",
             "electropainting",
             "hertz",
             "lprism",
+            "sphere",
         ]
     )
     for name in case_names():
@@ -58,6 +61,8 @@ def test_good_case(tmp_path: Path):
     ("old", "new", "message"),
     [
         ('"square"', '"circle"', r"\[geometry\] shape: unknown shape 'circle'; use one of square, lshape"),
+        ('"square"', '"[0, 1] x [1, 1]"', "each interval must begin with the smaller number"),
+        ('"square"', '"[0, 1] x [1, y]"', "'y' is not a number"),
         ('["top"]', '["lid"]', "unknown part 'lid' of square; its parts are left, right, bottom, top"),
         ('["top"]', '["top", "top"]', "'top' is listed twice"),
         ('["top"]', '"top"', r"\[boundary\] signorini: input should be a valid list"),
@@ -107,7 +112,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 def test_unknown_names():
     with pytest.raises(
-        InputError, match="unknown case 'example7'; use one of ball, biactive, crack, cube, dam, edge, electro"
+        InputError, match="unknown case 'example7'; use one of ball, biactive, crack, cube, dam, dam_baiocchi, edge, "
     ):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):

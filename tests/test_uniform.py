@@ -14,7 +14,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import build_domain, own_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 
 COMM = MPI.COMM_WORLD
 SQUARE = """h = 0.3;
@@ -126,3 +126,10 @@ def test_rows_of_other_ranks():
 def test_structured_meshes_are_made_where_they_live():
     for shape, h in (("lshape", 0.1), ("lprism", 0.5)):
         assert measure(corners(build_domain(COMM, shape, h, mesh="structured"))) == pytest.approx(3, rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", ["square", "lprism"])
+def test_the_diameter_of_children_is_known_without_them(shape: str):
+    coarse = build_domain(MPI.COMM_SELF, shape, 0.5, mesh="gmsh")
+    points, cells = coarse.mesh.geometry.x[:, : coarse.mesh.geometry.dim], coarse.mesh.geometry.dofmap.astype(np.int64)
+    assert refined_diameter(points, cells) == pytest.approx(refined_uniformly(coarse).h, rel=1e-12)

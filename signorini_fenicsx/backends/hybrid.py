@@ -6,14 +6,14 @@ from functools import partial
 
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.auxiliary_space import AuxiliarySpace
+from signorini_fenicsx.backends.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.backends.condensed import Condensed
 from signorini_fenicsx.backends.contract import Inexact, Iterate
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import LinearSolver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
@@ -63,7 +63,8 @@ class HybridBackend(FacetBackend):
         self._condensed: Condensed | None = None
         self._regret = math.inf
         self.dofs = self._system.dofs
-        self._solver = LinearSolver(self._system.matrix, prefix)
+        defaults = MUMPS_WORKSPACE | (DEFAULTS if data.obstacle is None else {})
+        self._solver = LinearSolver(self._system.matrix, prefix, defaults=defaults)
         self._ksp = self._solver.ksp
         iterative = multigrid or self._system.large
         self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
@@ -97,14 +98,14 @@ class HybridBackend(FacetBackend):
         return True
 
     def _is_worth_condensing(self) -> bool:
-        """Whether the matrix is factorised, also without contact, and Γ_S small, and what it saved would pay it back.
+        """Whether this is possible, with a factorisation and few facets in Γ_S, and what it saves would pay it back.
 
         Where sets stand still, one more solve for each right side is what it costs, and a factorisation for each change
         of the sets what it saves. It is given up, or made again, when as much was lost as the change costs.
         """
         facets = self.spaces.Lambda.dofmap.index_map.size_global
-        able = self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
-        return able and self._regret >= facets
+        factorised = self.precise is not None and self.data.holds(self.spaces) and self.data.obstacle is None
+        return factorised and facets <= self._tuning.condense_up_to and self._regret >= facets
 
     def _offer_precise(self) -> None:
         if not self._iterates and self._ksp.getPC().getType() in ("cholesky", "lu"):
@@ -150,7 +151,7 @@ class HybridBackend(FacetBackend):
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
         """Solves as `Inexact.solve_near` says (collective)."""
-        patch = Patch(self._system.matrix, self._system.trace_dofs[sites], layers)
+        patch = Patch(self._system.matrix, self._system.unknowns(sites), layers)
 
         def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
             self._applied = None
@@ -180,7 +181,7 @@ class HybridBackend(FacetBackend):
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
                 with self._solver.options():
-                    self._auxiliary.update(conditions, essential)
+                    self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()

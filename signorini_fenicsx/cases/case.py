@@ -7,22 +7,29 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import ufl
-from pydantic import Field, ValidationError, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Expression, Positive, Whole, choice, within
+from signorini_fenicsx.cases.values import Expression, Positive, ShapeName, Whole, choice, within
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
-from signorini_fenicsx.meshes.shapes import SHAPES, Shape
+from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
@@ -30,7 +37,7 @@ from signorini_fenicsx.solving.options import BACKENDS
 class Geometry(Section):
     """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
 
-    shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
+    shape: ShapeName | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
     mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
     diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
@@ -43,12 +50,12 @@ class Geometry(Section):
             if {"mesh", "diagonal"} & self.model_fields_set:
                 raise ValueError("mesh and diagonal apply to named shapes, not to files")
             return self
-        shape = SHAPES[self.shape]
+        shape = shape_of(self.shape)
         if self.mesh == "structured" and shape.grid is None:
             structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
-            raise ValueError(f"shape '{self.shape}' has no structured mesh; only {structured} have")
+            raise ValueError(f"shape '{self.shape}' has no structured mesh; only rectangles, {structured} have")
         if self.diagonal is not None and (self.mesh != "structured" or shape.dim != 2):
-            raise ValueError("diagonal applies to structured meshes of square and lshape only")
+            raise ValueError("diagonal applies to structured meshes of square, lshape and rectangles only")
         return self
 
     @property
@@ -121,7 +128,7 @@ class CaseFile(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.geometry.shape is not None:
-            self._check_shape(SHAPES[self.geometry.shape])
+            self._check_shape(shape_of(self.geometry.shape))
         elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
             raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' has its own h; leave h out")
         else:
@@ -203,6 +210,18 @@ class Case(CaseFile):
     problem: ProblemTexts
     exact: Exact = Exact()
     time: Time | None = None
+    dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_dam(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """With [dam] the sections that it stands for."""
+        return with_dam(tree)
+
+    @model_serializer(mode="wrap")
+    def _without_what_dam_makes(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        tree: dict[str, Any] = dump(self)
+        return tree if self.dam is None else without_sections(self.dam, tree)
 
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
@@ -213,8 +232,8 @@ class Case(CaseFile):
         for part in self.boundary.sides:
             if part not in self.boundary.inner or self.geometry.file is None:
                 raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
-        if not self.boundary.signorini and not self.law:
-            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
+        if not self.boundary.signorini and not self.law and self.problem.obstacle is None:
+            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]] and no obstacle")
         return self
 
     @property

@@ -23,7 +23,7 @@ from signorini_fenicsx.meshes.cut import opened
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 from signorini_fenicsx.solving.solver import check_solvability
 
@@ -99,8 +99,9 @@ def expected(case: AnyCase, ranks: int) -> Expected:
     cells = round(rough_cells(case))
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
-        dim = SHAPES[geometry.shape].dim
-        parts = {name: {"condition": case.condition_of(name)} for name in SHAPES[geometry.shape].names}
+        shape = shape_of(geometry.shape)
+        dim = shape.dim
+        parts = {name: {"condition": case.condition_of(name)} for name in shape.names}
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))

@@ -22,10 +22,12 @@ class ProblemTexts(Section):
     psi: Expression = "0"
     q_S: Expression = "0"
     c: ExpressionByRegion = "0"
+    obstacle: Expression | None = None
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
+        found += [] if self.obstacle is None else [("obstacle", self.obstacle)]
         values: list[tuple[str, str | list[list[str]]]] = []
         for name, whole in (("kappa", self.kappa), ("c", self.c)):
             values += (

@@ -83,7 +83,7 @@ def solve(
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.solution_report import SolutionReport
-    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
@@ -107,7 +107,7 @@ def solve(
         report.heading(problem, comm)
         report.columns(problem)
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
-            start = None if start_from is None else load_solution(start_from, comm)
+            start = None if start_from is None else load_any_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
         certificate = certificate_of(solution, for_signorini=for_signorini or rigorous)
@@ -279,11 +279,11 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "AnyCase":
     """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
     from signorini_fenicsx.cases.elastic_case import load_any_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
-    from signorini_fenicsx.meshes.shapes import SHAPES
+    from signorini_fenicsx.meshes.shapes import shape_of
 
     case = load_any_case(name)
     shape = case.with_values(values).geometry.shape
-    first = {} if shape is None else {"solve.h": SHAPES[shape].diameter / FIRST_MESH}
+    first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
     return case.with_values(first | values)
 
 
@@ -303,12 +303,12 @@ def export(
     """
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.case_report import CaseReport
-    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.gather import check_drawable
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
-    solution = load_solution(results, comm)
+    solution = load_any_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
     if plot or html:
         topology = solution.spaces.mesh.topology

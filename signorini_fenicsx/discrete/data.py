@@ -13,10 +13,12 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
+from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.given import Given, Rows
 from signorini_fenicsx.discrete.known import Known
+from signorini_fenicsx.discrete.obstacle import Obstacle, obstacle_of
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
@@ -50,9 +52,10 @@ class Data:
         psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
         q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
         laws: The laws on Γ_S.
+        obstacle: The obstacle in Ω, or None.
         conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
-            same with the largest flux, often ∞. Exactly 0 if it is only rounding.
+            same with the largest flux, often ∞, as with an obstacle. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
         memory: What the step of a problem in time takes from those before, in P0; a part of f_h, but not of f.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
@@ -74,11 +77,22 @@ class Data:
     psi_h: Array
     q_Sh: Array
     laws: BoundaryLaws
+    obstacle: Obstacle | None
     conductance: float
     total_load: tuple[float, float]
     exact: Datum | None
     trees: Mapping[str, Tree | Rows]
     memory: fem.Function | None = None
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site: of each facet of Γ_S and, with an obstacle, of each owned cell."""
+        facets = self.laws.chains
+        if self.obstacle is None:
+            return facets
+        number, cells = len(self.psi_h), len(self.obstacle.means)
+        of_cells = np.arange(number, number + cells), Chains.at_corner(cells)
+        return joined([(np.arange(number), facets), of_cells], number + cells)
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
@@ -122,8 +136,10 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D and, on the boundary, of ψ (collective)."""
-        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows]]), spaces.mesh.comm)
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of the obstacle (collective)."""
+        in_cells = np.empty(0) if self.obstacle is None else self.obstacle.means
+        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
+        return extent(np.concatenate(means), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
@@ -145,9 +161,16 @@ class Data:
         for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
-        u_D, psi = self.u_D.less(constant), self.psi.less(constant)
         psi_h[outer] -= constant
-        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=psi_h)
+        return replace(
+            self,
+            u_D=self.u_D.less(constant),
+            psi=self.psi.less(constant),
+            f_h=f_h,
+            u_lift=u_lift,
+            psi_h=psi_h,
+            obstacle=self.obstacle and self.obstacle.less(constant),
+        )
 
 
 def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -> Data:
@@ -169,7 +192,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem))
     c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
     of_laws = [(id(type(law)), law.parts, law.data()) for law in problem.laws]
-    on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, of_laws]
+    on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, problem.obstacle, of_laws]
     boundary = known.get("boundary", on_boundary, lambda: _boundary(spaces, problem))
     laws, q_Sh, sigma_lift = (boundary[name] for name in ("laws", "q_Sh", "sigma_lift"))
     given_flux = sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
@@ -178,6 +201,8 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
         for flux in laws.chains.extent()[2:]
     )
+    if boundary["obstacle"] is not None:
+        highest = np.inf
     return Data(
         f=f,
         kappa=kappa,
@@ -220,7 +245,8 @@ def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
     spaces.carry_across(sigma_lift)
-    given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws}
+    obstacle = obstacle_of(spaces, problem.obstacle, u_D)
+    given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws, "obstacle": obstacle}
     return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
 
 

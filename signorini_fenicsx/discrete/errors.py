@@ -6,7 +6,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -29,7 +29,10 @@ BESIDE = 1e-9
 def exact_errors(
     spaces: Spaces, data: Data, exact: Datum, sigma: fem.Function, u: fem.Function, p: fem.Function
 ) -> dict[str, float]:
-    """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S; in time without that of ∇·σ (collective)."""
+    """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S (collective).
+
+    In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
+    """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
     fluxes, squares = in_vertices(sigma), np.zeros(4)
     for points in cell_quadrature(mesh, owned_cells(mesh), degree):
@@ -48,9 +51,19 @@ def exact_errors(
     squares[3] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
     found = dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
-    if data.memory is not None:
-        del found["div_sigma_L2"]  # ∇·σ has ∂u/∂t in it
+    if data.memory is not None or data.obstacle is not None:
+        del found["div_sigma_L2"]
     return found
+
+
+def missed_contact(spaces: Spaces, data: Data, exact: Datum, contact: Mask) -> float:
+    """Measure of the cells in contact where u > ψ in the centroid, and of the others where u = ψ (collective)."""
+    assert data.obstacle is not None
+    mesh, held = spaces.mesh, np.zeros(len(contact), dtype=bool)
+    for points in cell_quadrature(mesh, owned_cells(mesh), 1):
+        u, psi = exact.values(points)[:, 0], data.obstacle.psi.values(points)[:, 0]
+        held[points.cells] = u - psi <= EXACT_CONTACT * np.maximum(np.abs(u), np.abs(psi))
+    return float(mesh.comm.allreduce(spaces.cell_measures[held != contact].sum()))
 
 
 def exact_trace(spaces: Spaces, exact: Datum, points: FacetPoints) -> Array:

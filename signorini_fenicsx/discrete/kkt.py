@@ -9,10 +9,11 @@ from mpi4py import MPI
 from ufl import Form
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.obstacle import Obstacle
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, flux_mass_diagonal
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
 from signorini_fenicsx.forms.norms import l2
@@ -41,6 +42,10 @@ class KKTResiduals(Residuals):
     the largest |u_D| or |ψ| in place of u if these are larger. u can be constant only without loads and with constant
     u_D. All residuals are 0 if S = 0. The constant that u_D and ψ have in common is subtracted from u, u_D and ψ first.
 
+    With an obstacle λ = −∇·σ − s is its force in each cell, s = f_h − c_h u. Primal, dual and complementarity then have
+    parts from Ω as well, ‖[u − ψ]_-‖ / (L G), ‖h_T k⁻¹[λ]_-‖ / G and ‖min(|u − ψ|/L, h_T k⁻¹|λ|)‖ / G, and the same as
+    fluxes.
+
     For other laws p and σ·n are measured from the reference. Then primal and dual are how far p is outside of what any
     σ·n allows, and σ·n outside of what any p allows. Complementarity is the rest of the distance to the graph, in the
     maximum norm of (k/L)p and σ·n: on each facet the distance to the nearest segment.
@@ -57,8 +62,8 @@ class KKTResiduals(Residuals):
             each facet. Their product is not used, since it can be as small as the square of an error.
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
-        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell; on Γ_N
-            √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell, unless
+            there is an obstacle; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
     """
 
     primal: float
@@ -105,7 +110,8 @@ def kkt_residuals(
         trace, flux = penalty.shift(trace, flux, eps)
     low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
-    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
+    squares = length * np.array(sums) + _over_obstacle(spaces, data, sigma, u)
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares)) / scales
     return KKTResiduals(
         primal=float(primal.max()),
         dual=float(dual.max()),
@@ -113,6 +119,31 @@ def kkt_residuals(
         stationarity=float((_stationarity(spaces, sigma, u, p, data) / scales).max()),
         mass_balance=float((_imbalance(spaces, sigma, u, data) / scales).max()),
     )
+
+
+def touching(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Mask | None:
+    """Mask of the owned cells in contact with the obstacle, None without one (collective)."""
+    if data.obstacle is None:
+        return None
+    above, force = _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    return np.asarray(np.abs(above) <= force)
+
+
+def _obstacle_pairs(
+    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: fem.Function, u: fem.Function
+) -> tuple[Array, Array]:
+    """(k/L)(u − ψ) and h_T λ per owned cell (collective)."""
+    above = data.conductivities(spaces) / spaces.length * (u.x.array - obstacle.means)
+    return above, -assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+
+
+def _over_obstacle(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Array:
+    """Squares of what the cells of this rank add to primal, dual and complementarity (collective)."""
+    if data.obstacle is None:
+        return np.zeros((3, 2))
+    k, (above, force) = data.conductivities(spaces), _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    parts = np.minimum(above, 0.0), np.minimum(force, 0.0), np.minimum(np.abs(above), np.abs(force))
+    return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
 
 
 def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
@@ -161,7 +192,9 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
 def _imbalance(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+    missing = np.zeros(len(k))
+    if data.obstacle is None:
+        missing = assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [

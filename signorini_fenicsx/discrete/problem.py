@@ -11,7 +11,8 @@ from signorini_fenicsx.discrete.laws import Law
 class Problem:
     """−∇·(κ∇u) + cu = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one.
 
-    On the parts of `laws` these hold instead of ψ and q_S.
+    On the parts of `laws` these hold instead of ψ and q_S. With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω,
+    with equality in one of them.
 
     Attributes:
         f: Load.
@@ -21,6 +22,7 @@ class Problem:
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
+        obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
         exact: The exact u, where it is known.
         laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
     """
@@ -32,6 +34,7 @@ class Problem:
     psi: Given = 0.0
     q_S: Given = 0.0
     c: Given | Mapping[str, Given] = 0.0
+    obstacle: Given | None = None
     exact: Given | None = None
     laws: Sequence[Law] = ()
 

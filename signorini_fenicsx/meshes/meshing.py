@@ -31,8 +31,8 @@ from signorini_fenicsx.meshes.domain import (
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
-from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 
 CURVATURE = 1.0
 """`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
@@ -52,7 +52,7 @@ def estimated_cells(shape_name: str, h: float) -> float:
     Raises:
         InputError: If there are more than MAX_CELLS.
     """
-    shape, edge = SHAPES[shape_name], 0.65 * h
+    shape, edge = shape_of(shape_name), 0.65 * h
     cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
     return _allowed(cells, h, shape_name)
 
@@ -62,7 +62,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
 
     Args:
         comm: Communicator of the mesh.
-        shape_name: Key of SHAPES.
+        shape_name: Name of a shape, see `shapes`.
         h: Wanted largest cell diameter.
         mesh: "unstructured" (a large mesh is a uniform refinement of a mesh of Gmsh), "gmsh" or "structured".
         diagonal: How structured squares are cut: left, right (the default) or crossed.
@@ -71,7 +71,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
         InputError: If h asks for more than MAX_CELLS cells, or for more than fit into memory; or if there is no mesh
             with this h.
     """
-    shape, expected = SHAPES[shape_name], estimated_cells(shape_name, h)  # refuses too many
+    shape, expected = shape_of(shape_name), estimated_cells(shape_name, h)  # refuses too many
     check_memory(comm, f"h = {h:g}", shape.dim, expected, h)
     levels = refinements(expected, shape.dim) if mesh == "unstructured" else 0
     if mesh == "structured" and shape.grid is not None:
@@ -87,9 +87,29 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
     return domain
 
 
+def coarser_domains(fine: Domain) -> Callable[[float], Domain]:
+    """Makes meshes that are coarser by a factor: one from which the mesh was refined, or one of the same named shape.
+
+    Args:
+        fine: The mesh.
+
+    Returns:
+        A function that raises InputError if there is no such mesh (collective).
+    """
+    mesh = "structured" if fine.made == "structured" else "gmsh"
+
+    def coarser(factor: float) -> Domain:
+        ancestor = fine.ancestor(factor)
+        if ancestor is None and not fine.is_shape:
+            raise InputError("a mesh of a file that was not refined has no coarser mesh")
+        return ancestor or build_domain(fine.mesh.comm, fine.name, factor * fine.h, mesh=mesh)
+
+    return coarser
+
+
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
     """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
-    dim, asked = SHAPES[shape_name].dim, h * 2**levels
+    dim, asked = shape_of(shape_name).dim, h * 2**levels
     points, cells = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
     points, cells, together = _opened(shape_name, points, cells)
     domain = label_parts(distribute(comm, points, cells, dim, together=together), shape_name, made="Gmsh")
@@ -115,7 +135,7 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
 
 def _opened(shape_name: str, points: Array, cells: Indices) -> tuple[Array, Indices, Indices | None]:
     """The mesh of a named shape, cut along its inner parts, and the pairs of cells there, see `distribute`."""
-    shape = SHAPES[shape_name]
+    shape = shape_of(shape_name)
     inner = [shape.parts[name] for name in shape.inside]
     if not inner:
         return points, cells, None
@@ -128,7 +148,7 @@ def _opened(shape_name: str, points: Array, cells: Indices) -> tuple[Array, Indi
 
 def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -> Domain:
     """Find the facets of each boundary part of a named shape (collective)."""
-    dim, shape = mesh.topology.dim, SHAPES[shape_name]
+    dim, shape = mesh.topology.dim, shape_of(shape_name)
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
@@ -220,8 +240,7 @@ def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
     asked = None if h is None else h * 2**levels
     mesh = read_mesh_file(path, asked)
     while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
-        coarse = distribute(MPI.COMM_SELF, mesh.points, mesh.cells, mesh.dim)
-        achieved = 2 * refined_uniformly(Domain(coarse, math.inf, {}, {}, {}, OWN_CURVATURE)).h
+        achieved = 2 * refined_diameter(mesh.points, mesh.cells)
         if achieved <= h * 2**levels:
             break
         asked *= 0.98 * h * 2**levels / achieved
@@ -271,7 +290,7 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
     If the mesh will be refined uniformly, twice the diameters of the cells of the next mesh count instead: children of
     a tetrahedron may be longer than half of it, but this happens only in the first refinement.
     """
-    shape = SHAPES[shape_name]
+    shape = shape_of(shape_name)
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     listen_again()
     try:
@@ -290,6 +309,8 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
             points, cells = _gmsh_simplices(shape.dim)
             if levels == 0:
                 achieved = float(diameters(points, cells).max())
+            elif all(part.nearest is None for part in shape.parts.values()):
+                achieved = 2 * refined_diameter(points, cells)
             else:
                 coarse = label_parts(distribute(MPI.COMM_SELF, points, cells, shape.dim), shape_name)
                 achieved = 2 * refined_uniformly(coarse).h

@@ -152,12 +152,14 @@ def descendant(
         made=made,
         coarser=coarser,
     )
+    nearest = {name: part.nearest for name, part in domain.parts.items() if part.nearest is not None}
+    if not nearest:
+        return result
     before, dim = _volumes(mesh), mesh.topology.dim
-    for name, part in domain.parts.items():
-        if part.nearest is not None:
-            nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, result.facets[name])
-            nodes = _on_all_ranks(mesh, nodes.ravel())
-            mesh.geometry.x[nodes] = part.nearest(mesh.geometry.x[nodes].T).T
+    for name, moved in nearest.items():
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, result.facets[name])
+        nodes = _on_all_ranks(mesh, nodes.ravel())
+        mesh.geometry.x[nodes] = moved(mesh.geometry.x[nodes].T).T
     if not mesh.comm.allreduce(bool(np.all(_volumes(mesh) / before > FLAT)), MPI.LAND):
         raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
     return replace(result, h=largest_diameter(mesh))

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from dolfinx.common import IndexMap
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.meshes.checks import diameters
 from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, membership
 from signorini_fenicsx.meshes.refinement import descendant
 
@@ -71,7 +72,8 @@ def refined_uniformly(domain: Domain) -> Domain:
     points = np.concatenate([mesh.geometry.x[: nodes.size_local], mesh.geometry.x[ends].mean(axis=1)])[:, :dim]
     children = numbers[:, _children(dim)]
     if dim == 3:
-        octahedron = numbers[np.arange(size)[:, None, None], OCTAHEDRON[_shortest_diagonal(mesh)]]
+        corners = mesh.geometry.x[mesh.geometry.dofmaps[0]]
+        octahedron = numbers[np.arange(size)[:, None, None], OCTAHEDRON[_shortest_diagonal(corners)[0]]]
         children = np.concatenate([children, octahedron], axis=1)
     cells = children.reshape(-1, dim + 1)
     facets = {name: _children_of_facets(mesh, facets, numbers) for name, facets in domain.facets.items()}
@@ -93,12 +95,18 @@ def _numbers(comm: MPI.Comm, *maps: IndexMap) -> list[Indices]:
     return numbers
 
 
-def _shortest_diagonal(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """For each cell the number of the shortest diagonal between midpoints of opposite edges."""
-    corners = mesh.geometry.x[mesh.geometry.dofmaps[0]]
+def refined_diameter(points: Array, cells: Indices) -> float:
+    """Largest diameter of the children of these cells (not collective)."""
+    half = float(diameters(points, cells).max()) / 2
+    return half if points.shape[1] == 2 else max(half, float(_shortest_diagonal(points[cells])[1].max()))
+
+
+def _shortest_diagonal(corners: Array) -> tuple[Indices, Array]:
+    """For each cell the number and the length of the shortest diagonal between midpoints of opposite edges."""
     middle = {edge: corners[:, list(ends)].mean(axis=1) for edge, ends in enumerate(EDGES[3])}
     lengths = np.stack([np.linalg.norm(middle[a] - middle[b], axis=1) for a, b in AROUND], axis=1)
-    return np.argmax(lengths <= lengths.min(axis=1, keepdims=True) * (1 + TIE), axis=1)
+    number = np.argmax(lengths <= lengths.min(axis=1, keepdims=True) * (1 + TIE), axis=1)
+    return number, lengths[np.arange(len(number)), number]
 
 
 def _children_of_facets(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], numbers: Indices) -> Indices:

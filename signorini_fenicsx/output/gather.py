@@ -8,7 +8,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tuning import Tuning
@@ -78,6 +78,7 @@ class Fields:
         sigma: σ_h at the centroids, shape (cells, dim).
         divergence: ∇·σ_h, shape (cells,).
         indicator: η_T of the certificate, shape (cells,); None without a certificate.
+        contact: Whether a cell is in contact with the obstacle, shape (cells,); None without an obstacle.
     """
 
     points: Array
@@ -86,6 +87,7 @@ class Fields:
     sigma: Array
     divergence: Array
     indicator: Array | None = None
+    contact: Mask | None = None
 
 
 def facet_table(solution: Solution) -> FacetTable:
@@ -174,6 +176,20 @@ def _sorted(rows: Indices) -> Indices:
     return rows[np.lexsort(rows.T[::-1])]
 
 
+def gather_free_boundary(solution: Solution) -> Array | None:
+    """Midpoint and measure of each facet between a cell in contact and another, on rank 0, shape (facets, 4)."""
+    spaces, space = solution.spaces, solution.spaces.crouzeix_raviart
+    mesh, dofs, dim = spaces.mesh, solution.free_boundary(), spaces.mesh.topology.dim
+    mesh.topology.create_connectivity(dim, dim - 1)
+    of_dof = np.empty(space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts, dtype=np.int32)
+    of_dof[space.dofmap.list.ravel()] = mesh.topology.connectivity(dim, dim - 1).array
+    corners = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, of_dof[dofs])].reshape(-1, dim, 3)
+    edges = corners[:, 1:] - corners[:, :1]
+    measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
+    rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
+    return None if rows is None else rows[np.lexsort(np.round(rows.T[::-1], 12))]
+
+
 def check_drawable(cells: float, tuning: Tuning) -> None:
     """Refuse pictures of a mesh that is too large for the rank that draws.
 
@@ -213,7 +229,8 @@ def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> 
     mesh = solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     size = mesh.topology.index_map(mesh.topology.dim).size_local
-    values = cell_values(solution) | ({} if indicator is None else {"indicator": indicator.x.array[:size]})
+    others = {"contact": solution.outcome.iterate.contact, "indicator": indicator and indicator.x.array[:size]}
+    values = cell_values(solution) | {key: rows for key, rows in others.items() if rows is not None}
     ids = gather_rows(comm, geometry.input_global_indices)
     points = gather_rows(comm, geometry.x[:, :dim])
     cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmaps[0][:size]])

@@ -23,7 +23,7 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.certificate.enclosures import facet_vertices
-from signorini_fenicsx.discrete.contact_sets import FacetSegments
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.points import corners
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.output.gather import FacetTable, cell_values, facet_table, in_order
@@ -138,7 +138,7 @@ class StepFolder:
             values.x.array[:] = self.cells(spaces, earlier, "u").ravel()
             u.append(values)
         own = self._fetch(spaces, step, "facet_own", "facets")
-        return Past(step, u, FacetSegments(spaces, own))
+        return Past(step, u, Segments(spaces, own))
 
     def _fetch(self, spaces: Spaces, step: int, key: str, kind: str) -> Any:
         """An array of a step for the cells or facets of this rank."""

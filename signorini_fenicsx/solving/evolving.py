@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dolfinx import fem
 
 from signorini_fenicsx.base.parallel import collect_garbage
-from signorini_fenicsx.discrete.contact_sets import FacetSegments
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.evolution import Evolution, Steps
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -50,7 +50,7 @@ class Past:
 
     step: int
     u: Sequence[fem.Function]
-    segments: FacetSegments | None
+    segments: Segments | None
 
 
 def evolve(

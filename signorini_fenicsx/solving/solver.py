@@ -14,7 +14,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memor
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.contact_sets import FacetSegments
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.known import Known
@@ -22,6 +22,7 @@ from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
@@ -64,8 +65,6 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        if not boundary.signorini:
-            raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
@@ -79,7 +78,7 @@ class Solver:
         problem: Problem,
         options: Options | None = None,
         *,
-        start: Solution | FacetSegments | None = None,
+        start: Solution | Segments | None = None,
         remesh: Remesh | None = None,
         name: str = "problem",
         title: str = "",
@@ -102,6 +101,7 @@ class Solver:
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
             data = project_data(spaces, problem, self._known).after(memory)
+            remesh = remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
             constant = 0.0 if method.stabilised else data.common_constant(spaces)
@@ -110,7 +110,7 @@ class Solver:
                 data=data.less(spaces, constant),
                 rho=options.rho,
                 eps=options.eps,
-                max_iterations=options.max_iterations or method.max_iterations,
+                max_iterations=options.max_iterations or method.most_iterations(obstacle=data.obstacle is not None),
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
                 start=start.segments() if isinstance(start, Solution) else start,
@@ -119,8 +119,7 @@ class Solver:
                 tuning=options.tuning,
                 watch=watch,
             )
-        with watch.phase("solve"):
-            outcome = _run(task, options)
+        outcome = _run(task, options)
         with watch.phase("kkt"):
             kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
             outcome.iterate.u.x.array[:] += constant
@@ -207,7 +206,8 @@ def solve(
 def _run(task: Task, options: Options) -> Outcome:
     """Run the method; if it is interrupted, return its last state (collective)."""
     try:
-        return options.method.run(task)
+        with task.watch.phase("solve"):
+            return options.method.run(task)
     except LoopInterruption as interruption:
         return Outcome.interrupted(interruption, options.backend_name)
 
@@ -259,19 +259,28 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
     )
 
 
-def _check(options: Options, spaces: Spaces, data: Data, start: Solution | FacetSegments | None) -> None:
+def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segments | None) -> None:
     """Make sure that there is a solution, that the method can find it, and that it can use this start (collective).
 
     Raises:
         InputError: If there is none, or the method cannot.
     """
-    check_solvability(spaces, data)
     method = options.method
+    if data.obstacle is None and not spaces.part_names:
+        raise InputError("signorini: lists no part, and there are no laws and no obstacle")
+    if data.obstacle is not None and not method.obstacle:
+        *others, last = (name for name, other in METHODS.items() if other.obstacle)
+        raise InputError(f"{options.algorithm_name} does not take an obstacle; {', '.join(others)} and {last} do")
+    check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     if spaces.inner.present and not method.takes_inner:
         usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
         raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
+    if spaces.inner.present and data.obstacle is not None:
+        raise InputError(
+            "[problem] obstacle: there may be no parts inside the domain as well, leave out [boundary] inner"
+        )
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import matplotlib as mpl
 
-from signorini_fenicsx.base.arrays import Mask
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
@@ -48,6 +48,7 @@ def scene_of(
     boundary: Boundary,
     regions: Mask | None = None,
     certificate: Certificate | None = None,
+    phreatic_line: Array | None = None,
 ) -> Scene:
     """The scene for pictures of a solution, from its gathered arrays (rank 0)."""
     spaces = solution.spaces
@@ -63,6 +64,7 @@ def scene_of(
         segments=solution.data.laws.names() if solution.data.laws.listed else [],
         history=solution.outcome.history,
         inside=solution.boundary.inner,
+        phreatic_line=phreatic_line,
     )
 
 
