@@ -94,8 +94,9 @@ class FacetSystem:
     def renew(self, data: Data) -> bool:
         """Go on with other data; returns whether κ and c, and so the matrix, stay (collective)."""
         same = data.same_operator(self._data, self.spaces)
-        self.sources = sources(self.spaces, data)
-        if not same or data.obstacle is not None:
+        kept = same and data.obstacle is None
+        self.sources = self.sources.renewed(data) if kept else sources(self.spaces, data)
+        if not kept:
             self._operator.renew(self._form(data))
             self._imposed = None
         self._take(data)

@@ -22,17 +22,9 @@ from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
+from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import (
-    Conductivity,
-    Expression,
-    ExpressionByRegion,
-    Positive,
-    Whole,
-    choice,
-    within,
-)
-from signorini_fenicsx.discrete.given import parsed
+from signorini_fenicsx.cases.values import Expression, Positive, Whole, choice, within
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
 from signorini_fenicsx.meshes.cut import Side
@@ -41,44 +33,6 @@ from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
-
-
-class ProblemTexts(Section):
-    """`[problem]`: the data of a `Problem` as text in x, y, z.
-
-    κ is a text, a matrix, or one of them per region; c is a text, or one per region.
-    """
-
-    f: Expression
-    kappa: Conductivity = "1"
-    u_D: Expression = "0"
-    g_N: Expression = "0"
-    psi: Expression = "0"
-    q_S: Expression = "0"
-    c: ExpressionByRegion = "0"
-    obstacle: Expression | None = None
-
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
-        found += [] if self.obstacle is None else [("obstacle", self.obstacle)]
-        values: list[tuple[str, str | list[list[str]]]] = []
-        for name, whole in (("kappa", self.kappa), ("c", self.c)):
-            values += (
-                [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
-            )
-        for name, value in values:
-            found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
-        return found
-
-    def read(self, dim: int) -> Problem:
-        """The data as trees, in this dimension.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
-        names = "xyz"[:dim]
-        return Problem(**{key: parsed(value, names) for key, value in self})
 
 
 class Exact(Section):
@@ -118,6 +72,11 @@ class CaseFile(Section):
     def parts(self) -> Parts:
         """The section `[boundary]`."""
         raise NotImplementedError
+
+    @property
+    def last_time(self) -> float | None:
+        """The end of a problem in time; None for others."""
+        return None
 
     @property
     def inner(self) -> list[str]:
@@ -191,7 +150,7 @@ class CaseFile(Section):
         x = reference_coordinate(dim)
         for section, name, text in self.texts():
             try:
-                parse_expression(text, x)
+                parse_expression(text, x, self.last_time if section != "time" else None)
             except InputError as error:
                 place = f"[{section}] {name}" if section else name
                 raise ValueError(f"{place}: {error}") from None
@@ -221,6 +180,7 @@ class Case(CaseFile):
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     exact: Exact = Exact()
+    time: Time | None = None
     dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
 
     @model_validator(mode="before")
@@ -271,16 +231,23 @@ class Case(CaseFile):
         """Each expression with its section and its key."""
         laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
         problem = [("problem", *entry) for entry in self.problem.texts()]
-        return [*problem, ("exact", "u", self.exact.u or "0"), *laws]
+        time = [] if self.time is None else [("time", *entry) for entry in self.time.texts()]
+        return [*problem, ("exact", "u", self.exact.u or "0"), *laws, *time]
+
+    @property
+    def last_time(self) -> float | None:
+        """The end of a problem in time; None for others."""
+        return None if self.time is None else self.time.end
 
     def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension, with the exact u if it is given.
+        """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
+        names = "xyz"[:dim] + ("" if self.time is None else "t")
+        exact = None if self.exact.u is None else read(self.exact.u, names)
+        return replace(self.problem.read(names), exact=exact, laws=[law.law() for law in self.law])
 
 
 def _below(branch: Any, section: str, key: str) -> Any:

@@ -16,6 +16,7 @@ from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.discrete.evolution import Steps
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.cut import opened
@@ -155,7 +156,12 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
         else:
             boundary = boundary_of(case)
             spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
-            check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
+            data = case.data(domain.mesh.geometry.dim)
+            if case.time is not None:
+                steps = Steps(spaces, data, case.time.evolution())
+                steps.start()
+                data = steps.problem(1)
+            check_solvability(spaces, project_data(spaces, data))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,

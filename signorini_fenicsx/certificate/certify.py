@@ -34,6 +34,7 @@ With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -58,7 +59,7 @@ from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, in_vertices, owned_cells
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, in_vertices, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -125,7 +126,9 @@ class Certificate:
 
 
 @collector_off()
-def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
+def certify(
+    solution: Solution, *, for_signorini: bool = False, memory: Callable[[CellPoints], Array] | None = None
+) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
     The cost is some assembly, and up to three linear solves if the linear solver, a penalty or quadrature leaves an
@@ -135,14 +138,16 @@ def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
         solution: A solution by any algorithm.
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
+        memory: For a step in time, the load that it takes from those before, in points of cells; None for
+            `Data.memory`, which is constant on each cell. On each cell both have the same mean.
     """
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
-        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))
+        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini), memory)
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def _certificate(solution: Solution, goal: Goal) -> Certificate:
+def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], Array] | None) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
@@ -159,7 +164,7 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
         trace, contact, load = _under_laws(solution, metric, goal, y, level)
         resolution.by_quadrature |= not_polynomial(goal) | obstacle.not_quadratic(data)
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, resolution)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution)
     if reaction is not None:
         contact = contact + reaction.gap
     mismatch = _mismatch(spaces, data, trace, y)

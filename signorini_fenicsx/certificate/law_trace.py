@@ -14,12 +14,12 @@ v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not s
 stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
 
 On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
-jump, see `discrete.nodes`. Bounds there are polynomials, which coefficients obey, so that only v_2 has a jump.
+jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import basix
@@ -36,7 +36,7 @@ from signorini_fenicsx.certificate.admissible_trace import (
     Trace,
     averaged,
 )
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey, with_jumps
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
@@ -199,14 +199,13 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope), jumps)
     if obstacle is not None:
         lower_inside(v, floor, obstacle, edges)
-    if jumps is None:
-        return _with_exact_data(on, data, v, u_D, feasible=feasible)
-    jump = v.copy()
-    jump.x.array[tips] = 0.0
-    jumps.undone(v)
-    feasible = feasible and jumps.alone and jumps_obey(goal.parts, spaces)
-    trace = _with_exact_data(on, data, v, u_D, feasible=feasible)
-    return replace(trace, above=partial(with_jumps, spaces, trace.above, jump))
+    jump = None
+    if jumps is not None:
+        jump = v.copy()
+        jump.x.array[tips] = 0.0
+        jumps.undone(v)
+        feasible = feasible and jumps.alone
+    return _with_exact_data(on, data, v, u_D, jump, feasible=feasible)
 
 
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
@@ -251,7 +250,9 @@ def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest
     return np.asarray(sign * found.x.array, dtype=np.float64)
 
 
-def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
+def _with_exact_data(
+    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, jump: fem.Function | None, *, feasible: bool
+) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
     mesh, linear = spaces.mesh, fem.functionspace(spaces.mesh, ("Lagrange", 1))
@@ -269,7 +270,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
         for sign, name in zip((1.0, -1.0), _bounds(on, part), strict=True):
             if name is None or (part.data[name].number is not None and not changed):
                 continue
-            rows = np.intersect1d(part.rows, spaces.outer_rows)  # jumps obey their bounds by their coefficients
+            rows = np.intersect1d(part.rows, spaces.outer_rows)  # inside, coefficients and levels are enough
             datum, facets = part.data[name], spaces.facets[rows]
             here = fem.Function(linear)
             here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
@@ -291,10 +292,12 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
     )
+    if jump is not None:
+        feasible = jumps_obey(trace, jump, on.goal.parts, spaces) and feasible
     return Trace(
         v=v,
         exact=trace if trace.bounds or changed else None,
-        above=lambda points: trace.jet(points)[:, :, 0],
+        above=partial(trace.on_gamma_s, spaces, jump),
         cells=cells,
         at_dirichlet=at_dirichlet,
         touching=np.empty(0, dtype=np.int32),
@@ -340,4 +343,23 @@ def _levels(
             near.x.array[:] = everywhere.x.array - largest_around(linear, corners, 1.0 - held)
             all_edges(space).to_bernstein(quadratic.x.array)
             found.append((part.data[name], quadratic, near))
+    return found + _levels_of_jumps(on, space, linear)
+
+
+def _levels_of_jumps(
+    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
+) -> list[tuple[Datum, fem.Function, fem.Function]]:
+    """The same for facets inside the domain whose jump has one bound: χ is 1 in all nodes with a jump (collective)."""
+    jumps, found = Jumps.of(linear, on.spaces), []
+    for part in on.goal.parts if jumps is not None else ():
+        names = [name for name in part.law.bounds() if name is not None]
+        if jumps is None or len(names) != 1 or part.data[names[0]].number is not None:
+            continue
+        rows = np.intersect1d(part.rows, on.spaces.inner.rows)
+        here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
+        near, datum = fem.Function(linear), part.data[names[0]]
+        near.x.array[:] = (here > 0) & jumps.jump
+        quadratic = datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+        all_edges(space).to_bernstein(quadratic.x.array)
+        found.append((datum, quadratic, near))
     return found

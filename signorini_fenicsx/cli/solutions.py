@@ -19,21 +19,28 @@ from signorini_fenicsx.cli.options import (
     AlgorithmName,
     BackendName,
     CaseName,
+    CertifySteps,
     Epsilon,
     ForSignorini,
     Html,
     Json,
     MeshSize,
     OutputFolder,
+    Predict,
     Quiet,
+    Restart,
     Rho,
+    Rigorous,
     Settings,
+    StartFrom,
     overrides,
     positive,
 )
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.case import CaseFile
+    from typing import TypeGuard
+
+    from signorini_fenicsx.cases.case import Case, CaseFile
     from signorini_fenicsx.cases.elastic_case import AnyCase
     from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.certify import Certificate
@@ -51,15 +58,13 @@ def solve(
     rho: Rho = None,
     eps: Epsilon = None,
     backend: BackendName = None,
-    predict: Annotated[bool, typer.Option(help="Start large problems from the sets of a coarser mesh.")] = True,
+    predict: Predict = True,
     settings: Settings = None,
-    start_from: Annotated[
-        Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
-    ] = None,
-    rigorous: Annotated[
-        bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
-    ] = False,
+    start_from: StartFrom = None,
+    rigorous: Rigorous = False,
     for_signorini: ForSignorini = False,
+    restart: Restart = False,
+    certify_steps: CertifySteps = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -73,6 +78,7 @@ def solve(
       signorini solve dam --algorithm alg2 --output results/seepage
       signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
+      signorini solve membrane --certify-steps --plot
     """
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.of_solution import certificate_of
@@ -89,6 +95,13 @@ def solve(
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
     _refuse_if_elastic(problem, {"--rigorous": rigorous, "--html": html})
+    only_steady = {"--rigorous": rigorous, "--html": html, "--start-from": start_from, "--for-signorini": for_signorini}
+    if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
+        from signorini_fenicsx.cli.evolving import solve_in_time
+
+        kept = {"restart": restart, "certify_steps": certify_steps}
+        solve_in_time(problem, comm, output, **kept, plot=plot, quiet=quiet, as_json=as_json)
+        return
     on_root(comm, lambda: _check(problem, rigorous=rigorous, drawn=plot or html))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.heading(problem, comm)
@@ -106,6 +119,23 @@ def solve(
         report.summary(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def _is_in_time(
+    problem: "AnyCase", only_steady: Mapping[str, object], only_in_time: Mapping[str, object]
+) -> "TypeGuard[Case]":
+    """Whether a case has [time].
+
+    Raises:
+        InputError: If an option is given that it does not have.
+    """
+    in_time = getattr(problem, "time", None) is not None
+    for name, value in (only_steady if in_time else only_in_time).items():
+        if value:
+            raise InputError(
+                f"{name}: {problem.name} has {'a' if in_time else 'no'} section [time], so this does not apply"
+            )
+    return in_time
 
 
 def _refuse_if_elastic(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:

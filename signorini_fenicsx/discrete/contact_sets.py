@@ -72,9 +72,12 @@ class Segments:
 
     def on(self, spaces: Spaces) -> Kinds:
         """Those of the sites of another mesh of the domain: that at the midpoint of each (collective)."""
+        if spaces is self.spaces:
+            return self.segment if self.cells is None else np.append(self.segment, self.cells)
         found = np.empty(0, dtype=np.int8)
         if spaces.part_names:
-            found = self._sample(self.spaces.multiplier(self.segment), spaces.Lambda.mesh)[: len(spaces.facets)]
+            found = self._sample(self.spaces.multiplier(self.segment, "segment"), spaces.Lambda.mesh)
+        found = found[: len(spaces.facets)]
         if self.cells is None:
             return found
         numbers = fem.Function(self.spaces.Q)

@@ -31,7 +31,7 @@ def exact_errors(
 ) -> dict[str, float]:
     """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S (collective).
 
-    With an obstacle ∇·σ is not known from u and the data, and left out.
+    In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
     """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
     fluxes, squares = in_vertices(sigma), np.zeros(4)
@@ -51,7 +51,7 @@ def exact_errors(
     squares[3] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
     found = dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
-    if data.obstacle is not None:
+    if data.memory is not None or data.obstacle is not None:
         del found["div_sigma_L2"]
     return found
 

@@ -148,8 +148,12 @@ def _over_obstacle(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Funct
 
 def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    forms = (_energy, sigma, data.kappa_h), (_gradient_square, sigma, data.kappa_h), (_flux_square, sigma)
-    energy, gradient, flux = (np.sqrt(spaces.integrate(spaces.kept(*form))) for form in forms)
+    flux = np.sqrt(spaces.integrate(spaces.kept(_flux_square, sigma)))
+    if data.kappa.number is not None:
+        energy, gradient = flux / np.sqrt(data.kappa.number), flux / data.kappa.number
+    else:
+        forms = (_energy, _gradient_square)
+        energy, gradient = (np.sqrt(spaces.integrate(spaces.kept(form, sigma, data.kappa_h))) for form in forms)
     k, measures = data.conductivities(spaces), spaces.cell_measures
     values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
     squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])

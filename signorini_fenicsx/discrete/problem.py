@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
-from signorini_fenicsx.discrete.given import Given, parsed
+from signorini_fenicsx.discrete.given import Given, at_time, parsed
 from signorini_fenicsx.discrete.laws import Law
 
 
@@ -37,6 +37,22 @@ class Problem:
     obstacle: Given | None = None
     exact: Given | None = None
     laws: Sequence[Law] = ()
+
+    def at(self, t: float) -> "Problem":
+        """The problem at a time, from one that `in_time` has read."""
+        data = {field.name: at_time(getattr(self, field.name), t) for field in fields(self) if field.name != "laws"}
+        return replace(self, **data, laws=tuple(law.at(t) for law in self.laws))
+
+    def in_time(self, dim: int) -> "Problem":
+        """The same problem, with numbers and texts read as trees that may have t in them, also those of the laws.
+
+        Raises:
+            InputError: If a text cannot be read.
+        """
+        names = "xyz"[:dim] + "t"
+        data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
+        laws = tuple(law.read(names) for law in self.laws)
+        return replace(self, **{name: parsed(given, names) for name, given in data.items()}, laws=laws)
 
     def parsed(self, dim: int) -> "Problem":
         """The same problem, with numbers and texts read as trees, but not those of the laws.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
@@ -26,6 +26,15 @@ class Sources:
     s: fem.Function | None
     b: fem.Function
     moments: Array | None = None
+
+    def renewed(self, data: Data) -> Sources:
+        """Those for another f_h, with the same κ_h and c_h."""
+        if self.s is None or data.c_h is None:
+            return replace(self, b=data.f_h)
+        b = fem.Function(self.b.function_space)
+        c = data.c_h.x.array
+        b.x.array[:] = data.f_h.x.array * np.divide(self.s.x.array, c, out=np.ones_like(c), where=c > 0)
+        return replace(self, b=b)
 
     def at(self, u_cr: fem.Function) -> fem.Function:
         """y_T for a function with up-to-date ghost values; b itself without s."""
@@ -56,12 +65,10 @@ def sources(spaces: Spaces, data: Data) -> Sources:
     """Those of −∇·σ + c_h u = f_h, without contact with an obstacle."""
     if data.c_h is None and data.obstacle is None:
         return Sources(None, data.f_h)
-    s, b, moments = fem.Function(spaces.Q), fem.Function(spaces.Q), mean_moments(spaces, data)
-    c = 0.0 if data.c_h is None else data.c_h.x.array
-    damping = 1 + c * moments
-    s.x.array[:] = c / damping
-    b.x.array[:] = data.f_h.x.array / damping
-    return Sources(s, b, moments)
+    s, moments = fem.Function(spaces.Q), mean_moments(spaces, data)
+    if data.c_h is not None:
+        s.x.array[:] = data.c_h.x.array / (1 + data.c_h.x.array * moments)
+    return Sources(s, data.f_h, moments).renewed(data)
 
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:

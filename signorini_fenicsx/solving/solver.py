@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Iterate, Renewable
@@ -13,8 +14,10 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memor
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
@@ -65,6 +68,7 @@ class Solver:
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
+        self._known = Known()
         self._backend: Backend[Iterate] | None = None
         self._made_for: tuple[object, Tuning] | None = None
 
@@ -74,15 +78,19 @@ class Solver:
         problem: Problem,
         options: Options | None = None,
         *,
-        start: Solution | None = None,
+        start: Solution | Segments | None = None,
         remesh: Remesh | None = None,
         name: str = "problem",
         title: str = "",
         source: object = None,
         watch: Stopwatch | None = None,
         on_step: OnStep = lambda step: None,
+        memory: fem.Function | None = None,
     ) -> Solution:
         """Solve a problem with these boundary conditions (collective). The arguments are those of `solve`.
+
+        `start` may also be segments alone. One is added: `memory`, a load in P0 besides f, which the step of a problem
+        in time takes from those before.
 
         Raises:
             InputError: If the problem cannot be discretised as asked.
@@ -92,7 +100,7 @@ class Solver:
         options, watch, spaces = options or Options(), watch or Stopwatch(), self.spaces
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
-            data = project_data(spaces, problem)
+            data = project_data(spaces, problem, self._known).after(memory)
             remesh = remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
@@ -105,14 +113,13 @@ class Solver:
                 max_iterations=options.max_iterations or method.most_iterations(obstacle=data.obstacle is not None),
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
-                start=None if start is None else start.segments(),
+                start=start.segments() if isinstance(start, Solution) else start,
                 predict=options.predict,
                 coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
                 tuning=options.tuning,
                 watch=watch,
             )
-        with watch.phase("solve"):
-            outcome = _run(task, options)
+        outcome = _run(task, options)
         with watch.phase("kkt"):
             kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
             outcome.iterate.u.x.array[:] += constant
@@ -199,7 +206,8 @@ def solve(
 def _run(task: Task, options: Options) -> Outcome:
     """Run the method; if it is interrupted, return its last state (collective)."""
     try:
-        return options.method.run(task)
+        with task.watch.phase("solve"):
+            return options.method.run(task)
     except LoopInterruption as interruption:
         return Outcome.interrupted(interruption, options.backend_name)
 
@@ -251,7 +259,7 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
     )
 
 
-def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None) -> None:
+def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segments | None) -> None:
     """Make sure that there is a solution, that the method can find it, and that it can use this start (collective).
 
     Raises:
@@ -312,6 +320,8 @@ def _check_size(options: Options, spaces: Spaces) -> None:
 
 def same_domain(domain: Domain, other: Domain) -> bool:
     """Whether two meshes are of one domain: shapes have the same name, files the same bounding box (collective)."""
+    if domain is other:
+        return True
     if domain.is_shape and other.is_shape:
         return domain.name == other.name
     if domain.mesh.topology.dim != other.mesh.topology.dim:

@@ -47,10 +47,9 @@ def quadratic_programme(task: Task) -> Outcome:
     The history has one step, because the solver does not show its iterates. The step's `linear_iterations` is their
     number.
     """
-    spaces = task.spaces
+    spaces, data = task.spaces, task.data
     V, Q, comm = spaces.V, spaces.Q, spaces.mesh.comm
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
-    data = task.data
     tau = ufl.TestFunction(V)
     hessian, divergence = (matrix_on_root(matrix) for matrix in _matrices(spaces, data))
     linear = assembled(
@@ -71,10 +70,7 @@ def quadratic_programme(task: Task) -> Outcome:
         assert of_cell is not None
         assert of_pieces is not None
         scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
-        parts = _with_reaction(hessian, scaled, of_flux, of_cell[:, 2])
-        if data.obstacle is not None:
-            parts = _with_obstacle(*parts, of_cell[:, 3])
-        programme = _with_laws(*parts, of_cell[:, 1], of_pieces)
+        programme = _programme(hessian, scaled, of_flux, of_cell, of_pieces, obstacle=data.obstacle is not None)
         x, y, status, iterations = programme.solve(task.max_iterations)
         values, balance = x[: len(of_flux)], y[: len(of_cell)]
         left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
@@ -245,6 +241,22 @@ def _with_obstacle(
         scipy.sparse.csr_array(scipy.sparse.hstack([divergence, scipy.sparse.eye_array(len(psi))])),
         np.concatenate([of_flux, force]),
     )
+
+
+def _programme(
+    hessian: scipy.sparse.csr_array,
+    divergence: scipy.sparse.csr_array,
+    of_flux: Array,
+    of_cell: Array,
+    pieces: Array,
+    *,
+    obstacle: bool,
+) -> _Programme:
+    """The programme for the rows of all ranks (rank 0)."""
+    parts = _with_reaction(hessian, divergence, of_flux, of_cell[:, 2])
+    if obstacle:
+        parts = _with_obstacle(*parts, of_cell[:, 3])
+    return _with_laws(*parts, of_cell[:, 1], pieces)
 
 
 def _with_laws(

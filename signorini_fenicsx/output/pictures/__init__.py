@@ -21,18 +21,22 @@ from signorini_fenicsx.output.gather import (
 )
 from signorini_fenicsx.output.pictures import elastic, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
+from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
 __all__ = [
+    "animate",
     "draw_all",
     "draw_bounds",
     "draw_errors",
     "draw_mesh",
+    "draw_sets",
     "gathered_scene",
     "overview",
     "scene_of",
+    "shown",
     "write_page",
 ]
 
