@@ -15,6 +15,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.rigorous.proof import proof_of
 
 COMM = MPI.COMM_WORLD
 RADIUS = 0.697965148223374
@@ -144,6 +145,13 @@ def test_refusals():
         on_square(Problem(f=1, obstacle="log(x - 0.5)"))
     with pytest.raises(InputError, match="no laws and no obstacle"):
         on_square(Problem(f=1))
+
+
+def test_no_proof():
+    solution = on_square(Problem(f=-10, obstacle=-0.1), h=0.4)
+    proof = proof_of(solution, certify(solution).v)
+    assert proof.proven is None
+    assert "without an obstacle" in proof.reason
 
 
 def test_adaptive():

@@ -19,49 +19,20 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
+from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Expression, Positive, ShapeName, Whole, choice, within
+from signorini_fenicsx.cases.values import Expression, Positive, Whole, choice, within
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
-from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
+from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
-
-
-class Geometry(Section):
-    """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
-
-    shape: ShapeName | None = None
-    file: Annotated[str, Field(min_length=1)] | None = None
-    mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
-    diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
-
-    @model_validator(mode="after")
-    def _mesh_exists(self) -> Self:
-        if (self.shape is None) == (self.file is None):
-            raise ValueError("must have either a shape, such as 'square', or a file, such as 'mesh.msh'")
-        if self.shape is None:
-            if {"mesh", "diagonal"} & self.model_fields_set:
-                raise ValueError("mesh and diagonal apply to named shapes, not to files")
-            return self
-        shape = shape_of(self.shape)
-        if self.mesh == "structured" and shape.grid is None:
-            structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
-            raise ValueError(f"shape '{self.shape}' has no structured mesh; only rectangles, {structured} have")
-        if self.diagonal is not None and (self.mesh != "structured" or shape.dim != 2):
-            raise ValueError("diagonal applies to structured meshes of square, lshape and rectangles only")
-        return self
-
-    @property
-    def name(self) -> str:
-        """The shape, or the name of the file."""
-        return self.shape or Path(self.file or "").name
 
 
 class Exact(Section):

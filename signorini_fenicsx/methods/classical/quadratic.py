@@ -50,22 +50,18 @@ def quadratic_programme(task: Task) -> Outcome:
     spaces, data = task.spaces, task.data
     V, Q, comm = spaces.V, spaces.Q, spaces.mesh.comm
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
-    tau, v = ufl.TestFunction(V), ufl.TestFunction(Q)
+    tau = ufl.TestFunction(V)
     hessian, divergence = (matrix_on_root(matrix) for matrix in _matrices(spaces, data))
-    weight = 1 / np.sqrt(spaces.cell_measures[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
     )[:flux_size]
     spaces.join_across(linear)
-    reaction = np.zeros(cells) if data.c_h is None else data.c_h.x.array
-    psi = np.full(cells, np.nan) if data.obstacle is None else data.obstacle.means
-    right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
-
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
     bounds, pieces = _laws(task, flux_size)
     of_flux = flux_rows.gather(np.column_stack([linear, bounds]))
-    of_cell = cell_rows.gather(np.column_stack([weight, weight * right, reaction, psi / weight]))
+    in_cells = _of_cells(spaces, data)
+    of_cell = cell_rows.gather(in_cells)
     of_pieces = gather_rows(comm, pieces)
     values = balance = left = None
     status, iterations = "", 0
@@ -82,7 +78,7 @@ def quadratic_programme(task: Task) -> Outcome:
 
     sigma_h, u_h = fem.Function(V, name="sigma"), fem.Function(Q, name="u")
     sigma_h.x.array[:flux_size] = flux_rows.scatter(values)
-    u_h.x.array[:cells] = cell_rows.scatter(balance) * weight
+    u_h.x.array[:cells] = cell_rows.scatter(balance) * in_cells[:, 0]
     for function in (sigma_h, u_h):
         function.x.scatter_forward()
     p = flux_rows.scatter(left)[spaces.flux_dofs] / spaces.basis_flux
@@ -121,6 +117,16 @@ def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
     mass, divergence = matrices[0].ptap(basis), matrices[1].matMult(basis)
     mass.zeroRowsColumns(spaces.across[0] + mass.getOwnershipRange()[0])
     return [mass, divergence]
+
+
+def _of_cells(spaces: Spaces, data: Data) -> Array:
+    """For each owned cell, for an orthonormal basis of Q_h: scale and right side of its balance, c, ψ (collective)."""
+    v, cells = ufl.TestFunction(spaces.Q), spaces.Q.dofmap.index_map.size_local
+    weight = 1 / np.sqrt(spaces.cell_measures[:cells])
+    right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
+    c = np.zeros(cells) if data.c_h is None else data.c_h.x.array
+    psi = np.zeros(cells) if data.obstacle is None else data.obstacle.means
+    return np.column_stack([weight, weight * right, c, psi / weight])
 
 
 def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
