@@ -13,8 +13,8 @@ Solving it:
 - `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
   values at points, fluxes through parts, `plot`, `write`;
 - `Solver(domain, boundary)` is set up once and solves one problem after another on its mesh, several times faster;
-- `evolve(domain, boundary, problem, evolution)` and `evolve_case(case)` solve problems in time, one `Instant` after
-  another; `StepBounds` bounds the error of each step;
+- `evolve(domain, boundary, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time,
+  one `Instant` after another; `StepBounds` bounds the error of each step;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
 - `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;

@@ -23,6 +23,7 @@ A problem in time gives one solution after another:
 
 >>> falling = Problem(f="-20*t", psi=-0.05)
 >>> [instant.solution.contact()[0] for instant in evolve(domain, boundary, falling, Evolution(end=0.4, steps=2))]
+[8, 8]
 
 Other laws on the boundary are objects; their parts need not be listed in `Boundary`:
 

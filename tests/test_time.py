@@ -1,5 +1,8 @@
 """Problems in time: rates and bounds in h and τ, the steady end, any method, ranks, cost of steps, bad input."""
 
+import doctest
+import gc
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -11,6 +14,7 @@ from signorini_fenicsx.discrete.laws import Wall
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.solving import evolving
 from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
@@ -115,6 +119,22 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
     assert data[-1].f is data[-2].f
     assert data[-1].c_h is data[-2].c_h
     assert data[-1].u_D is not data[-2].u_D
+
+
+def test_nothing_grows():
+    """With the collector off, as in programs, what is left after 100 steps is what is left after 50."""
+    problem, left = Problem(f="20*(x - 0.6)*sin(t)", u_D="x*sin(t)/9", psi=-0.1), []
+    gc.disable()
+    for instant in evolve(square(0.5), BOTTOM, problem, Evolution(end=9.0, steps=110)):
+        if instant.step in (52, 102):
+            left.append(len(gc.get_objects()))
+    assert left[1] - left[0] < 100
+
+
+def test_the_example():
+    failed, tried = doctest.testmod(evolving)
+    assert failed == 0
+    assert tried > 0
 
 
 def test_bad_input():

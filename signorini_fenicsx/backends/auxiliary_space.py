@@ -18,7 +18,7 @@ from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
 DEFAULTS = {"mg_coarse_pc_gamg_recompute_esteig": "0"}
 """The largest eigenvalues for GAMG's smoothers are those of Γ_S free: conditions only lower them, and to estimate them
-anew for each set takes half of all reductions. Not with an obstacle: contact of cells raises them."""
+anew for each set takes half of all reductions. Only cells in contact with an obstacle raise them."""
 
 
 class AuxiliarySpace:

@@ -50,10 +50,11 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
-from signorini_fenicsx.certificate.law_trace import OnGammaS, law_trace
+from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
+from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
 from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution

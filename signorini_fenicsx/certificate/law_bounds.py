@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,8 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import Points, cut_off, facet_lattice, larger, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
-QUADRATIC = 2
-"""Largest degree of bounds of jumps."""
+ROUNDING = 1e-12
+"""Relative size of what is rounding in jumps."""
 SAFE = 2.0
 """Factor of what ℓ needs in sampled points."""
 
@@ -74,10 +74,7 @@ class LawTrace:
         """Its jet (collective)."""
         datum, interpolant = self.u_D
         found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
-        kept = np.zeros_like(found)
-        for level, quadratic, near in self.levels:
-            missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
-            kept += cut_off(points.linear(near, gradient=gradient), missed)
+        kept = self._kept(points, gradient=gradient)
         found = found + kept
         if datum.number is None or self.levels:
             missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
@@ -85,6 +82,23 @@ class LawTrace:
         for bound in self.bounds:
             found = bound.apply(points, found, gradient=gradient)
         return found
+
+    def on_gamma_s(self, spaces: Spaces, jump: fem.Function | None, points: Points) -> Array:
+        """Its values in points of all facets of Γ_S; inside the domain its jump, from that of v_2 (collective)."""
+        found = self.jet(points)[:, :, 0]
+        if jump is not None:  # what belongs to u_D is the same on both sides, what belongs to levels on the named side
+            away = 1 - points.linear(self.near_dirichlet)
+            total = points.quadratic(jump) + away * self._kept(points)
+            found[spaces.inner.rows] = total[spaces.inner.rows, :, 0]
+        return found
+
+    def _kept(self, points: Points, *, gradient: bool = False) -> Array:
+        """The sum of all χ_b(b − I_hb) (collective)."""
+        kept = np.zeros((*points.shape, 1 + gradient * points.mesh.geometry.dim))
+        for level, quadratic, near in self.levels:
+            missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
+            kept += cut_off(points.linear(near, gradient=gradient), missed)
+        return kept
 
 
 def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:
@@ -106,17 +120,20 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
     return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)
 
 
-def with_jumps(spaces: Spaces, above: Callable[[Points], Array], jump: fem.Function, points: Points) -> Array:
-    """A function in points of all facets of Γ_S; inside the domain its jump, which is quadratic there (collective)."""
-    found = above(points)
-    found[spaces.inner.rows] = points.quadratic(jump)[spaces.inner.rows, :, 0]
-    return found
+def jumps_obey(trace: LawTrace, jump: fem.Function, parts: Sequence[PartLaw], spaces: Spaces) -> bool:
+    """Whether jumps are between their bounds in sampled points (collective).
 
-
-def jumps_obey(parts: Sequence[PartLaw], spaces: Spaces) -> bool:
-    """Whether the bounds of jumps are polynomials that coefficients of quadratics obey (collective)."""
-    inside = [bool(np.isin(part.rows, spaces.inner.rows).any()) for part in parts]
-    of_all = np.any(spaces.mesh.comm.allgather(inside), axis=0)
-    named = ((part, part.law.bounds()) for part, here in zip(parts, of_all, strict=True) if here)
-    bounds = [part.data[name] for part, names in named for name in names if name is not None]
-    return all(bound.polynomial is not None and bound.polynomial <= QUADRATIC for bound in bounds)
+    They are so in all points if the bounds are quadratic, by their coefficients.
+    """
+    mesh, inner = spaces.mesh, spaces.inner.rows
+    found = trace.on_gamma_s(spaces, jump, facet_lattice(mesh, spaces.facets, SAMPLES))
+    short, size = 0.0, np.abs(found).max(initial=0.0)
+    for part in parts:
+        rows = np.intersect1d(part.rows, inner)
+        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
+            if name is not None:
+                bound = part.data[name].values(facet_lattice(mesh, spaces.facets[rows], SAMPLES))
+                short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
+                size = max(size, np.abs(bound).max(initial=0.0))
+    worst, largest = (mesh.comm.allreduce(float(number), MPI.MAX) for number in (short, size))
+    return bool(worst <= ROUNDING * largest)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
+from dolfinx import fem, la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -35,6 +35,29 @@ def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> 
     vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
     largest.x.scatter_forward()
     return np.asarray(largest.x.array, dtype=np.float64)
+
+
+def extreme_around(space: fem.FunctionSpace, nodes: Entities, values: Array, *, largest: bool) -> Array:
+    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
+    sign = 1.0 if largest else -1.0
+    found = fem.Function(space)
+    found.x.array[:] = -np.inf
+    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
+    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    found.x.scatter_forward()
+    return np.asarray(sign * found.x.array, dtype=np.float64)
+
+
+def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
+    """Set the nodes of some facets to the means of what the facets say (collective)."""
+    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
+    np.add.at(total.x.array, nodes.ravel(), values.ravel())
+    np.add.at(count.x.array, nodes.ravel(), 1.0)
+    for each in (total, count):
+        each.x.scatter_reverse(la.InsertMode.add)
+        each.x.scatter_forward()
+    found = count.x.array > 0
+    function.x.array[found] = total.x.array[found] / count.x.array[found]
 
 
 @dataclass(frozen=True)
