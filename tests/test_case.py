@@ -112,7 +112,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 def test_unknown_names():
     with pytest.raises(
-        InputError, match="unknown case 'example7'; use one of ball, biactive, clamp, crack, cube, dam, dam_baiocchi, edge, "
+        InputError, match="unknown case 'example7'; use one of ball, biactive, clamp, crack, cube, dam, dam_baiocchi, "
     ):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):
