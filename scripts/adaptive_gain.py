@@ -23,7 +23,7 @@ from rich.table import Table
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case
 from signorini_fenicsx.certificate.adaptive import FIRST_MESH, AdaptRow
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     table = Table(*columns)
     for name in sys.argv[2:] or ("example2", "example5"):
         case = load_case(name)
-        case = case.with_values({"solve.h": SHAPES[case.geometry.shape].diameter / FIRST_MESH})
+        case = case.with_values({"solve.h": shape_of(case.geometry.shape).diameter / FIRST_MESH})
         uniform: list[AdaptRow] = []
         adaptive: list[AdaptRow] = []
         adapt_case(case, max_cells=10_000)

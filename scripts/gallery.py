@@ -7,12 +7,15 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from mpi4py import MPI
 from PIL import Image
 
 from signorini_fenicsx.api import solve_case, write_solution
 from signorini_fenicsx.base.shipped import case_names
+from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.cli.evolving import solve_in_time
+from signorini_fenicsx.meshes.shapes import shape_of
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
@@ -21,18 +24,23 @@ WIDTH = 900
 
 
 def draw(name: str) -> None:
-    """Solve one case and keep the picture of u, of an elastic one that of the deformed body."""
+    """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of the sets."""
     case = load_any_case(name)
     if case.geometry.shape is not None:
-        shape = SHAPES[case.geometry.shape]
+        shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
-        write_solution(solve_case(case), folder, plot=True, fields=False)
         found = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
+        if isinstance(case, Case) and case.time is not None:
+            kept = {"restart": False, "certify_steps": False}
+            solve_in_time(case, MPI.COMM_WORLD, Path(folder, "x"), **kept, plot=True, quiet=True, as_json=False)
+            found = Path(folder) / "x" / "contact.png"
+        else:
+            write_solution(solve_case(case), folder, plot=True, fields=False)
         picture = Image.open(found).convert("RGB")
     size = (WIDTH, round(picture.height * WIDTH / picture.width))
     picture = picture.resize(size, Image.Resampling.LANCZOS)
-    picture = picture.quantize(256, Image.Quantize.MAXCOVERAGE)  # keeps the colours of thin lines
+    picture = picture.quantize(256, Image.Quantize.MEDIANCUT)  # maps of u stay smooth
     picture.save(GALLERY / f"{name}.png", optimize=True)
 
 

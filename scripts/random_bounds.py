@@ -36,7 +36,7 @@ from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
@@ -124,7 +124,7 @@ def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Do
     """A case, its mesh, the mesh refined twice, and the data on both (collective)."""
     rng = np.random.default_rng(seed)
     case = random_case(rng)
-    if SHAPES[str(case.geometry.shape)].dim == 3:
+    if shape_of(str(case.geometry.shape)).dim == 3:
         case = case.with_values({"solve.h": 1.5 * case.solve.h})  # refinement makes 64 times the cells
     pulled = bool(rng.random() < 0.2)
     coarse = mesh_case(case, comm)

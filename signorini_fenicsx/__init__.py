@@ -13,6 +13,8 @@ Solving it:
 - `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
   values at points, fluxes through parts, `plot`, `write`;
 - `Solver(domain, boundary)` is set up once and solves one problem after another on its mesh, several times faster;
+- `evolve(domain, boundary, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time,
+  one `Instant` after another; `StepBounds` bounds the error of each step;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
 - `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
@@ -22,7 +24,8 @@ Elastic contact:
 
 - `ElasticBoundary` and `ElasticProblem` say what is given, `Friction` and `Coulomb` are laws of friction;
 - `solve_elastic` gives an `ElasticSolution`;
-- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too.
+- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too;
+- `load_any_case` and `load_any_solution` read those of any physics.
 
 Algorithms and backends, and how to replace them:
 
@@ -55,10 +58,12 @@ __all__ = [
     "ElasticBoundary",
     "ElasticProblem",
     "ElasticSolution",
+    "Evolution",
     "FacetBackend",
     "Friction",
     "Graph",
     "InputError",
+    "Instant",
     "Iterate",
     "Law",
     "Method",
@@ -75,6 +80,7 @@ __all__ = [
     "Solver",
     "Spaces",
     "Step",
+    "StepBounds",
     "Task",
     "TwoSided",
     "Wall",
@@ -86,6 +92,10 @@ __all__ = [
     "collect_garbage",
     "compare",
     "domain_of",
+    "evolve",
+    "evolve_case",
+    "load_any_case",
+    "load_any_solution",
     "load_case",
     "load_solution",
     "solve",

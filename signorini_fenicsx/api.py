@@ -19,6 +19,12 @@ case file, UFL on the mesh, functions of a finite element space or of points, se
 >>> certify(solution).relative < 0.3
 True
 
+A problem in time gives one solution after another:
+
+>>> falling = Problem(f="-20*t", psi=-0.05)
+>>> [instant.solution.contact()[0] for instant in evolve(domain, boundary, falling, Evolution(end=0.4, steps=2))]
+[8, 8]
+
 Other laws on the boundary are objects; their parts need not be listed in `Boundary`:
 
 >>> sliding = Problem(f=40 * (x[0] - 0.6), laws=[Friction(["right"], g="0.2*y"), Wall(["bottom"], beta=2)])
@@ -75,14 +81,17 @@ from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.cases.elastic_case import load_any_case
+from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.evolution import Evolution
 from signorini_fenicsx.discrete.laws import (
     Corners,
     Friction,
@@ -101,10 +110,11 @@ from signorini_fenicsx.methods.history import Outcome, Step
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
-from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver, solve
@@ -121,10 +131,12 @@ __all__ = [
     "ElasticBoundary",
     "ElasticProblem",
     "ElasticSolution",
+    "Evolution",
     "FacetBackend",
     "Friction",
     "Graph",
     "InputError",
+    "Instant",
     "Iterate",
     "Law",
     "Method",
@@ -141,6 +153,7 @@ __all__ = [
     "Solver",
     "Spaces",
     "Step",
+    "StepBounds",
     "Task",
     "TwoSided",
     "Wall",
@@ -151,6 +164,10 @@ __all__ = [
     "collect_garbage",
     "compare",
     "domain_of",
+    "evolve",
+    "evolve_case",
+    "load_any_case",
+    "load_any_solution",
     "load_case",
     "load_solution",
     "solve",

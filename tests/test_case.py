@@ -26,9 +26,25 @@ h = "1/8"
 def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
-    exact += ["friction", "two_sided", "wall", "regulator", "staircase"]
+    exact += ["crack", "fault", "friction", "two_sided", "wall", "regulator", "staircase"]
     assert case_names() == sorted(
-        [*examples, *exact, "ball", "cube", "dam", "edge", "electropainting", "hertz", "lprism"]
+        [
+            *examples,
+            *exact,
+            "membrane",
+            "moving_transition",
+            "seepage_falling",
+            "ball",
+            "clamp",
+            "cube",
+            "dam",
+            "dam_baiocchi",
+            "edge",
+            "electropainting",
+            "hertz",
+            "lprism",
+            "sphere",
+        ]
     )
     for name in case_names():
         assert load_any_case(name).name == name
@@ -45,6 +61,8 @@ def test_good_case(tmp_path: Path):
     ("old", "new", "message"),
     [
         ('"square"', '"circle"', r"\[geometry\] shape: unknown shape 'circle'; use one of square, lshape"),
+        ('"square"', '"[0, 1] x [1, 1]"', "each interval must begin with the smaller number"),
+        ('"square"', '"[0, 1] x [1, y]"', "'y' is not a number"),
         ('["top"]', '["lid"]', "unknown part 'lid' of square; its parts are left, right, bottom, top"),
         ('["top"]', '["top", "top"]', "'top' is listed twice"),
         ('["top"]', '"top"', r"\[boundary\] signorini: input should be a valid list"),
@@ -94,7 +112,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 def test_unknown_names():
     with pytest.raises(
-        InputError, match="unknown case 'example7'; use one of ball, biactive, cube, dam, edge, electro"
+        InputError, match="unknown case 'example7'; use one of ball, biactive, crack, cube, dam, dam_baiocchi, edge, "
     ):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):

@@ -57,6 +57,14 @@ def test_a_form_that_may_be_alive_is_left_alone(tmp_path: Path):
     assert not form.exists()
 
 
+def test_forms_have_a_folder_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The forms of other programs in the cache are not listed each time a form is looked up."""
+    options = dolfinx.jit.get_options({"cache_dir": tmp_path})
+    monkeypatch.setattr(dolfinx.jit, "get_options", lambda given: options | (given or {}))
+    compiled(MPI.COMM_SELF, 7 * small_form(MPI.COMM_SELF))
+    assert [path.name for path in tmp_path.iterdir()] == ["signorini_fenicsx"]
+
+
 @pytest.mark.parallel([1, 2])
 def test_a_form_is_loaded_once(folder: Path):
     """A form is kept also if only some ranks have it already, but not for other options."""

@@ -15,11 +15,16 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.comparing.differences import ElasticDifferences, differences
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.elastic import contact_table, in_space, von_mises
+from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 COMM = MPI.COMM_WORLD
 
@@ -208,3 +213,52 @@ def test_energy_difference_is_that_of_the_energies():
     assert found.energy == pytest.approx(np.sqrt(abs(one**2 - other**2)), rel=0.05)
     assert compare(coarse, fine).relative["energy"] == pytest.approx(found.energy / other)
     assert differences(fine, fine).energy == 0.0
+
+
+@pytest.mark.parallel([1, 3])
+def test_saved_solutions(folder: Path):
+    """Other ranks read the same; compare, export and a start from it need no solve; damage is told."""
+    law = 'law = [{kind = "friction", parts = ["bottom"], mu = 0.2}]\n[geometry]'
+    path = write_case(folder, "[geometry]", law)
+    assert signorini(folder, "solve", str(path), "--h", "1/3", "--output", "a").returncode == 0
+    done = signorini(folder, "solve", str(path), "--output", "b", "--start-from", "a")
+    assert done.returncode == 0, done.stderr
+    read, alone = load_any_solution(folder / "b", COMM), load_any_solution(folder / "b", MPI.COMM_SELF)
+    assert isinstance(read, ElasticSolution)
+    assert isinstance(alone, ElasticSolution)
+    assert read.norms() == pytest.approx(alone.norms(), rel=1e-12)
+    for state, found in read.friction_states().items():
+        assert found == pytest.approx(alone.friction_states()[state])
+    assert read.bound_changes == alone.bound_changes != ()
+    saved = json.loads((folder / "b" / "summary.json").read_text(encoding="utf-8"))
+    assert read.norms() == pytest.approx(saved["norms"], rel=1e-10)
+    assert certify_elastic(read).bound == pytest.approx(saved["certificate"]["bound"], rel=1e-6)
+    done = signorini(folder, "compare", "a", "b", "--json")
+    assert done.returncode == 0, done.stderr
+    if COMM.rank == 0:
+        assert 0 < json.loads(done.stdout)["relative"]["energy"] < 0.2
+    done = signorini(folder, "export", "b", "--output", "c", "--plot")
+    assert done.returncode == 0, done.stderr
+    assert (folder / "c" / "pressure.png").exists()
+    again = json.loads((folder / "c" / "summary.json").read_text(encoding="utf-8"))
+    assert again["friction"]["stick"] == pytest.approx(saved["friction"]["stick"])
+    with pytest.raises(InputError, match="holds an elastic solution; read it by load_any_solution"):
+        load_solution(folder / "b", COMM)
+    if COMM.rank == 0:
+        stresses = np.load(folder / "b" / "checkpoint" / "sigma.npy")
+        np.save(folder / "b" / "checkpoint" / "sigma.npy", 1.001 * stresses)
+    COMM.Barrier()
+    with pytest.raises(InputError, match="is damaged: its KKT residual"):
+        load_any_solution(folder / "b", COMM)
+
+
+def test_problems_given_in_python_are_saved(tmp_path: Path):
+    """With data that are numbers and texts nothing has to be passed again."""
+    problem = ElasticProblem(1.0, "0.3", u_D=[0.01, "-0.1"], gap=0.02, laws=[Friction(["y0"], g=0.01)])
+    domain = box(MPI.COMM_SELF, 2, [0.0, 0.0], [1.0, 1.0])
+    solution = solve_elastic(domain, ElasticBoundary([], fixed={"x0": "x"}), problem)
+    write_solution(solution, tmp_path, fields=False)
+    read = load_any_solution(tmp_path, MPI.COMM_SELF)
+    assert isinstance(read, ElasticSolution)
+    assert read.problem.laws == problem.laws
+    assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)

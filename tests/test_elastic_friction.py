@@ -122,7 +122,8 @@ def test_ranks_and_algorithms():
     """States, norms, the fixed point and the bound are those of one process; Algorithm 2 finds the same."""
     for law in (Friction(["y0"], g=0.005), Coulomb(["y0"], 0.3)):
         alone, together = sliding(MPI.COMM_SELF, 4, law), sliding(COMM, 4, law, "alg2")
-        assert together.friction_states() == alone.friction_states()
+        for state, found in together.friction_states().items():
+            assert found == pytest.approx(alone.friction_states()[state])
         assert together.norms() == pytest.approx(alone.norms(), rel=1e-8)
         assert together.bound_changes == pytest.approx(alone.bound_changes, rel=1e-5, abs=1e-10)
         assert certify_elastic(together).gap == pytest.approx(certify_elastic(alone).gap, rel=1e-6)

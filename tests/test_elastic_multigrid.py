@@ -80,8 +80,8 @@ def test_sets_predicted_from_coarser_meshes():
     """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result."""
     case = load_any_case("hertz")
     assert isinstance(case, ElasticCase)
-    cold = solve_case(case, COMM, tuning=Tuning(predict_from=10**9))
-    warm = solve_case(case, COMM, tuning=Tuning(predict_from=1000))
+    cold = solve_case(case, COMM, tuning=Tuning(elastic_predict_from=10**9))
+    warm = solve_case(case, COMM, tuning=Tuning(elastic_predict_from=1000))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
     assert len(warm.outcome.history) < len(cold.outcome.history)

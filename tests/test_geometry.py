@@ -9,21 +9,24 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import SHAPES, shape_of
 
-MESHES = [(name, "unstructured", None) for name in SHAPES] + [
-    (name, "structured", diagonal) for name in ("square", "lshape") for diagonal in ("left", "right", "crossed")
+RECTANGLE = "[-2, -1] x [0.5, 3]"
+MESHES = [(name, "unstructured", None) for name in (*SHAPES, RECTANGLE)] + [
+    (name, "structured", diagonal)
+    for name in ("square", "lshape", RECTANGLE)
+    for diagonal in ("left", "right", "crossed")
 ] + [("cube", "structured", None), ("lprism", "structured", None)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("shape", "mesh", "diagonal"), MESHES)
 def test_fineness_and_measure(shape: str, mesh: str, diagonal: str | None):
-    for h in (0.5, 0.2, 0.11) if SHAPES[shape].dim == 2 else (0.5, 0.3):
+    for h in (0.5, 0.2, 0.11) if shape_of(shape).dim == 2 else (0.5, 0.3):
         domain = build_domain(MPI.COMM_SELF, shape, h, mesh=mesh, diagonal=diagonal)
         assert h / 2 < domain.h <= h * (1 + 1e-12)
         measure = fem.assemble_scalar(fem.form(fem.Constant(domain.mesh, 1.0) * ufl.dx))
-        curved = any(part.nearest is not None for part in SHAPES[shape].parts.values())
-        assert measure == pytest.approx(SHAPES[shape].measure, rel=h**2 if curved else 1e-12)
+        curved = any(part.nearest is not None for part in shape_of(shape).parts.values())
+        assert measure == pytest.approx(shape_of(shape).measure, rel=h**2 if curved else 1e-12)
 
 
 @pytest.mark.parallel([1, 3])

@@ -6,11 +6,13 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.jumps import jumps_of_facets
 from signorini_fenicsx.backends.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.sources import sources
+from signorini_fenicsx.discrete.nodes import Jumps
+from signorini_fenicsx.discrete.sources import Sources, sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
@@ -19,7 +21,8 @@ class AuxiliarySpace:
     """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.
 
     It has the facet conditions too, otherwise many more iterations are needed: vertices of ZERO_TRACE facets and of Γ_D
-    are fixed, ROBIN facets add their lumped mass.
+    are fixed, ROBIN facets add their lumped mass. Where the facet system has jumps, P1 has them too. Cells in contact
+    with an obstacle add what they add to the system.
     """
 
     def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
@@ -27,31 +30,43 @@ class AuxiliarySpace:
         self._spaces, self._weak = spaces, data.conductance
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        form, s = stiffness(u, v, ufl.dx, data.kappa_h), sources(spaces, data).s
-        if s is not None:
-            form += reaction(u, v, ufl.dx, s)
-        self._operator = ConstrainedMatrix(fem.form(form), PETSc.Mat.Option.SPD)
+        form, self._s = stiffness(u, v, ufl.dx, data.kappa_h), sources(spaces, data).s
+        if self._s is not None:
+            form += reaction(u, v, ufl.dx, self._s)
+        self._form, self._by_cells = fem.form(form), data.obstacle is not None
+        self._jumps = Jumps.of(self._space, spaces)
+        basis = None if self._jumps is None else self._jumps.basis
+        self._operator = ConstrainedMatrix(self._form, PETSc.Mat.Option.SPD, basis)
         self._beta = fem.Function(spaces.Lambda)
         self._robin = spaces.form(self._beta * v * spaces.ds)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
 
-        self._levels = TwoLevel(pc, facet_means(self._space, data.u_lift.function_space), "jacobi")
+        interpolation = facet_means(self._space, data.u_lift.function_space)
+        to_jumps = jumps_of_facets(spaces, back=True)
+        if to_jumps is not None:
+            interpolation = to_jumps.matMult(interpolation.matMult(basis))
+        self._levels = TwoLevel(pc, interpolation, "jacobi")
         self._levels.coarse.setOperators(self._operator.matrix)
 
-    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
+    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32], present: Sources) -> None:
         """Take over new facet conditions (collective).
 
         Args:
             conditions: Conditions of the Γ_S facets.
             essential: Owned Crouzeix-Raviart unknowns that are fixed.
+            present: The sources under these conditions and those of the cells.
         """
         if not self._has_hierarchy:
             self._build_hierarchy()
-        fixed = np.union1d(
-            self._dirichlet, owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
-        )
+        if self._by_cells and self._s is not None and present.s is not None:
+            self._s.x.array[:] = present.s.x.array
+            self._operator.renew(self._form)
+        held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
+        if self._jumps is not None:
+            held = np.setdiff1d(held, self._jumps.tips)
+        fixed = np.union1d(self._dirichlet, held).astype(np.int32)
         self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
         self._levels.leave_out(essential, fixed)
 
@@ -61,6 +76,9 @@ class AuxiliarySpace:
         The interpolations come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
         errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
         """
+        if self._by_cells and self._s is not None and not self._spaces.has_dirichlet:
+            self._s.x.array[:] = self._weak / self._spaces.length
+            self._operator.renew(self._form)
         self._operator.impose(self._dirichlet, self._all, self._tied_down())
         self._levels.coarse.setFromOptions()
         self._levels.coarse.setUp()
@@ -79,6 +97,8 @@ class AuxiliarySpace:
         self._beta.x.scatter_forward()
         lumped = fem.assemble_vector(self._robin)
         lumped.scatter_reverse(la.InsertMode.add)
+        if self._jumps is not None:
+            lumped.array[self._jumps.tips] = 0.0
         return lumped.array[: len(self._all)]
 
 

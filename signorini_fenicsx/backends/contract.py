@@ -40,10 +40,12 @@ class Iterate(Pairs):
     Attributes:
         sigma: Flux in RT0.
         u: Scalar in P0.
+        contact: Mask of the owned cells in contact with the obstacle; None if there is no obstacle.
     """
 
     sigma: fem.Function
     u: fem.Function
+    contact: Mask | None = None
 
 
 class Inexact(Protocol):

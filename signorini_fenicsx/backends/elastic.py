@@ -25,10 +25,11 @@ from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.chains import Chains, joined
+from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData
+from signorini_fenicsx.discrete.elastic_friction import law_of_sites
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 
 LARGEST_POISSON = 0.491
@@ -90,11 +91,7 @@ class ElasticBackend:
     @property
     def chains(self) -> Chains:
         """The law of each site; with friction by its present bounds."""
-        normal = Chains.at_corner(len(self.spaces.sites))
-        if self.friction is None:
-            return normal
-        rows = np.split(np.arange(self.sites), [len(self.spaces.sites)])
-        return joined(list(zip(rows, (normal, self.friction.chains), strict=True)), self.sites)
+        return law_of_sites(self.spaces, self.friction)
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""

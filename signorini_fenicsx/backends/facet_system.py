@@ -10,7 +10,8 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.backends.jumps import jumps_of_facets
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
@@ -27,6 +28,10 @@ class FacetSystem:
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
+    Inside the domain the unknown of a facet of Γ_S is the jump of u, see `jumps`.
+
+    With an obstacle the conditions of the cells follow those of the facets. A cell in contact, ZERO_TRACE, has another
+    source, so it changes the matrix and the load.
 
     Attributes:
         spaces: The discrete spaces.
@@ -37,6 +42,7 @@ class FacetSystem:
         trace_dofs: The unknown of each Γ_S facet.
         dofs: Unknowns over all ranks.
         large: Whether an iterative solver is the default at this size.
+        sources: Those of the cells under the conditions last applied.
     """
 
     def __init__(self, spaces: Spaces, data: Data, tuning: Tuning):
@@ -53,8 +59,11 @@ class FacetSystem:
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
-        self._sources = sources(spaces, data)
-        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD)
+        self._named = self.trace_dofs[spaces.inner.rows]
+        self._across = cells_and_dofs(self.space, spaces.inner.facets)[1]
+        self._facets = slice(len(spaces.facets))
+        self.sources = sources(spaces, data)
+        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
         self.matrix = self._operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)
@@ -63,7 +72,7 @@ class FacetSystem:
 
     def _form(self, data: Data) -> fem.Form:
         """The bilinear form (collective)."""
-        spaces, s = self.spaces, self._sources.s
+        spaces, s = self.spaces, self.sources.s
         form: fem.Form = (
             spaces.kept(_stiffness, data.kappa_h) if s is None else spaces.kept(_with_reaction, data.kappa_h, s)
         )
@@ -72,19 +81,32 @@ class FacetSystem:
     def _take(self, data: Data) -> None:
         """Assemble the right side (collective)."""
         self._data = data
-        source = self._sources.at(data.u_lift)
-        self._load = assembled(self.spaces.kept(_load, data.kappa_h, source, data.sigma_lift, data.u_lift))
+        self._assemble_load()
         self.x.set(0.0)
+
+    def _assemble_load(self) -> None:
+        """Assemble the right side without conditions on Γ_S (collective)."""
+        data, source = self._data, self.sources.at(self._data.u_lift)
+        self._load = assembled(self.spaces.kept(_load, data.kappa_h, source, data.sigma_lift, data.u_lift))
+        given = (data.q_Sh * self.spaces.facet_measure)[self.spaces.inner.rows]
+        self._load[self._across] += self._load[self._named] - given  # what flows out of one side flows into the other
 
     def renew(self, data: Data) -> bool:
         """Go on with other data; returns whether κ and c, and so the matrix, stay (collective)."""
         same = data.same_operator(self._data, self.spaces)
-        self._sources = sources(self.spaces, data)
-        if not same:
+        kept = same and data.obstacle is None
+        self.sources = self.sources.renewed(data) if kept else sources(self.spaces, data)
+        if not kept:
             self._operator.renew(self._form(data))
             self._imposed = None
         self._take(data)
         return same
+
+    def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
+        """The owned unknowns of some sites."""
+        of_cells = self.space.dofmap.list[np.flatnonzero(sites[self._facets.stop :])].ravel()
+        own = of_cells[of_cells < self.space.dofmap.index_map.size_local]
+        return np.union1d(self.trace_dofs[sites[self._facets]], own).astype(np.int32)
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
@@ -95,16 +117,26 @@ class FacetSystem:
         """Impose conditions on `matrix`, unless they are those of last time (collective)."""
         if conditions.same(self._imposed, self.spaces.mesh.comm):
             return
-        robin = conditions.kind == Condition.ROBIN
-        added = conditions.beta_where(robin) * self.spaces.facet_measure[robin]
-        self._operator.impose(self._fixed(conditions), self.trace_dofs[robin], added)
+        self._hold_cells(conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE)
+        on_facets = conditions.take(self._facets)
+        robin = on_facets.kind == Condition.ROBIN
+        added = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]
+        self._operator.impose(self._fixed(on_facets), self.trace_dofs[robin], added)
         self._imposed = conditions
+
+    def _hold_cells(self, contact: Mask) -> None:
+        """Let u_T be ψ_T on the cells in contact with the obstacle (collective)."""
+        if self._data.obstacle is not None:
+            self.sources = sources(self.spaces, self._data).held(contact, self._data.obstacle.means)
+            self._operator.renew(self._form(self._data))
+            self._assemble_load()
 
     def load(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `b` and `x` alone and return the owned unknowns that they fix.
 
         Collective if the conditions have values.
         """
+        conditions = conditions.take(self._facets)
         fixed = self._fixed(conditions)
         self.b.array_w[:] = self._load[: self.b.getLocalSize()]
         given = np.zeros(len(fixed))
@@ -144,27 +176,46 @@ class FacetSystem:
         sigma.x.scatter_forward()
         u.x.array[:] = assembled(spaces.kept(_recovered_scalar, *recovery)) / spaces.cell_measures
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
-        p, flux = conditions.clean(self.x.array_r[self.trace_dofs], flux, self._data.conductance)
-        sigma.x.array[spaces.flux_dofs] = (flux + self._data.q_Sh) * spaces.facet_measure / spaces.basis_flux
+        p, flux = self._pairs(self.x.array_r[self.trace_dofs], flux, conditions, recovery[2])
+        on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
+        sigma.x.array[spaces.flux_dofs] = on_facets / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
-        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
+        spaces.carry_across(sigma)
+        contact = None
+        if self._data.obstacle is not None:
+            contact = conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE
+            u.x.array[contact] = self._data.obstacle.means[contact]
+        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, contact=contact)
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
-        """Trace and flux per Γ_S facet as `recover` gives them, for an x that need not be a solution (collective)."""
-        recovered = self.spaces.kept_expression(_recovered_flux, self.spaces.V, *self._recovery(x))
+        """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective)."""
+        recovery = self._recovery(x)
+        recovered = self.spaces.kept_expression(_recovered_flux, self.spaces.V, *recovery)
         self._flux.interpolate(recovered, cells0=self.spaces.cells)  # the cells behind Γ_S alone
         flux = self.spaces.normal_flux(self._flux) - self._data.q_Sh
-        return conditions.clean(x.array_r[self.trace_dofs], flux, self._data.conductance)
+        return self._pairs(x.array_r[self.trace_dofs], flux, conditions, recovery[2])
 
-    def _recovery(self, x: PETSc.Vec) -> tuple[Coefficient, ...]:
+    def _pairs(self, trace: Array, flux: Array, conditions: SiteConditions, u_cr: fem.Function) -> tuple[Array, Array]:
+        """P − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
+        data = self._data
+        if data.obstacle is not None:
+            trace = np.append(trace, self.sources.scalars(u_cr) - data.obstacle.means)
+            force = self.sources.at(u_cr).x.array - data.f_h.x.array
+            if data.c_h is not None:
+                force += data.c_h.x.array * self.sources.scalars(u_cr)
+            flux = np.append(flux, force)
+        return conditions.clean(trace, flux, data.conductance)
+
+    def _recovery(self, x: PETSc.Vec) -> tuple[Coefficient, fem.Function, fem.Function, fem.Function]:
         """κ_h, the source, u_CR and the centroids, from which σ_h and u_h are recovered (collective)."""
         owned: Array = x.array_r
         u_cr = fem.Function(self.space)
         u_cr.x.array[: len(owned)] = owned
+        u_cr.x.array[self._named] += owned[self._across]
         u_cr.x.scatter_forward()
         u_cr.x.array[:] += self._data.u_lift.x.array
-        return self._data.kappa_h, self._sources.at(u_cr), u_cr, self.spaces.centroids
+        return self._data.kappa_h, self.sources.at(u_cr), u_cr, self.spaces.centroids
 
 
 def _stiffness(spaces: Spaces, kappa: Expr) -> Form:

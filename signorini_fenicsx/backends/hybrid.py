@@ -1,5 +1,6 @@
 """The hybrid backend: the facet system, solved by Cholesky or by CG with auxiliary-space multigrid."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -19,6 +20,9 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.spaces import Spaces
+
+FACTORISATION = 10
+"""About as many solves take as long as a factorisation."""
 
 
 class HybridBackend(FacetBackend):
@@ -57,6 +61,7 @@ class HybridBackend(FacetBackend):
         self._tuning = tuning or Tuning()
         self._system = FacetSystem(spaces, data, self._tuning)
         self._condensed: Condensed | None = None
+        self._regret = math.inf
         self.dofs = self._system.dofs
         self._solver = LinearSolver(self._system.matrix, prefix)
         self._ksp = self._solver.ksp
@@ -66,6 +71,7 @@ class HybridBackend(FacetBackend):
         if self._iterates:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: SiteConditions | None = None
+        self._held: SiteConditions | None = None
         self._iterations = 0
         self._offer_precise()
 
@@ -78,19 +84,27 @@ class HybridBackend(FacetBackend):
         self.data, self._applied = data, None
         self._offer_precise()
         if not same:
-            self._condensed = None
+            self._condensed, self._regret = None, math.inf
         elif self._condensed is None and self._is_worth_condensing():
             system.impose(given_flux)
             self._condensed = Condensed(self._solver, system.matrix, system.trace_dofs, self.spaces.facet_measure)
+            self._regret = 0.0
+        elif self._condensed is not None and self._regret > FACTORISATION:
+            self._condensed, self._regret = None, 0.0
         if self._condensed is not None:
             system.load(given_flux)
             self._condensed.load(system.b, data.conductance)
         return True
 
     def _is_worth_condensing(self) -> bool:
-        """Whether the matrix is factorised, also without contact, and Γ_S small."""
+        """Whether this is possible, with a factorisation and few facets in Γ_S, and what it saves would pay it back.
+
+        Where sets stand still, one more solve for each right side is what it costs, and a factorisation for each change
+        of the sets what it saves. It is given up, or made again, when as much was lost as the change costs.
+        """
         facets = self.spaces.Lambda.dofmap.index_map.size_global
-        return self.precise is not None and self.data.holds(self.spaces) and facets <= self._tuning.condense_up_to
+        factorised = self.precise is not None and self.data.holds(self.spaces) and self.data.obstacle is None
+        return factorised and facets <= self._tuning.condense_up_to and self._regret >= facets
 
     def _offer_precise(self) -> None:
         if not self._iterates and self._ksp.getPC().getType() in ("cholesky", "lu"):
@@ -136,7 +150,7 @@ class HybridBackend(FacetBackend):
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
         """Solves as `Inexact.solve_near` says (collective)."""
-        patch = Patch(self._system.matrix, self._system.trace_dofs[sites], layers)
+        patch = Patch(self._system.matrix, self._system.unknowns(sites), layers)
 
         def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
             self._applied = None
@@ -157,13 +171,16 @@ class HybridBackend(FacetBackend):
                 return
         elif self._condensed is not None:
             self._condensed.solve(conditions, self._system.x)
-            self._applied, self._iterations = conditions, 1
+            self._regret = self._regret + 1 if conditions.same(self._held, self.comm) else 0.0
+            self._applied, self._held, self._iterations = conditions, conditions, 1
             return
         else:
+            self._regret += 0.0 if conditions.same(self._held, self.comm) else FACTORISATION
+            self._held = conditions
             essential = self._system.apply(conditions)
             if self._auxiliary is not None:
                 with self._solver.options():
-                    self._auxiliary.update(conditions, essential)
+                    self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()

@@ -1,6 +1,7 @@
 """The saddle-point backend: (11b)-(11c) on RT0/P0, assembled once, solved with MUMPS unless PETSc options differ."""
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
@@ -10,8 +11,9 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.facets import FacetBackend
+from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.backends.petsc import direct_solver
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
@@ -31,7 +33,8 @@ class MixedBackend(FacetBackend):
 
     The matrix is assembled once; the unknowns are σ − σ_lift and u. A NO_FLUX facet is an essential condition on its
     flux degree of freedom, a ZERO_TRACE facet is a natural one, and a ROBIN facet adds to the diagonal. So a step
-    changes only rows and columns of facets, and the sparsity pattern with its symbolic factorisation stays.
+    changes only rows and columns of facets, and the sparsity pattern with its symbolic factorisation stays. In a cell
+    in contact with an obstacle u is fixed as well, and the residual of its mass balance is the force of the obstacle.
 
     Attributes:
         before: u_before.
@@ -54,10 +57,14 @@ class MixedBackend(FacetBackend):
         V, Q = spaces.V, spaces.Q
         self._stabilisation = stabilisation
         W = [V, Q]
-        self._system = ConstrainedMatrix(spaces.kept(_saddle_point, *self._coefficients()), PETSc.Mat.Option.SYMMETRIC)
+        basis = with_one_flux(spaces, sum(space.dofmap.index_map.size_local for space in W))
+        saddle_point = spaces.kept(_saddle_point, *self._coefficients())
+        self._system = ConstrainedMatrix(saddle_point, PETSc.Mat.Option.SYMMETRIC, basis)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
         self._cells = spaces.cell_measures[: Q.dofmap.index_map.size_local]
+        across = spaces.across[0] if spaces.inner.present else spaces.neumann_dofs[:0]
+        self._given = np.concatenate([spaces.neumann_dofs, across])  # these fluxes are never unknown
         self._load = self._right_side()
         self.before = fem.Function(Q)
         self._b, self._x, self._residual = (create_vector(W) for _ in range(3))
@@ -99,9 +106,9 @@ class MixedBackend(FacetBackend):
         """Solve with given values of σ·n on NO_FLUX facets and of p on ZERO_TRACE facets (collective).
 
         Args:
-            conditions: Facet conditions, whose own values are those of ROBIN facets only.
-            flux: σ·n − q_S per facet.
-            trace: p − ψ per facet.
+            conditions: Conditions on the sites, whose own values are those of ROBIN facets only.
+            flux: σ·n − q_S per site.
+            trace: p − ψ per site.
             loaded: If False, all data and u_before are replaced by 0.
 
         Raises:
@@ -110,20 +117,23 @@ class MixedBackend(FacetBackend):
         spaces, b, x, residual = self.spaces, self._b, self._x, self._residual
         self._impose(conditions)
         given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
-        essential = spaces.flux_dofs[given_flux]
-        values = (flux * spaces.facet_measure / spaces.basis_flux)[given_flux]
+        obstacle, held = self.data.obstacle, given_trace[self.cells]
+        on_facets, given = conditions.take(self.facets), given_flux[self.facets]
+        essential = np.append(spaces.flux_dofs[given], self._of_cells(held))
+        values = (flux[self.facets] * spaces.facet_measure / spaces.basis_flux)[given]
+        values = np.append(values, np.empty(0) if obstacle is None else obstacle.means[held])
         x.set(0.0)
         x.array_w[essential] = values
         self._system.natural.mult(x, b)
         b.scale(-1.0)
-        b.array_w[spaces.flux_dofs] += np.where(given_trace, trace * spaces.basis_flux, 0.0)
-        robin = conditions.kind == Condition.ROBIN
-        of_robin = conditions.values_where(robin) / conditions.beta_where(robin)
+        b.array_w[spaces.flux_dofs] += np.where(given_trace, trace, 0.0)[self.facets] * spaces.basis_flux
+        robin = on_facets.kind == Condition.ROBIN
+        of_robin = on_facets.values_where(robin) / on_facets.beta_where(robin)
         b.array_w[spaces.flux_dofs[robin]] += of_robin * spaces.basis_flux[robin]
         if loaded:
             b.array_w[:] += self._load
             b.array_w[self._flux_size :] -= self._stabilisation * self._cells * self.before.x.array[: len(self._cells)]
-        b.array_w[spaces.neumann_dofs] = 0.0
+        b.array_w[self._given] = 0.0
         b.array_w[essential] = values
         self._solver.solve(b, x)
 
@@ -132,28 +142,38 @@ class MixedBackend(FacetBackend):
             residual.array_w[:] -= self._load
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         sigma, u = self._fields(x)
-        p, normal_flux = conditions.clean(p, spaces.normal_flux(sigma), self.data.conductance)
+        normal_flux = spaces.normal_flux(sigma)
+        if obstacle is not None:
+            p = np.append(p, u.x.array - obstacle.means)
+            normal_flux = np.append(normal_flux, -residual.array_r[self._flux_size :] / self._cells)
+        p, normal_flux = conditions.clean(p, normal_flux, self.data.conductance)
         if loaded:
             sigma.x.array[:] += self.data.sigma_lift.x.array
+        spaces.carry_across(sigma)
         return Iterate(
             p=np.where(given_trace, trace, p),
             flux=np.where(given_flux, flux, normal_flux),
             linear_iterations=self._solver.ksp.getIterationNumber(),
             sigma=sigma,
             u=u,
+            contact=None if obstacle is None else held,
         )
+
+    def _of_cells(self, cells: Mask) -> npt.NDArray[np.int32]:
+        """The unknowns u of some cells."""
+        return (self._flux_size + np.flatnonzero(cells)).astype(np.int32)
 
     def _impose(self, conditions: SiteConditions) -> None:
         """Make the matrix that of these conditions (collective)."""
         if conditions.same(self._imposed, self.comm):
             return
-        spaces = self.spaces
+        spaces, of_cells = self.spaces, self._of_cells(conditions.kind[self.cells] == Condition.ZERO_TRACE)
+        self._imposed, conditions = conditions, conditions.take(self.facets)
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)
-        essential = np.concatenate([spaces.neumann_dofs, spaces.flux_dofs[no_flux]])
+        essential = np.concatenate([self._given, spaces.flux_dofs[no_flux], of_cells])
         self._system.impose(essential, spaces.flux_dofs[robin], added)
-        self._imposed = conditions
 
     def _right_side(self) -> Array:
         """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""

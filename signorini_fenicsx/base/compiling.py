@@ -8,7 +8,8 @@ file has not changed for some time. The waiting time is for programs that do not
 outlives its parent.
 
 DOLFINx looks up each form in its cache again, even if the process has loaded it, and lists the whole cache to do so.
-This takes most of the time of a small solve. Here a process keeps the forms that it has loaded.
+This takes most of the time of a small solve. Here a process keeps the forms that it has loaded, and they have a folder
+of their own in the cache, so that the forms of other programs cost nothing.
 """
 
 import contextlib
@@ -30,6 +31,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import COMPILING, doing
 
+OWN = "signorini_fenicsx"
+"""Folder of the cache for the forms of this program."""
 LOCK = "signorini.lock"
 QUIET = 30.0
 """Seconds without a change after which a file counts as left behind, if nobody holds the lock."""
@@ -61,6 +64,8 @@ def compiled(
             process does not end.
     """
     options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
+    if "cache_dir" not in (jit_options or {}):
+        options["cache_dir"] = Path(options["cache_dir"]) / OWN
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
     work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
     cache = options["cache_dir"]

@@ -16,9 +16,11 @@ class Tuning:
             fills in far more.
         predict_from: From this number of facets of the mesh on the sets are predicted; on smaller meshes a cold start
             takes tenths of a second.
+        elastic_predict_from: The same for elastic systems, in unknowns.
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
         coarsen_from: From this number of facets on, a coarser mesh gets a prediction itself; on smaller ones a
             prediction costs more than it saves.
+        predict_obstacle_from: The same where there is an obstacle, whose contact moves by one cell per step.
         patience: A solve stops early if the sets that its iterates ask for are steady for this many iterations of the
             linear solver.
         leeway: The sets count as steady if at most this share of the sites that want to change still varies. Where many
@@ -37,8 +39,10 @@ class Tuning:
     direct_up_to: int = 60_000
     elastic_direct_up_to: Mapping[int, int] = MappingProxyType({2: 200_000, 3: 40_000})
     predict_from: int = 60_000
+    elastic_predict_from: int = 15_000
     coarsening: float = 4.0
     coarsen_from: int = 30_000
+    predict_obstacle_from: int = 300
     patience: int = 2
     leeway: float = 0.05
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})

@@ -7,21 +7,29 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import ufl
-from pydantic import Field, ValidationError, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
+from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, Positive, Whole, choice, within
-from signorini_fenicsx.discrete.given import parsed
+from signorini_fenicsx.cases.values import Expression, Positive, ShapeName, Whole, choice, within
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression, read
+from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
-from signorini_fenicsx.meshes.shapes import SHAPES, Shape
+from signorini_fenicsx.meshes.shapes import SHAPES, Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.solving.options import BACKENDS
 
@@ -29,7 +37,7 @@ from signorini_fenicsx.solving.options import BACKENDS
 class Geometry(Section):
     """`[geometry]`: a named shape and the kind of its mesh; or a file with a mesh, or with a geometry for Gmsh."""
 
-    shape: Annotated[str, choice("shape", tuple(SHAPES))] | None = None
+    shape: ShapeName | None = None
     file: Annotated[str, Field(min_length=1)] | None = None
     mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
     diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
@@ -42,54 +50,18 @@ class Geometry(Section):
             if {"mesh", "diagonal"} & self.model_fields_set:
                 raise ValueError("mesh and diagonal apply to named shapes, not to files")
             return self
-        shape = SHAPES[self.shape]
+        shape = shape_of(self.shape)
         if self.mesh == "structured" and shape.grid is None:
             structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
-            raise ValueError(f"shape '{self.shape}' has no structured mesh; only {structured} have")
+            raise ValueError(f"shape '{self.shape}' has no structured mesh; only rectangles, {structured} have")
         if self.diagonal is not None and (self.mesh != "structured" or shape.dim != 2):
-            raise ValueError("diagonal applies to structured meshes of square and lshape only")
+            raise ValueError("diagonal applies to structured meshes of square, lshape and rectangles only")
         return self
 
     @property
     def name(self) -> str:
         """The shape, or the name of the file."""
         return self.shape or Path(self.file or "").name
-
-
-class ProblemTexts(Section):
-    """`[problem]`: the data of a `Problem` as text in x, y, z.
-
-    κ is a text, a matrix, or one of them per region; c is a text, or one per region.
-    """
-
-    f: Expression
-    kappa: Conductivity = "1"
-    u_D: Expression = "0"
-    g_N: Expression = "0"
-    psi: Expression = "0"
-    q_S: Expression = "0"
-    c: ExpressionByRegion = "0"
-
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
-        values: list[tuple[str, str | list[list[str]]]] = []
-        for name, whole in (("kappa", self.kappa), ("c", self.c)):
-            values += (
-                [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
-            )
-        for name, value in values:
-            found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
-        return found
-
-    def read(self, dim: int) -> Problem:
-        """The data as trees, in this dimension.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
-        names = "xyz"[:dim]
-        return Problem(**{key: parsed(value, names) for key, value in self})
 
 
 class Exact(Section):
@@ -130,6 +102,21 @@ class CaseFile(Section):
         """The section `[boundary]`."""
         raise NotImplementedError
 
+    @property
+    def last_time(self) -> float | None:
+        """The end of a problem in time; None for others."""
+        return None
+
+    @property
+    def inner(self) -> list[str]:
+        """The parts inside the domain."""
+        return self.parts.named.get("inner", [])
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of them."""
+        return {}
+
     def texts(self) -> list[tuple[str, str, str]]:
         """Each expression with its section and its key."""
         raise NotImplementedError
@@ -141,7 +128,7 @@ class CaseFile(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.geometry.shape is not None:
-            self._check_shape(SHAPES[self.geometry.shape])
+            self._check_shape(shape_of(self.geometry.shape))
         elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
             raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' has its own h; leave h out")
         else:
@@ -181,7 +168,7 @@ class CaseFile(Section):
             raise InputError(str(error)) from None
 
     def _check_shape(self, shape: Shape) -> None:
-        self.parts.check(list(shape.parts), self.geometry.name)
+        self.parts.check(shape.names, self.geometry.name, shape.inside)
         if self.solve.h > shape.diameter:
             raise ValueError(
                 f"[solve] h: {self.solve.h:g} is larger than the domain, whose diameter is {shape.diameter:.4g}"
@@ -192,7 +179,7 @@ class CaseFile(Section):
         x = reference_coordinate(dim)
         for section, name, text in self.texts():
             try:
-                parse_expression(text, x)
+                parse_expression(text, x, self.last_time if section != "time" else None)
             except InputError as error:
                 place = f"[{section}] {name}" if section else name
                 raise ValueError(f"{place}: {error}") from None
@@ -222,13 +209,37 @@ class Case(CaseFile):
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     exact: Exact = Exact()
+    time: Time | None = None
+    dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_dam(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """With [dam] the sections that it stands for."""
+        return with_dam(tree)
+
+    @model_serializer(mode="wrap")
+    def _without_what_dam_makes(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        tree: dict[str, Any] = dump(self)
+        return tree if self.dam is None else without_sections(self.dam, tree)
 
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
         self.parts.refuse_repetition()
-        if not self.boundary.signorini and not self.law:
-            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]]")
+        for part in self.boundary.inner:
+            if part not in self.law_parts:
+                raise ValueError(f"[boundary] inner: '{part}' needs a [[law]] between the jump of u and σ·n")
+        for part in self.boundary.sides:
+            if part not in self.boundary.inner or self.geometry.file is None:
+                raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
+        if not self.boundary.signorini and not self.law and self.problem.obstacle is None:
+            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]] and no obstacle")
         return self
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of the parts inside the domain."""
+        return self.boundary.sides
 
     @property
     def law_parts(self) -> list[str]:
@@ -249,16 +260,23 @@ class Case(CaseFile):
         """Each expression with its section and its key."""
         laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
         problem = [("problem", *entry) for entry in self.problem.texts()]
-        return [*problem, ("exact", "u", self.exact.u or "0"), *laws]
+        time = [] if self.time is None else [("time", *entry) for entry in self.time.texts()]
+        return [*problem, ("exact", "u", self.exact.u or "0"), *laws, *time]
+
+    @property
+    def last_time(self) -> float | None:
+        """The end of a problem in time; None for others."""
+        return None if self.time is None else self.time.end
 
     def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension, with the exact u if it is given.
+        """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        exact = None if self.exact.u is None else read(self.exact.u, "xyz"[:dim])
-        return replace(self.problem.read(dim), exact=exact, laws=[law.law() for law in self.law])
+        names = "xyz"[:dim] + ("" if self.time is None else "t")
+        exact = None if self.exact.u is None else read(self.exact.u, names)
+        return replace(self.problem.read(names), exact=exact, laws=[law.law() for law in self.law])
 
 
 def _below(branch: Any, section: str, key: str) -> Any:

@@ -18,7 +18,7 @@ def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    domain = own_domain(comm, geometry.file or "", case.file_h, case.parts.named)
+    domain = own_domain(comm, geometry.file or "", case.file_h, case.parts.named, case.sides)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 

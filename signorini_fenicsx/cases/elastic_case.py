@@ -115,7 +115,7 @@ class ElasticCase(CaseFile):
     exact: ElasticExact = ElasticExact()
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> ElasticParts:
         """The section `[boundary]`, with the parts of each `[[law]]` in contact."""
         rough = [part for law in self.law for part in law.parts if part not in self.boundary.contact]
         return self.boundary.model_copy(update={"contact": [*self.boundary.contact, *rough]})

@@ -16,11 +16,14 @@ from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.discrete.evolution import Steps
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
+from signorini_fenicsx.meshes.cut import opened
+from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 from signorini_fenicsx.solving.solver import check_solvability
 
@@ -96,8 +99,9 @@ def expected(case: AnyCase, ranks: int) -> Expected:
     cells = round(rough_cells(case))
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
-        dim = SHAPES[geometry.shape].dim
-        parts = {name: {"condition": case.condition_of(name)} for name in SHAPES[geometry.shape].parts}
+        shape = shape_of(geometry.shape)
+        dim = shape.dim
+        parts = {name: {"condition": case.condition_of(name)} for name in shape.names}
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))
@@ -105,6 +109,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
         parts = {
             name: {"condition": case.condition_of(name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
             for name, rows in mesh.parts.items()
+            if name not in map(other_side, case.inner)
         }
         regions = {name: len(rows) for name, rows in mesh.regions.items()}
         sides = (dim + 1) * len(mesh.cells)
@@ -150,8 +155,13 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
             spaces = elastic.scalar
         else:
             boundary = boundary_of(case)
-            spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
-            check_solvability(spaces, project_data(spaces, case.data(domain.mesh.geometry.dim)))
+            spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
+            data = case.data(domain.mesh.geometry.dim)
+            if case.time is not None:
+                steps = Steps(spaces, data, case.time.evolution())
+                steps.start()
+                data = steps.problem(1)
+            check_solvability(spaces, project_data(spaces, data))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -163,6 +173,7 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
 
 def _usable(case: CaseFile, mesh: FileMesh) -> FileMesh:
     try:
+        mesh = opened(mesh, case.inner, case.sides) if case.inner else mesh
         check_boundary(mesh, case.parts.named)
         case.check_dimension(mesh.dim)
     except InputError as error:

@@ -1,6 +1,7 @@
 """`[boundary]`: the parts of the boundary with each kind of condition."""
 
 from collections import Counter
+from collections.abc import Collection
 from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -38,12 +39,13 @@ class Parts(Section):
         if repeated:
             raise ValueError(f"'{repeated[0]}' is listed twice")
 
-    def check(self, known: list[str], where: str) -> None:
+    def check(self, known: list[str], where: str, inside: Collection[str] = ()) -> None:
         """Make sure that the named parts exist and, if parts of Γ_D are listed, that every part is named.
 
         Args:
-            known: All parts of the boundary.
+            known: All parts of the boundary, and inner ones.
             where: Name of the domain.
+            inside: Those of them that are inside the domain.
 
         Raises:
             ValueError: If not; the message names key and part.
@@ -54,6 +56,13 @@ class Parts(Section):
                     raise ValueError(
                         f"{key_of(key)}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
                     )
+        inner = self.named.get("inner", [])
+        for part in {*inside} ^ {*inner}:
+            raise ValueError(
+                f"[boundary] inner: part '{part}' of {where} is inside the domain, and needs a [[law]]"
+                if part in inside
+                else f"[boundary] inner: part '{part}' of {where} is not inside the domain"
+            )
         left = [part for part in known if part not in self.listed()]
         if "dirichlet" in self.named and left:
             *others, last = keys_of(type(self))
@@ -71,12 +80,21 @@ class Parts(Section):
 class Boundary(Parts):
     """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
 
-    Parts with a `[[law]]` belong to Γ_S and are not listed here.
+    Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
+    "sides" tells the named side of an inner part: the region of cells there, or a direction that points to it.
     """
 
     signorini: list[str] = []
     neumann: list[str] = []
     dirichlet: list[str] | None = None
+    inner: list[str] = []
+    sides: dict[str, str | list[float]] = {}
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The lists that are given, by their keys."""
+        lists = {key: list(value) for key, value in self if isinstance(value, list)}
+        return lists if self.inner else {key: parts for key, parts in lists.items() if key != "inner"}
 
 
 class PartsWithLaws(Boundary):
@@ -87,4 +105,8 @@ class PartsWithLaws(Boundary):
     @property
     def named(self) -> dict[str, list[str]]:
         """The lists that are given, by their keys."""
-        return {key: parts for key, parts in super().named.items() if key != "laws"} | self.laws
+        return super().named | self.laws
+
+    def listed(self) -> list[str]:
+        """All parts that the section names; inner ones are also those of a law."""
+        return [part for key, parts in self.named.items() for part in parts if key != "inner"]

@@ -1,6 +1,6 @@
 """Solving the problem of a case file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import overload
 
 from mpi4py import MPI
@@ -17,6 +17,7 @@ from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.methods.history import OnStep
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.solving.evolving import Instant, Past, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver
@@ -73,6 +74,7 @@ def solve_case(
         InputError: If the case cannot be discretised as asked.
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
+    refuse_time(case)
     watch = Stopwatch()
     with watch.phase("mesh"):
         place = domain or mesh_case(case, comm)
@@ -106,6 +108,50 @@ def solve_case(
         watch=watch,
         on_step=on_step,
     )
+
+
+def evolve_case(
+    case: Case,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    domain: Domain | None = None,
+    past: Callable[[Solver], Past] | None = None,
+    tuning: Tuning | None = None,
+    on_step: OnStep = lambda step: None,
+) -> Iterator[Instant]:
+    """Solve a case with [time] step by step, see `evolve` (collective).
+
+    Raises:
+        InputError: If the case has no [time] or cannot be discretised as asked.
+        NumericalFailure: If a step cannot be solved; its `solution` is the last state.
+    """
+    if case.time is None:
+        raise InputError(f"{case.name}: has no [time]")
+    place = domain or mesh_case(case, comm)
+    return evolve(
+        place,
+        boundary_of(case),
+        case.data(place.mesh.geometry.dim),
+        case.time.evolution(),
+        options_of(case, tuning),
+        past=past,
+        name=case.name,
+        title=case.title,
+        source=case,
+        on_step=on_step,
+    )
+
+
+def refuse_time(case: AnyCase) -> None:
+    """Refuse a case in time.
+
+    Raises:
+        InputError: If it is one.
+    """
+    if isinstance(case, Case) and case.time is not None:
+        raise InputError(
+            f"{case.name}: is a problem in time, by its section [time]; only `signorini solve` takes those"
+        )
 
 
 def _of_kind[S: (Solution, ElasticSolution)](kind: type[S], start: AnySolution | None) -> S | None:
@@ -169,8 +215,9 @@ def adapt_case(
 
 
 def boundary_of(case: Case) -> Boundary:
-    """Γ_S and Γ_N of a case."""
-    return Boundary([*case.boundary.signorini, *case.law_parts], case.boundary.neumann)
+    """Γ_S and Γ_N of a case, and its inner parts."""
+    parts = case.boundary
+    return Boundary([*parts.signorini, *case.law_parts], parts.neumann, parts.inner)
 
 
 def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:

@@ -8,12 +8,14 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.expressions import parse_number
+from signorini_fenicsx.meshes.shapes import full_name
 
 MAX_BITS = 1000
 """Largest size of an integer."""
 
 
-def _number(value: object) -> object:
+def number(value: object) -> object:
+    """A number, also one written as `1/16` or `2^-4`."""
     if isinstance(value, bool):
         raise ValueError("must be a number, not true or false")
     if isinstance(value, str):
@@ -46,6 +48,13 @@ def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
         return value
 
     return BeforeValidator(check)
+
+
+def _shape(value: object) -> str:
+    try:
+        return full_name(value if isinstance(value, str) and len(value) < 100 and value.isprintable() else shown(value))
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 def within(low: float, high: float) -> AfterValidator:
@@ -92,8 +101,9 @@ def _text_by_region(value: object) -> object:
 
 type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 
-Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, allow_inf_nan=False)]
-Whole = Annotated[int, BeforeValidator(_number)]
+Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(number)]
 Expression = Annotated[str, BeforeValidator(text_of)]
+ShapeName = Annotated[str, BeforeValidator(_shape)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(_text_by_region)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

@@ -35,7 +35,7 @@ class AdaptRow:
         cells: Number of cells.
         unknowns: Unknowns of the linear system.
         h: Largest cell diameter.
-        contact_facets: Number of facets in contact; in elasticity, of their vertices.
+        contact_facets: Number of facets in contact; in elasticity, of their vertices; with an obstacle, of cells.
         contact_measure: Their measure.
         iterations: Iterations of the algorithm, which starts from the sets of the mesh before.
         bound: Bound of the energy error.
@@ -121,6 +121,9 @@ def _row(
     refinement: str, mesh: int, solution: Solution | ElasticSolution, certificate: Certificate, seconds: float
 ) -> AdaptRow:
     facets, measure = solution.contact()
+    if isinstance(solution, Solution) and solution.data.obstacle is not None:
+        on_obstacle = solution.on_obstacle()
+        facets, measure = int(on_obstacle["contact_cells"]), on_obstacle["contact_measure"]
     return AdaptRow(
         refinement=refinement,
         mesh=mesh,

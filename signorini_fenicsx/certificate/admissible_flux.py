@@ -22,7 +22,8 @@ from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.certificate.obstacle import force
+from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.points import in_vertices
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
@@ -46,7 +47,8 @@ NONE = (np.empty(0), np.empty(0))
 def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple[fem.Function, fem.Function, float]:
     """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
-    Under other laws y·n is between the least and the largest flux that they allow.
+    Under other laws y·n is between the least and the largest flux that they allow. With an obstacle ≤ is enough in the
+    balance.
 
     Returns:
         y, u* and ‖y − σ_h‖ including the term for rounding; the latter is infinite if the residual cannot be corrected.
@@ -62,6 +64,8 @@ def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
         imbalance.x.array[:] = _divergence(spaces, y, volume) + data.source(u).x.array
+        if data.obstacle is not None:  # where it is negative, it is the force of the obstacle
+            imbalance.x.array[:] = np.maximum(imbalance.x.array, 0.0)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
             return y, u, float(left + _distance(metric, y, solution.sigma))
@@ -111,6 +115,7 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     y = y.copy()
     y.x.array[spaces.flux_dofs[beyond]] = (allowed * spaces.facet_measure / spaces.basis_flux)[beyond]
     y.x.scatter_forward()
+    spaces.carry_across(y)
     return y
 
 
@@ -120,12 +125,15 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
     Raises:
         LinearSolveFailure: If the solve fails.
     """
-    kind = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8)
+    kind, obstacle = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), None
     if not data.holds(spaces):
         flux = spaces.normal_flux(y)
         excess = np.minimum(flux - limits[0], limits[1] - flux)
-        largest = spaces.mesh.comm.allreduce(excess.max(initial=0.0), MPI.MAX)
-        kind[excess >= largest / 2] = Condition.ZERO_TRACE
+        excess[spaces.inner.rows] = 0.0  # what flows through these stays in the domain
+        kind = _most_room(excess, spaces.mesh.comm)
+        if data.obstacle is not None:
+            obstacle = replace(data.obstacle, means=np.zeros_like(data.obstacle.means))
+            kind = np.append(kind, _most_room(force(spaces, y, data.f_h), spaces.mesh.comm))
     nothing = np.zeros(len(spaces.facets))
     loads = replace(
         data,
@@ -134,8 +142,16 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
         u_lift=fem.Function(data.u_lift.function_space),
         psi_h=nothing,
         q_Sh=nothing,
+        obstacle=obstacle,
     )
     return HybridBackend(spaces, loads).solve(SiteConditions(kind))
+
+
+def _most_room(excess: Array, comm: MPI.Comm) -> Kinds:
+    """ZERO_TRACE on the sites whose y·n or λ may well become less, NO_FLUX on the others (collective)."""
+    largest = comm.allreduce(excess.max(initial=0.0), MPI.MAX)
+    room = (excess >= largest / 2) & (excess > 0)
+    return np.where(room, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
 
 
 def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) -> float:

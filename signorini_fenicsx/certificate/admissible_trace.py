@@ -23,13 +23,13 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.nodes import facet_nodes, largest_around
 from signorini_fenicsx.discrete.points import (
     Points,
     cut_off,
@@ -151,10 +151,10 @@ def _with_exact_data(
     near_dirichlet.x.array[on_dirichlet] = 1.0
     near_signorini.x.array[fem.locate_dofs_topological(linear, facet_dim, spaces.facets)] = 1.0
 
-    near, corners = near_dirichlet.x.array.copy(), facet_nodes(linear, spaces)
+    near, corners = near_dirichlet.x.array.copy(), facet_nodes(linear, spaces.facets)
     if data.psi.number is None:
         near += near_signorini.x.array
-        touches = (w.x.array[facet_nodes(w.function_space, spaces)] == 0).all(axis=1)
+        touches = (w.x.array[facet_nodes(w.function_space, spaces.facets)] == 0).all(axis=1)
         touching.x.array[:] = near_signorini.x.array - largest_around(linear, corners, 1.0 - touches)
     exact = ExactTrace(data, w, w_D, psi, near_dirichlet, near_signorini, touching, raised, floor)
     if data.psi.number is None:
@@ -171,7 +171,7 @@ def _with_exact_data(
     lowest = exact.unlimited(on_wall.among(at_seam)).min(initial=0.0)
     depth = mesh.comm.allreduce(max(FAR_BELOW * np.abs(w.x.array).max(initial=0.0), -2 * SAMPLES * lowest), MPI.MAX)
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
-    height = w.x.array[facet_nodes(w.function_space, spaces)].min(axis=1)
+    height = w.x.array[facet_nodes(w.function_space, spaces.facets)].min(axis=1)
     degree = quadrature_degree(data.u_D, data.psi, data.kappa)
     return Trace(v, exact, exact.above, cells, at_dirichlet, touched, height, feasible, degree)
 
@@ -236,29 +236,12 @@ class ExactTrace:
 
 def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:
     """∫ (y·n − q_Sh) φ per node of this rank; a facet adds the same to all its nodes (collective)."""
-    nodes = facet_nodes(space, spaces)
+    nodes = facet_nodes(space, spaces.facets)
     per_node = spaces.facet_measure * (spaces.normal_flux(y) - data.q_Sh) / nodes.shape[1]
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), np.repeat(per_node, nodes.shape[1]))
     excess.x.scatter_reverse(la.InsertMode.add)
     return np.asarray(excess.x.array, dtype=np.float64)
-
-
-def facet_nodes(space: fem.FunctionSpace, spaces: Spaces) -> Indices:
-    """Nodes of each Γ_S facet, shape (facets, nodes of a facet)."""
-    points = facet_lattice(spaces.mesh, spaces.facets, 1)
-    closures = np.array(space.element.basix_element.entity_closure_dofs[spaces.mesh.topology.dim - 1])
-    return np.take_along_axis(space.dofmap.list[points.cells], closures[points.local], axis=1)
-
-
-def largest_around(space: fem.FunctionSpace, nodes: Indices, values: Array) -> Array:
-    """For values ≥ 0 per facet, the largest value of the facets around each node, or 0 without facets (collective)."""
-    largest = fem.Function(space)
-    np.maximum.at(largest.x.array, nodes.ravel(), np.repeat(values, nodes.shape[1]))
-    vector = largest.x.petsc_vec
-    vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    largest.x.scatter_forward()
-    return np.asarray(largest.x.array, dtype=np.float64)
 
 
 def averaged(solution: Solution, metric: CellMetric) -> fem.Function:

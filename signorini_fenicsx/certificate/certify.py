@@ -23,9 +23,9 @@ so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational i
 If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
 Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`. After a penalty
-method u is the exact solution of the penalty problem, or of the Signorini problem if one asks for that. Its domain is
-the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`; for an obstacle in
+Ω see `obstacle`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
+one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 
 With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
 |∇w|² + ‖c^½w‖² takes the place of |∇w|². The two errors are bounded as before, and with them ‖c^½(v − u)‖.
@@ -34,6 +34,7 @@ With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -46,18 +47,20 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
+from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
-from signorini_fenicsx.certificate.law_trace import OnGammaS, law_trace
+from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
+from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
 from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, in_vertices, owned_cells
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, in_vertices, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -124,7 +127,9 @@ class Certificate:
 
 
 @collector_off()
-def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
+def certify(
+    solution: Solution, *, for_signorini: bool = False, memory: Callable[[CellPoints], Array] | None = None
+) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
     The cost is some assembly, and up to three linear solves if the linear solver, a penalty or quadrature leaves an
@@ -134,14 +139,16 @@ def certify(solution: Solution, *, for_signorini: bool = False) -> Certificate:
         solution: A solution by any algorithm.
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
+        memory: For a step in time, the load that it takes from those before, in points of cells; None for
+            `Data.memory`, which is constant on each cell. On each cell both have the same mean.
     """
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
-        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini))
+        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini), memory)
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def _certificate(solution: Solution, goal: Goal) -> Certificate:
+def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], Array] | None) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
@@ -150,15 +157,15 @@ def _certificate(solution: Solution, goal: Goal) -> Certificate:
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
     y, level, remainder = admissible_flux(solution, metric, goal)
-    if goal.plain:
+    if goal.plain and data.obstacle is None:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
         contact = excess.gap(trace.above(excess.points), len(metric.volume))
     else:
-        trace, contact, load = _under_laws(solution, metric, goal, y)
-        resolution.by_quadrature |= not_polynomial(goal)
+        trace, contact, load = _under_laws(solution, metric, goal, y, level)
+        resolution.by_quadrature |= not_polynomial(goal) | obstacle.not_quadratic(data)
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, resolution)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution)
     if reaction is not None:
         contact = contact + reaction.gap
     mismatch = _mismatch(spaces, data, trace, y)
@@ -211,15 +218,21 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _under_laws(solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function) -> tuple[Trace, Array, FacetLoad]:
-    """v, twice the gap on Γ_S per owned cell, and the load η − y·n (collective)."""
-    spaces = solution.spaces
+def _under_laws(
+    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, level: fem.Function
+) -> tuple[Trace, Array, list[FacetLoad]]:
+    """v, twice the gap on Γ_S and of an obstacle per owned cell, and the loads η − y·n (collective)."""
+    spaces, data = solution.spaces, solution.data
+    forces = None if data.obstacle is None else obstacle.force(spaces, y, data.source(level))
     on = OnGammaS.of(solution, goal, metric, y)
-    trace = law_trace(solution, metric, y, on)
+    trace = law_trace(solution, metric, y, on, forces)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.above(at.points)
     found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_of_piece(at, v))
-    return trace, found.per_cell(len(metric.volume)), found.load
+    contact = found.per_cell(len(metric.volume))
+    if data.obstacle is not None and forces is not None:
+        contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)
+    return trace, contact, found.loads(spaces)
 
 
 def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:

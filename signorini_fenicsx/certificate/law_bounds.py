@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import SAMPLES
+from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import Points, cut_off, facet_lattice, larger, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
+ROUNDING = 1e-12
+"""Relative size of what is rounding in jumps."""
 SAFE = 2.0
 """Factor of what ℓ needs in sampled points."""
 
@@ -70,10 +74,7 @@ class LawTrace:
         """Its jet (collective)."""
         datum, interpolant = self.u_D
         found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
-        kept = np.zeros_like(found)
-        for level, quadratic, near in self.levels:
-            missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
-            kept += cut_off(points.linear(near, gradient=gradient), missed)
+        kept = self._kept(points, gradient=gradient)
         found = found + kept
         if datum.number is None or self.levels:
             missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
@@ -81,6 +82,23 @@ class LawTrace:
         for bound in self.bounds:
             found = bound.apply(points, found, gradient=gradient)
         return found
+
+    def on_gamma_s(self, spaces: Spaces, jump: fem.Function | None, points: Points) -> Array:
+        """Its values in points of all facets of Γ_S; inside the domain its jump, from that of v_2 (collective)."""
+        found = self.jet(points)[:, :, 0]
+        if jump is not None:  # what belongs to u_D is the same on both sides, what belongs to levels on the named side
+            away = 1 - points.linear(self.near_dirichlet)
+            total = points.quadratic(jump) + away * self._kept(points)
+            found[spaces.inner.rows] = total[spaces.inner.rows, :, 0]
+        return found
+
+    def _kept(self, points: Points, *, gradient: bool = False) -> Array:
+        """The sum of all χ_b(b − I_hb) (collective)."""
+        kept = np.zeros((*points.shape, 1 + gradient * points.mesh.geometry.dim))
+        for level, quadratic, near in self.levels:
+            missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
+            kept += cut_off(points.linear(near, gradient=gradient), missed)
+        return kept
 
 
 def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:
@@ -100,3 +118,22 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
         above = sign * (datum.values(on_wall) - trace.jet(on_wall)[:, :, 0])
         steep = np.where((room > 0) & (above > 0), above / np.where(room > 0, room, 1.0), 0.0).max(initial=0.0)
     return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)
+
+
+def jumps_obey(trace: LawTrace, jump: fem.Function, parts: Sequence[PartLaw], spaces: Spaces) -> bool:
+    """Whether jumps are between their bounds in sampled points (collective).
+
+    They are so in all points if the bounds are quadratic, by their coefficients.
+    """
+    mesh, inner = spaces.mesh, spaces.inner.rows
+    found = trace.on_gamma_s(spaces, jump, facet_lattice(mesh, spaces.facets, SAMPLES))
+    short, size = 0.0, np.abs(found).max(initial=0.0)
+    for part in parts:
+        rows = np.intersect1d(part.rows, inner)
+        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
+            if name is not None:
+                bound = part.data[name].values(facet_lattice(mesh, spaces.facets[rows], SAMPLES))
+                short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
+                size = max(size, np.abs(bound).max(initial=0.0))
+    worst, largest = (mesh.comm.allreduce(float(number), MPI.MAX) for number in (short, size))
+    return bool(worst <= ROUNDING * largest)

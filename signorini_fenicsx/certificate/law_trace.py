@@ -12,181 +12,109 @@ bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
 stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
+
+On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
+jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 
 import basix
 import numpy as np
 from dolfinx import fem, la
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import (
     ROOM,
     SAMPLES,
     Indices,
     Trace,
     averaged,
-    facet_nodes,
-    largest_around,
 )
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth
-from signorini_fenicsx.certificate.laws import Goal, LawPoints
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
+from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
-from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.points import (
-    facet_lattice,
-    facet_type,
-    quadratic_nodes,
-)
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.nodes import Jumps, extreme_around, facet_nodes, largest_around, set_means
+from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.solving.solution import Solution
 
-RIGID = 1e4
-"""A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""
-STIFF = 1.0
-"""A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
 
+def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, forces: Array | None) -> Trace:
+    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective).
 
-@dataclass(frozen=True)
-class OnGammaS:
-    """Γ_S with the pieces of the laws near which v is to be.
-
-    Attributes:
-        goal: The problem.
-        spaces: The discrete spaces.
-        segment: The segment of each facet.
-        piece: The sloped or flat segment that v is near on each facet; rigid only if no other is beside.
-        flux: y·n per facet.
-        level: σ·n + βp on the piece, per facet.
-        steep: The segments of each facet that hold v: vertical ones, and stiff ones, shape (facets, segments).
-        rigid: Those of them that hold v as vertical ones do.
+    `forces` is λ of the obstacle in each owned cell, None without one.
     """
-
-    goal: Goal
-    spaces: Spaces
-    segment: Kinds
-    piece: Kinds
-    flux: Array
-    level: Array
-    steep: Mask
-    rigid: Mask
-
-    @classmethod
-    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
-        """Those of a solution and a flux."""
-        spaces, data, law = solution.spaces, solution.data, goal.chains
-        segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
-        height = metric.volume[spaces.cells] / spaces.facet_measure
-        resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
-        steepness = law.slope * (height * resistance)[:, None]
-        piece = goal.pieces(segment, flux - data.q_Sh, steepness > RIGID)
-        rows = np.arange(len(piece))
-        slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
-        level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
-        return cls(goal, spaces, segment, piece, flux, level, steepness > STIFF, steepness > RIGID)
-
-    def slope(self, at: LawPoints) -> Array:
-        """β of the piece in points; 0 on a vertical one."""
-        slope, _ = at.on(self.piece)
-        return np.where(np.isinf(slope), 0.0, slope)
-
-    def flux_of_piece(self, at: LawPoints, v: Array) -> tuple[Array, Array]:
-        """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is rigid."""
-        rigid = self.rigid[np.arange(len(self.segment)), self.segment][:, None]
-        slope = np.where(rigid, 0.0, self.slope(at))
-        return slope, np.where(rigid, 0.0, at.on(self.piece)[1] - slope * v)
-
-    def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
-        """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
-        rows = np.arange(len(self.segment))
-        slope, value = nodes.on(self.segment)
-        vertical = np.isinf(slope)
-        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=~vertical & (slope > 0))
-        fully = self.rigid[rows, self.segment]
-        nearly = self.steep[rows, self.segment] & ~fully & (slope > 0).all(axis=1)
-        return np.where(vertical, value, on_line), fully, nearly
-
-    def ends(self, nodes: LawPoints) -> list[Array]:
-        """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
-
-        Returns:
-            The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
-        """
-        low, high = nodes.extent()[:2]
-        rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece
-        steep = np.pad(self.steep, ((0, 0), (1, 1)))
-        left, right = steep[rows, piece], steep[rows, piece + 2]
-        begin, end = (nodes.trace_at(np.clip(corner, 0, law.corners - 1)) for corner in (piece - 1, piece))
-        only = self.rigid[rows, piece]  # no other segment is beside
-        value = nodes.on(piece)[1]
-        begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
-        soft_low = np.where((left | only)[:, None], begin, -np.inf)
-        soft_high = np.where((right | only)[:, None], end, np.inf)
-        return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
-
-    def loads(self, at: LawPoints) -> Array:
-        """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
-        points, slope = at.points, self.slope(at)
-        level = np.where(slope > 0, at.on(self.piece)[1], self.level[:, None])
-        only = self.rigid[np.arange(len(self.piece)), self.piece]
-        density = np.where(only[:, None], 0.0, self.flux[:, None] - level)
-        barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
-        first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
-        basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
-        found: Array = points.scale[:, None] * ((density * points.weights) @ basis)
-        return found
-
-
-def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS) -> Trace:
-    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective)."""
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
     v = averaged(solution, metric)
     space = v.function_space
-    edges, nodes = all_edges(space), facet_nodes(space, spaces)
+    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
     on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
-    for some in (nearly, fully):
-        _set_means(v, nodes[some], values[some])
+    floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
+    jumps = Jumps.of(space, spaces)
+    tips = np.empty(0, dtype=np.intp) if jumps is None else jumps.tips
+    fixed = np.union1d(on_dirichlet, tips)
+    if jumps is not None:
+        jumps.taken(v)
+    given = v.x.array[fixed]
+    for some in (nearly, fully):
+        set_means(v, nodes[some], values[some])
+    v.x.array[fixed] = given
     ends = on.ends(at_nodes)
-    feasible = _allows(v, nodes, ends[:2], on_dirichlet)
+    feasible = _allows(v, nodes, ends[:2], fixed, np.where(np.isin(fixed, tips), 0.0, given))
     (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
-    hard = _extreme(space, nodes, low, largest=True), _extreme(space, nodes, high, largest=False)
-    soft = _extreme(space, nodes, soft_low, largest=True), _extreme(space, nodes, soft_high, largest=False)
+    hard = extreme_around(space, nodes, low, largest=True), extreme_around(space, nodes, high, largest=False)
+    soft = extreme_around(space, nodes, soft_low, largest=True), extreme_around(space, nodes, soft_high, largest=False)
+    if jumps is not None:
+        jumps.undone(v)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
-    box = Box.of(hard, soft, on_dirichlet)
+    if jumps is not None:
+        jumps.taken(v)
+    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
+    over = [(np.maximum(low, floor), high) for low, high in (hard, soft)]
+    box = Box.of(over[0], over[1], fixed)
     box.project(v.x.array)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     excess = fem.Function(space)
     np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
+    if forces is not None:
+        add_load(excess, spaces, forces)
     excess.x.scatter_reverse(la.InsertMode.add)
     slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
     load = np.asarray(excess.x.array, dtype=np.float64)
-    relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope))
-    return _with_exact_data(on, data, v, u_D, feasible=feasible)
+    load[tips] = 0.0
+    relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope), jumps)
+    if obstacle is not None:
+        lower_inside(v, floor, obstacle, edges)
+    jump = None
+    if jumps is not None:
+        jump = v.copy()
+        jump.x.array[tips] = 0.0
+        jumps.undone(v)
+        feasible = feasible and jumps.alone
+    return _with_exact_data(on, data, v, u_D, jump, feasible=feasible)
 
 
-def _allows(v: fem.Function, nodes: Indices, ends: list[Array], on_dirichlet: Indices) -> bool:
-    """Whether the laws leave room for a continuous v that is u_D on Γ_D, in the nodes (collective)."""
+def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
+    """Whether the laws leave room for a continuous v, or its jump, with given values in some nodes (collective)."""
     comm = v.function_space.mesh.comm
-    low, high = (_extreme(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
+    low, high = (extreme_around(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
     rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
-    at_wall = v.x.array[on_dirichlet]
-    within = (low[on_dirichlet] <= at_wall + rounding) & (at_wall <= high[on_dirichlet] + rounding)
+    within = (low[fixed] <= given + rounding) & (given <= high[fixed] + rounding)
     return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
 
 
@@ -200,30 +128,9 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
     return np.hstack([values[:, :corners], middle])
 
 
-def _set_means(function: fem.Function, nodes: Indices, values: Array) -> None:
-    """Set the nodes of some facets to the means of what the facets say (collective)."""
-    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
-    np.add.at(total.x.array, nodes.ravel(), values.ravel())
-    np.add.at(count.x.array, nodes.ravel(), 1.0)
-    for each in (total, count):
-        each.x.scatter_reverse(la.InsertMode.add)
-        each.x.scatter_forward()
-    found = count.x.array > 0
-    function.x.array[found] = total.x.array[found] / count.x.array[found]
-
-
-def _extreme(space: fem.FunctionSpace, nodes: Indices, values: Array, *, largest: bool) -> Array:
-    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
-    sign = 1.0 if largest else -1.0
-    found = fem.Function(space)
-    found.x.array[:] = -np.inf
-    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
-    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    found.x.scatter_forward()
-    return np.asarray(sign * found.x.array, dtype=np.float64)
-
-
-def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
+def _with_exact_data(
+    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, jump: fem.Function | None, *, feasible: bool
+) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
     mesh, linear = spaces.mesh, fem.functionspace(spaces.mesh, ("Lagrange", 1))
@@ -235,32 +142,40 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     changed = [near for _, _, near in trace.levels]
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
-    corners = facet_nodes(linear, spaces)
+    corners = facet_nodes(linear, spaces.facets)
     known = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
         for sign, name in zip((1.0, -1.0), _bounds(on, part), strict=True):
             if name is None or (part.data[name].number is not None and not changed):
                 continue
-            datum, facets = part.data[name], spaces.facets[part.rows]
+            rows = np.intersect1d(part.rows, spaces.outer_rows)  # inside, coefficients and levels are enough
+            datum, facets = part.data[name], spaces.facets[rows]
             here = fem.Function(linear)
             here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
-            fixed = np.isin(corners[part.rows], on_dirichlet).any(axis=1)
+            fixed = np.isin(corners[rows], on_dirichlet).any(axis=1)
             lacking = np.where(fixed, *ROOM[::-1]) * np.maximum(short.max(axis=1, initial=0.0), 0.0)
-            moved.x.array[:] += sign * largest_around(linear, corners[part.rows], lacking)
+            moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
             moved.x.array[on_dirichlet] = 0.0
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
             known.append(datum)
+    if data.obstacle is not None:
+        trace.bounds.append(bound(data.obstacle, linear))
+        if not is_quadratic(data.obstacle.psi):
+            changed.append(trace.bounds[-1].near)
+            known.append(data.obstacle.psi)
     near = sum((each.x.array for each in changed), np.zeros_like(moved.x.array))
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
     )
+    if jump is not None:
+        feasible = jumps_obey(trace, jump, on.goal.parts, spaces) and feasible
     return Trace(
         v=v,
-        exact=trace if changed else None,
-        above=lambda points: trace.jet(points)[:, :, 0],
+        exact=trace if trace.bounds or changed else None,
+        above=partial(trace.on_gamma_s, spaces, jump),
         cells=cells,
         at_dirichlet=at_dirichlet,
         touching=np.empty(0, dtype=np.int32),
@@ -286,7 +201,7 @@ def _levels(
 
     Collective. Only data that are not numbers are among them.
     """
-    spaces, corners = on.spaces, facet_nodes(linear, on.spaces)
+    spaces, corners = on.spaces, facet_nodes(linear, on.spaces.facets)
     found = []
     everywhere = fem.Function(linear)
     everywhere.x.array[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
@@ -297,7 +212,8 @@ def _levels(
             if name is None or part.data[name].number is not None:
                 continue
             held = np.zeros(len(steep), dtype=bool)
-            held[part.rows] = (steep & (on.segment == segment))[part.rows]
+            rows = np.intersect1d(part.rows, spaces.outer_rows)
+            held[rows] = (steep & (on.segment == segment))[rows]
             near, quadratic = (
                 fem.Function(linear),
                 part.data[name].at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell())),
@@ -305,4 +221,23 @@ def _levels(
             near.x.array[:] = everywhere.x.array - largest_around(linear, corners, 1.0 - held)
             all_edges(space).to_bernstein(quadratic.x.array)
             found.append((part.data[name], quadratic, near))
+    return found + _levels_of_jumps(on, space, linear)
+
+
+def _levels_of_jumps(
+    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
+) -> list[tuple[Datum, fem.Function, fem.Function]]:
+    """The same for facets inside the domain whose jump has one bound: χ is 1 in all nodes with a jump (collective)."""
+    jumps, found = Jumps.of(linear, on.spaces), []
+    for part in on.goal.parts if jumps is not None else ():
+        names = [name for name in part.law.bounds() if name is not None]
+        if jumps is None or len(names) != 1 or part.data[names[0]].number is not None:
+            continue
+        rows = np.intersect1d(part.rows, on.spaces.inner.rows)
+        here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
+        near, datum = fem.Function(linear), part.data[names[0]]
+        near.x.array[:] = (here > 0) & jumps.jump
+        quadratic = datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+        all_edges(space).to_bernstein(quadratic.x.array)
+        found.append((datum, quadratic, near))
     return found

@@ -234,6 +234,16 @@ class LawGap:
         density = gap(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
         return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(points.shape[0])))
 
+    def loads(self, spaces: Spaces) -> list[FacetLoad]:
+        """The load, and the opposite one on the other sides of facets inside the domain (collective)."""
+        if not spaces.inner.present:
+            return [self.load]
+        points, rows = self.points, spaces.inner.rows
+        across = in_facets(spaces.mesh, spaces.inner.facets, points.points, points.weights)
+        apart = np.linalg.norm(points.x[rows][:, :, None] - across.x[:, None], axis=3)
+        values = -np.take_along_axis(self.load.values[rows], np.argmin(apart, axis=1), axis=1)
+        return [self.load, FacetLoad(across, values, np.zeros(len(rows)))]
+
     def per_cell(self, number: int) -> Array:
         """Twice its integral, per owned cell of so many."""
         return self.points.per_cell(2 * self.points.integrals(self.density), number)

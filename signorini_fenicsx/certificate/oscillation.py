@@ -17,6 +17,7 @@ larger than q_S, except at the ends of the contact set, and r = 0 however much q
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import basix
@@ -39,6 +40,7 @@ from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import (
+    CellPoints,
     FacetPoints,
     facet_quadrature,
     facet_type,
@@ -47,6 +49,9 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.discrete.spaces import Spaces
+
+OF_MEMORY = 8
+"""Degree of the square of a bubble, also in space."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ def water_filled(s: Array, weights: Array) -> Array:
 
 def contact_excess(
     spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
-) -> tuple[ContactExcess, FacetLoad | None]:
+) -> tuple[ContactExcess, list[FacetLoad]]:
     """R − s and r for the Signorini law of ψ and q_S on all of Γ_S; no r if it is 0 (collective).
 
     Args:
@@ -89,17 +94,17 @@ def contact_excess(
     q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
     s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
-    return ContactExcess(on_signorini, r - s), None if data.q_S.number is not None else FacetLoad(
-        on_signorini, r, missed
-    )
+    load = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
+    return ContactExcess(on_signorini, r - s), load
 
 
 def load_oscillation(
     spaces: Spaces,
     data: Data,
     metric: CellMetric,
-    on_signorini: FacetLoad | None,
+    on_signorini: list[FacetLoad],
     reaction: ReactionTerms | None,
+    memory: Callable[[CellPoints], Array] | None,
     resolution: Resolution,
 ) -> Array:
     """osc_T per owned cell (collective).
@@ -108,12 +113,13 @@ def load_oscillation(
         spaces: The discrete spaces.
         data: The data.
         metric: Metric of the owned cells.
-        on_signorini: The load r on Γ_S.
+        on_signorini: The load r on Γ_S, none if it is 0.
         reaction: The terms of cu.
+        memory: What a step in time takes from those before; None if it is constant on each cell.
         resolution: Records what quadrature may have missed.
     """
     mesh = spaces.mesh
-    on_facets = [] if on_signorini is None else [on_signorini]
+    on_facets = [*on_signorini]
     if data.g_N.number is None:
         on_neumann = facet_quadrature(mesh, spaces.neumann_facets, quadrature_degree(data.g_N, power=2))
         dofs = spaces.neumann_dofs
@@ -122,6 +128,10 @@ def load_oscillation(
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
         on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
     load, cell = _load(spaces, data, metric, resolution), mesh.basix_cell()
+    if memory is not None and data.memory is not None:
+        known = data.memory.x.array
+        remembered = _projected(spaces, lambda points: memory(points) - known[points.cells, None], OF_MEMORY)
+        load = remembered if load is None else load.plus(remembered)
     if reaction is None:
         return load_norms(cell, metric, load, on_facets)
     load = reaction.load if load is None else reaction.load.plus(load)
@@ -147,20 +157,30 @@ def _on_facets(
     return known[0], resolution.on_facets(name, points, known[1], seen, metric)
 
 
-def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
-    """The load f − f_h on the owned cells, None if f is a number (collective)."""
-    if data.f.number is not None:
-        return None
+def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> Projection:
+    """A load with mean 0 on each owned cell; `degree` is that of a quadrature for its square (collective)."""
     cell = spaces.mesh.basix_cell()
     positive = basix.QuadratureType.xiao_gimbutas  # weights; the default, Keast's rules, has negative ones
-    points, weights = basix.make_quadrature(cell, quadrature_degree(data.f, power=2), positive)
+    points, weights = basix.make_quadrature(cell, degree, positive)
     parts = [
-        projected(data.f.values(some) - data.f_h.x.array[some.cells, None], cell, OF_LOAD, points, weights)
-        for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points)
+        projected(load(some), cell, OF_LOAD, points, weights)
+        for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points, weights)
     ]
-    load = Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("coefficients", "rest")))
+    return Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("coefficients", "rest")))
+
+
+def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
+    """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective)."""
+    if data.f.number is not None:
+        return None
+    cell, f_h = spaces.mesh.basix_cell(), data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
+    degree = quadrature_degree(data.f, power=2)
+    load = _projected(spaces, lambda points: data.f.values(points) - f_h[points.cells, None], degree)
     if not resolution.encloses("f"):
         return load
-    nodes = data.f_h.x.array[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
-    seen = np.sqrt(load.rest / weights.sum())
-    return replace(load, rest=resolution.on_cells("f", nodes, seen, metric) ** 2 * weights.sum())
+    nodes, volume = (
+        f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)),
+        1 / math.factorial(metric.jacobian.shape[1]),
+    )
+    seen = np.sqrt(load.rest / volume)
+    return replace(load, rest=resolution.on_cells("f", nodes, seen, metric) ** 2 * volume)

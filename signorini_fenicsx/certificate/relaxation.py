@@ -16,9 +16,11 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
+from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.nodes import Jumps
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
@@ -127,6 +129,7 @@ def relax(
     fixed: Indices,
     obstacle: Obstacle | Box,
     robin: tuple[Spaces, fem.Function] | None = None,
+    jumps: Jumps | None = None,
 ) -> None:
     """Reduce ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
 
@@ -142,8 +145,9 @@ def relax(
         fixed: Nodes on Γ_D.
         obstacle: The condition on Γ_S.
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
+        jumps: If w has the jumps at facets inside the domain in it.
     """
-    gap = _Gap(w.function_space, psi, y, kappa, excess, robin)
+    gap = _Gap(w.function_space, psi, y, kappa, excess, robin, jumps)
     best = w.x.array.copy()
     present, descent = gap.at(w)
     lowest, steps = present, STEPS
@@ -167,6 +171,12 @@ def relax(
     gap.destroy()
 
 
+def _assembled(form: ufl.Form | fem.Form) -> PETSc.Mat:
+    matrix = assemble_matrix(form if isinstance(form, fem.Form) else fem.form(form))
+    matrix.assemble()
+    return matrix
+
+
 class _Gap:
     """The gap as a quadratic function of w in the owned nodes."""
 
@@ -178,20 +188,30 @@ class _Gap:
         kappa: Expr,
         excess: Array,
         robin: tuple[Spaces, fem.Function] | None,
+        jumps: Jumps | None,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-        form = stiffness(trial, test, ufl.dx, kappa)
+        form, on_gamma_s = stiffness(trial, test, ufl.dx, kappa), None
         if robin is not None:
             spaces, beta = robin
-            form = spaces.form(form + beta * trial * test * spaces.ds)
-        self._matrix = assemble_matrix(form if robin is not None else fem.form(form))
-        self._matrix.assemble()
+            on_gamma_s = beta * trial * test * spaces.ds
+        if jumps is None:
+            self._matrix = _assembled(form) if on_gamma_s is None else _assembled(spaces.form(form + on_gamma_s))
+        else:
+            self._matrix = _assembled(form).ptap(jumps.basis)
+            if on_gamma_s is not None:
+                more, size = _assembled(spaces.form(on_gamma_s)), space.dofmap.index_map.size_local
+                tips = jumps.tips[jumps.tips < size].astype(np.int32)
+                more.zeroRowsColumns(tips + more.getOwnershipRange()[0], diag=0.0)
+                self._matrix.axpy(1.0, more)
         self._in, self._out = self._matrix.createVecs()
         self._diagonal = self._matrix.getDiagonal()
         self._comm = space.mesh.comm
         size = self._in.getLocalSize()
         self._psi, self._excess = psi.x.array[:size], excess[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
+        if jumps is not None:
+            self._flux = jumps.transposed(self._flux)
         self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, ufl.dx, kappa)))) / 2
 
     def at(self, w: fem.Function) -> tuple[float, Array]:

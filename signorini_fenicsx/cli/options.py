@@ -40,6 +40,13 @@ Settings = Annotated[
 ForSignorini = Annotated[
     bool, typer.Option("--for-signorini", help="Bound the distance of a penalty solution to the Signorini solution.")
 ]
+Predict = Annotated[bool, typer.Option(help="Start large problems from the sets of a coarser mesh.")]
+StartFrom = Annotated[
+    Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
+]
+Rigorous = Annotated[bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")]
+Restart = Annotated[bool, typer.Option("--restart", help="Go on with a case in time after its last complete step.")]
+CertifySteps = Annotated[bool, typer.Option("--certify-steps", help="Bound the error of each step of a case in time.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print only one JSON object, the summary.")]
 Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse can turn.")]

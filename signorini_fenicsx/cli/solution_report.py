@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from decimal import ROUND_CEILING, Context, Decimal
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
+from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
@@ -62,6 +63,7 @@ class SolutionReport(CaseReport):
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             "contact": f"{touching}, measure {summary['contact_measure']:.6g}",
+            **_on_obstacle(summary, result),
             "norms": named(summary["norms"], ".6g"),
             **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
@@ -103,6 +105,23 @@ def _fixed_point(changes: list[float]) -> str:
     few = ", ".join(f"{change:.0e}" for change in changes[1:4])
     rate = (changes[-1] / changes[1]) ** (1 / (len(changes) - 2)) if len(changes) > 2 and changes[1] > 0 else 0.0
     return f"the bound of the shear changed by {few} … {changes[-1]:.0e} in {len(changes)} steps, rate {rate:.2f}"
+
+
+def _on_obstacle(summary: dict[str, Any], result: AnySolution) -> dict[str, str]:
+    """The contact with an obstacle, and the seepage through a dam (collective)."""
+    lines, water = {}, seepage(result)
+    if "obstacle" in summary:
+        found = summary["obstacle"]
+        lines["obstacle"] = (
+            f"{found['contact_cells']} cells in contact, measure {found['contact_measure']:.6g}, "
+            f"force {found['force']:.6g}"
+        )
+    if water is not None:
+        lines["seepage"] = (
+            f"separation height {water.separation_height:.6g}, discharge {water.discharge:.6g} "
+            f"(outflow {water.outflow:.6g})"
+        )
+    return lines
 
 
 def _forces(resultants: dict[str, list[float]], dim: int) -> str:

@@ -19,21 +19,28 @@ from signorini_fenicsx.cli.options import (
     AlgorithmName,
     BackendName,
     CaseName,
+    CertifySteps,
     Epsilon,
     ForSignorini,
     Html,
     Json,
     MeshSize,
     OutputFolder,
+    Predict,
     Quiet,
+    Restart,
     Rho,
+    Rigorous,
     Settings,
+    StartFrom,
     overrides,
     positive,
 )
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.case import CaseFile
+    from typing import TypeGuard
+
+    from signorini_fenicsx.cases.case import Case, CaseFile
     from signorini_fenicsx.cases.elastic_case import AnyCase
     from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.certify import Certificate
@@ -51,15 +58,13 @@ def solve(
     rho: Rho = None,
     eps: Epsilon = None,
     backend: BackendName = None,
-    predict: Annotated[bool, typer.Option(help="Start large problems from the sets of a coarser mesh.")] = True,
+    predict: Predict = True,
     settings: Settings = None,
-    start_from: Annotated[
-        Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
-    ] = None,
-    rigorous: Annotated[
-        bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")
-    ] = False,
+    start_from: StartFrom = None,
+    rigorous: Rigorous = False,
     for_signorini: ForSignorini = False,
+    restart: Restart = False,
+    certify_steps: CertifySteps = False,
     output: OutputFolder = None,
     plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
     html: Html = False,
@@ -73,11 +78,12 @@ def solve(
       signorini solve dam --algorithm alg2 --output results/seepage
       signorini solve my-case.toml --h 1/64 --set 'boundary.signorini=["bottom"]' --rigorous
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
+      signorini solve membrane --certify-steps --plot
     """
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.solution_report import SolutionReport
-    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
@@ -89,12 +95,19 @@ def solve(
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
     _refuse_if_elastic(problem, {"--rigorous": rigorous, "--html": html})
+    only_steady = {"--rigorous": rigorous, "--html": html, "--start-from": start_from, "--for-signorini": for_signorini}
+    if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
+        from signorini_fenicsx.cli.evolving import solve_in_time
+
+        kept = {"restart": restart, "certify_steps": certify_steps}
+        solve_in_time(problem, comm, output, **kept, plot=plot, quiet=quiet, as_json=as_json)
+        return
     on_root(comm, lambda: _check(problem, rigorous=rigorous, drawn=plot or html))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.heading(problem, comm)
         report.columns(problem)
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
-            start = None if start_from is None else load_solution(start_from, comm)
+            start = None if start_from is None else load_any_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
         certificate = certificate_of(solution, for_signorini=for_signorini or rigorous)
@@ -106,6 +119,23 @@ def solve(
         report.summary(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def _is_in_time(
+    problem: "AnyCase", only_steady: Mapping[str, object], only_in_time: Mapping[str, object]
+) -> "TypeGuard[Case]":
+    """Whether a case has [time].
+
+    Raises:
+        InputError: If an option is given that it does not have.
+    """
+    in_time = getattr(problem, "time", None) is not None
+    for name, value in (only_steady if in_time else only_in_time).items():
+        if value:
+            raise InputError(
+                f"{name}: {problem.name} has {'a' if in_time else 'no'} section [time], so this does not apply"
+            )
+    return in_time
 
 
 def _refuse_if_elastic(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
@@ -249,11 +279,11 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "AnyCase":
     """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
     from signorini_fenicsx.cases.elastic_case import load_any_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
-    from signorini_fenicsx.meshes.shapes import SHAPES
+    from signorini_fenicsx.meshes.shapes import shape_of
 
     case = load_any_case(name)
     shape = case.with_values(values).geometry.shape
-    first = {} if shape is None else {"solve.h": SHAPES[shape].diameter / FIRST_MESH}
+    first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
     return case.with_values(first | values)
 
 
@@ -273,12 +303,12 @@ def export(
     """
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.case_report import CaseReport
-    from signorini_fenicsx.output.checkpoint import load_solution
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.gather import check_drawable
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
-    solution = load_solution(results, comm)
+    solution = load_any_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
     if plot or html:
         topology = solution.spaces.mesh.topology

@@ -95,7 +95,7 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
     listed = _listed(spaces, problem)
     plain = [part for part in spaces.part_names if part not in listed]
     laws: list[tuple[str, Law, Mapping[str, Datum]]] = []
-    if plain:
+    if plain or not problem.laws:
         laws.append(("", Signorini(plain), {"psi": psi, "q_S": q_S}))
     for i, law in enumerate(problem.laws):
         laws.append((f"law.{i}", law, _data(spaces, law, f"law.{i}")))

@@ -1,6 +1,7 @@
 """One condition per site: with these each step of every algorithm is a linear problem.
 
-A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex.
+A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex. With an obstacle in Ω each cell is a
+site as well, with u_T − ψ_T for p and λ_T, the force of the obstacle, for σ·n.
 """
 
 from __future__ import annotations

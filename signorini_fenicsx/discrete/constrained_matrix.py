@@ -15,24 +15,29 @@ class ConstrainedMatrix:
         matrix: The matrix under the conditions last imposed.
     """
 
-    def __init__(self, form: fem.Form | PETSc.Mat, kind: PETSc.Mat.Option):
+    def __init__(self, form: fem.Form | PETSc.Mat, kind: PETSc.Mat.Option, basis: PETSc.Mat | None = None):
         """Assemble (collective).
 
         Args:
             form: Bilinear form, or blocks of them; or a matrix that is assembled.
             kind: A property on which PETSc may rely: SYMMETRIC or SPD.
+            basis: T, if x with the unknowns Tx of the form are the unknowns; then the matrix is Tᵀ(…)T.
         """
-        self.natural = form if isinstance(form, PETSc.Mat) else assemble_matrix(form)
-        self.natural.assemble()
+        self._assembled = form if isinstance(form, PETSc.Mat) else assemble_matrix(form)
+        self._assembled.assemble()
+        self._basis = basis
+        self.natural = self._assembled if basis is None else self._assembled.ptap(basis)
         self.matrix = self.natural.duplicate(copy=True)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(kind, True)
 
     def renew(self, form: fem.Form) -> None:
         """Assemble again, a form with the same sparsity pattern (collective)."""
-        self.natural.zeroEntries()
-        assemble_matrix(self.natural, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
-        self.natural.assemble()
+        self._assembled.zeroEntries()
+        assemble_matrix(self._assembled, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
+        self._assembled.assemble()
+        if self._basis is not None:
+            self._assembled.ptap(self._basis, self.natural)
 
     def impose(self, essential: npt.NDArray[np.int32], robin: npt.NDArray[np.int32], added: npt.ArrayLike) -> None:
         """Start again from `natural`, add to its diagonal and fix unknowns (collective).

@@ -1,6 +1,7 @@
 """Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import dolfinx.geometry
 import dolfinx.mesh
@@ -50,27 +51,47 @@ class FacetSet:
 
 
 @dataclass(frozen=True)
-class FacetSegments:
+class Segments:
     """The segment of its law that each facet of Γ_S is on, from which another mesh can start.
 
     Attributes:
         spaces: Where they are.
         segment: Number of its segment for each of `spaces.facets`.
+        cells: The same for each owned cell, if there is an obstacle; otherwise None.
     """
 
     spaces: Spaces
     segment: Kinds
+    cells: Kinds | None = None
+
+    @classmethod
+    def of_sites(cls, spaces: Spaces, segment: Kinds, *, obstacle: bool) -> Self:
+        """Those of facets and, with an obstacle, of the cells behind them."""
+        number = len(spaces.facets)
+        return cls(spaces, segment[:number], segment[number:] if obstacle else None)
 
     def on(self, spaces: Spaces) -> Kinds:
-        """Those of the facets of another mesh of the domain: that at the midpoint of each (collective)."""
-        numbers = self.spaces.multiplier(self.segment, "segment")
-        (sample,) = sampled([numbers], spaces.Lambda.mesh, self.spaces.domain, degree=0)
-        return np.rint(sample.x.array[: len(spaces.facets)]).astype(np.int8)
+        """Those of the sites of another mesh of the domain: that at the midpoint of each (collective)."""
+        if spaces is self.spaces:
+            return self.segment if self.cells is None else np.append(self.segment, self.cells)
+        found = np.empty(0, dtype=np.int8)
+        if spaces.part_names:
+            found = self._sample(self.spaces.multiplier(self.segment, "segment"), spaces.Lambda.mesh)
+        found = found[: len(spaces.facets)]
+        if self.cells is None:
+            return found
+        numbers = fem.Function(self.spaces.Q)
+        numbers.x.array[:] = self.cells  # no ghost cells
+        return np.append(found, self._sample(numbers, spaces.mesh))
+
+    def _sample(self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh) -> Kinds:
+        (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0)
+        return np.rint(sample.x.array).astype(np.int8)
 
 
 def transferred(contact: FacetSet, spaces: Spaces) -> Mask:
     """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
-    return FacetSegments(contact.spaces, contact.inside.astype(np.int8)).on(spaces) > 0
+    return Segments(contact.spaces, contact.inside.astype(np.int8)).on(spaces) > 0
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

@@ -13,9 +13,12 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
+from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.given import Given, Rows
+from signorini_fenicsx.discrete.known import Known
+from signorini_fenicsx.discrete.obstacle import Obstacle, obstacle_of
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
@@ -49,10 +52,12 @@ class Data:
         psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
         q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
         laws: The laws on Γ_S.
+        obstacle: The obstacle in Ω, or None.
         conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
-            same with the largest flux, often ∞. Exactly 0 if it is only rounding.
+            same with the largest flux, often ∞, as with an obstacle. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
+        memory: What the step of a problem in time takes from those before, in P0; a part of f_h, but not of f.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
             of regions has names such as "kappa.core".
     """
@@ -72,10 +77,22 @@ class Data:
     psi_h: Array
     q_Sh: Array
     laws: BoundaryLaws
+    obstacle: Obstacle | None
     conductance: float
     total_load: tuple[float, float]
     exact: Datum | None
     trees: Mapping[str, Tree | Rows]
+    memory: fem.Function | None = None
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site: of each facet of Γ_S and, with an obstacle, of each owned cell."""
+        facets = self.laws.chains
+        if self.obstacle is None:
+            return facets
+        number, cells = len(self.psi_h), len(self.obstacle.means)
+        of_cells = np.arange(number, number + cells), Chains.at_corner(cells)
+        return joined([(np.arange(number), facets), of_cells], number + cells)
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
@@ -94,6 +111,14 @@ class Data:
         """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
         return spaces.has_dirichlet or self.c_h is not None
 
+    def after(self, memory: fem.Function | None) -> Data:
+        """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
+        if memory is None:
+            return self
+        f_h = self.f_h.copy()
+        f_h.x.array[:] += memory.x.array
+        return replace(self, f_h=f_h, memory=memory)
+
     def source(self, u: fem.Function) -> fem.Function:
         """f_h − c_h u for u in P0, which is −∇·σ_h; f_h itself where c = 0."""
         if self.c_h is None:
@@ -111,8 +136,10 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D and ψ (collective)."""
-        return extent(np.concatenate([self._dirichlet_means(spaces), self.psi_h]), spaces.mesh.comm)
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of the obstacle (collective)."""
+        in_cells = np.empty(0) if self.obstacle is None else self.obstacle.means
+        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
+        return extent(np.concatenate(means), spaces.mesh.comm)
 
     def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
@@ -127,37 +154,82 @@ class Data:
 
     def less(self, spaces: Spaces, constant: float) -> Data:
         """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
-        u_lift, f_h = self.u_lift.copy(), self.f_h
+        u_lift, psi_h, outer, f_h = self.u_lift.copy(), self.psi_h.copy(), spaces.outer_rows, self.f_h
         if self.c_h is not None:
             f_h = f_h.copy()
             f_h.x.array[:] -= constant * self.c_h.x.array
-        for facets in (spaces.dirichlet_facets, spaces.facets):
+        for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
             u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
         u_lift.x.scatter_forward()
-        u_D, psi = self.u_D.less(constant), self.psi.less(constant)
-        return replace(self, u_D=u_D, psi=psi, f_h=f_h, u_lift=u_lift, psi_h=self.psi_h - constant)
+        psi_h[outer] -= constant
+        return replace(
+            self,
+            u_D=self.u_D.less(constant),
+            psi=self.psi.less(constant),
+            f_h=f_h,
+            u_lift=u_lift,
+            psi_h=psi_h,
+            obstacle=self.obstacle and self.obstacle.less(constant),
+        )
 
 
-def project_data(spaces: Spaces, problem: Problem) -> Data:
+def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -> Data:
     """Take means over cells and facets, by quadrature of the degree that `quadrature_degree` gives (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        problem: The data as given.
+        known: Keeps what was made of earlier data on these spaces.
 
     Raises:
         InputError: If a datum is not finite at some quadrature point, or so large or small that squares of the solution
             leave the range of floating-point numbers; if κ is not symmetric positive definite, or has no value on some
             cells; if c is negative somewhere.
     """
-    problem = problem.parsed(spaces.mesh.geometry.dim)
-    f = datum_of(spaces, "f", problem.f, continuous=False)
-    u_D, g_N, psi, q_S = (datum_of(spaces, name, getattr(problem, name)) for name in ("u_D", "g_N", "psi", "q_S"))
-    kappa = conductivity_of(spaces, problem.kappa)
+    problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known()
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
-    kappa_h = _projected_conductivity(spaces, kappa)
-    f_h = fem.Function(spaces.Q, name="f_h")
-    f_h.x.array[:] = f_means = _cell_means(spaces, f)
-    check_means("f", "in the domain", f_means, spaces)
-    c = regional_datum(spaces, "c", problem.c)
-    c_h = _projected_reaction(spaces, c)
+    kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
+    f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem))
+    c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
+    of_laws = [(id(type(law)), law.parts, law.data()) for law in problem.laws]
+    on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, problem.obstacle, of_laws]
+    boundary = known.get("boundary", on_boundary, lambda: _boundary(spaces, problem))
+    laws, q_Sh, sigma_lift = (boundary[name] for name in ("laws", "q_Sh", "sigma_lift"))
+    given_flux = sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
+    loads = [spaces.cell_measures * f_h.x.array, given_flux]
+    lowest, highest = (
+        total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
+        for flux in laws.chains.extent()[2:]
+    )
+    if boundary["obstacle"] is not None:
+        highest = np.inf
+    return Data(
+        f=f,
+        kappa=kappa,
+        c=c,
+        f_h=f_h,
+        kappa_h=kappa_h,
+        c_h=c_h,
+        conductance=conductance,
+        total_load=(lowest, highest),
+        exact=known.get("exact", problem.exact, lambda: _exact(spaces, problem.exact)),
+        trees=_trees(problem),
+        **boundary,
+    )
 
+
+def _load(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function]:
+    """F and f_h (collective)."""
+    f = datum_of(spaces, "f", problem.f, continuous=False)
+    f_h = fem.Function(spaces.Q, name="f_h")
+    f_h.x.array[:] = means = cell_means(spaces, f)
+    check_means("f", "in the domain", means, spaces)
+    return f, f_h
+
+
+def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
+    """The data on Γ_D, Γ_N and Γ_S and what is made of them, by the names that `Data` has for them (collective)."""
+    u_D, g_N, psi, q_S = (datum_of(spaces, name, getattr(problem, name)) for name in ("u_D", "g_N", "psi", "q_S"))
     laws, psi_h, q_Sh = boundary_laws(spaces, problem, psi, q_S)
     dirichlet_means = facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
     neumann_means = facet_means(spaces, "g_N", g_N, spaces.neumann_facets, "on Γ_N")
@@ -172,34 +244,10 @@ def project_data(spaces: Spaces, problem: Problem) -> Data:
         u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
-    loads = [spaces.cell_measures * f_means, spaces.neumann_measure * neumann_means]
-    lowest, highest = (
-        total(np.concatenate([*loads, spaces.facet_measure * (q_Sh + flux)]), spaces.mesh.comm)
-        for flux in laws.chains.extent()[2:]
-    )
-    integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
-    conductance = spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
-    return Data(
-        f=f,
-        kappa=kappa,
-        u_D=u_D,
-        g_N=g_N,
-        psi=psi,
-        q_S=q_S,
-        c=c,
-        f_h=f_h,
-        kappa_h=kappa_h,
-        c_h=c_h,
-        u_lift=u_lift,
-        sigma_lift=sigma_lift,
-        psi_h=psi_h,
-        q_Sh=q_Sh,
-        laws=laws,
-        conductance=conductance,
-        total_load=(lowest, highest),
-        exact=_exact(spaces, problem.exact),
-        trees=_trees(problem),
-    )
+    spaces.carry_across(sigma_lift)
+    obstacle = obstacle_of(spaces, problem.obstacle, u_D)
+    given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws, "obstacle": obstacle}
+    return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
 
 
 def _exact(spaces: Spaces, given: Given | None) -> Datum | None:
@@ -226,9 +274,17 @@ def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.
     return np.trace(kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
 
+def _conductivity(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | fem.Constant, float]:
+    """Κ, κ_h and the conductance (collective)."""
+    kappa = conductivity_of(spaces, problem.kappa)
+    kappa_h = _projected_conductivity(spaces, kappa)
+    integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
+    return kappa, kappa_h, spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
+
+
 def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.Constant:
     """κ_h (collective)."""
-    means = _cell_means(spaces, kappa)
+    means = cell_means(spaces, kappa)
     check_means("kappa", "in the domain", means, spaces)
     matrices = means.reshape(len(means), *(kappa.shape or (1, 1)))
     size = np.abs(matrices).max(axis=(1, 2))
@@ -247,22 +303,23 @@ def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.
     return kappa_h
 
 
-def _projected_reaction(spaces: Spaces, c: Datum) -> fem.Function | None:
-    """c_h, or None if it is 0 (collective)."""
+def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | None]:
+    """C, and c_h or None if it is 0 (collective)."""
+    c = regional_datum(spaces, "c", problem.c)
     if c.number == 0:
-        return None
+        return c, None
     comm = spaces.mesh.comm
     c_h = fem.Function(spaces.Q, name="c_h")
-    c_h.x.array[:] = means = _cell_means(spaces, c)  # no ghost cells
+    c_h.x.array[:] = means = cell_means(spaces, c)  # no ghost cells
     check_means("c", "in the domain", means, spaces)
     blocks = cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), quadrature_degree(c))
     least = min([0.0, *(float(c.values(points).min(initial=0.0)) for points in blocks)])
     if (least := comm.allreduce(least, MPI.MIN)) < 0:
         raise InputError(f"[problem] c: must not be negative; its smallest value is {least:.3g}")
-    return c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
+    return c, c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
 
 
-def _cell_means(spaces: Spaces, datum: Datum) -> Array:
+def cell_means(spaces: Spaces, datum: Datum) -> Array:
     """Mean on each cell of this rank, shape (cells, *shape) (collective)."""
     cells = owned_cells(spaces.mesh)
     if datum.number is not None:

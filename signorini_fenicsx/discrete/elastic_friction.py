@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticLaw
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces
@@ -70,6 +70,16 @@ def friction_chains(g: Array) -> Chains:
     """The law |σ·n| ≤ g, p = 0 where it is less, at sites with these g."""
     none = np.zeros_like(g)
     return Chains.through(np.column_stack([none, none]), np.column_stack([g, -g]), none, none)
+
+
+def law_of_sites(spaces: ElasticSpaces, friction: FrictionBounds | None) -> Chains:
+    """The law of each site of an elastic problem: contact, then friction by these bounds."""
+    normal = Chains.at_corner(len(spaces.sites))
+    if friction is None:
+        return normal
+    number = len(spaces.sites) + len(spaces.slip_sites)
+    rows = np.split(np.arange(number), [len(spaces.sites)])
+    return joined(list(zip(rows, (normal, friction.chains), strict=True)), number)
 
 
 def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> FrictionBounds | None:

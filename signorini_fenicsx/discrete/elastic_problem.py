@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -40,6 +41,7 @@ class Coulomb:
 
     parts: Sequence[str]
     mu: Given
+    name: ClassVar[str] = "coulomb"
 
     def __post_init__(self) -> None:
         """Refuse a string in the place of a list."""

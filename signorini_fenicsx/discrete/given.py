@@ -7,7 +7,7 @@ import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.expressions import Tree, exactly, read
+from signorini_fenicsx.expressions import TREES, Tree, exactly, read, substituted
 
 type Rows = Sequence[Sequence[Tree]]
 type Entries = Sequence[Sequence[float | str | Tree]]
@@ -29,3 +29,21 @@ def parsed(given: Any, names: str) -> Any:
     if isinstance(given, str):
         return read(given, names)
     return exactly(given) if isinstance(given, int | float) else given
+
+
+def at_time(given: Any, t: float) -> Any:
+    """What was given, with t in the trees replaced by its value."""
+    if isinstance(given, Mapping):
+        return {name: at_time(value, t) for name, value in given.items()}
+    if isinstance(given, tuple | list):
+        return type(given)(at_time(entry, t) for entry in given)
+    return substituted(given, "t", exactly(t)) if isinstance(given, TREES) else given
+
+
+def is_fixed(given: Any) -> bool:
+    """Whether it is made of trees, texts and numbers alone, so that it is the same as long as it is equal."""
+    if isinstance(given, Mapping):
+        return all(map(is_fixed, given.values()))
+    if isinstance(given, tuple | list):
+        return all(map(is_fixed, given))
+    return given is None or isinstance(given, TREES | str | int | float)

@@ -9,10 +9,11 @@ from mpi4py import MPI
 from ufl import Form
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.obstacle import Obstacle
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, flux_mass_diagonal
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
 from signorini_fenicsx.forms.norms import l2
@@ -41,12 +42,18 @@ class KKTResiduals(Residuals):
     the largest |u_D| or |ψ| in place of u if these are larger. u can be constant only without loads and with constant
     u_D. All residuals are 0 if S = 0. The constant that u_D and ψ have in common is subtracted from u, u_D and ψ first.
 
+    With an obstacle λ = −∇·σ − s is its force in each cell, s = f_h − c_h u. Primal, dual and complementarity then have
+    parts from Ω as well, ‖[u − ψ]_-‖ / (L G), ‖h_T k⁻¹[λ]_-‖ / G and ‖min(|u − ψ|/L, h_T k⁻¹|λ|)‖ / G, and the same as
+    fluxes.
+
     For other laws p and σ·n are measured from the reference. Then primal and dual are how far p is outside of what any
     σ·n allows, and σ·n outside of what any p allows. Complementarity is the rest of the distance to the graph, in the
     maximum norm of (k/L)p and σ·n: on each facet the distance to the nearest segment.
 
     A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II). Its residuals
     primal, dual and complementarity are those of the replaced quantities.
+
+    On a facet inside the domain p is the jump of u, and the flux of its two sides is one unknown.
 
     Attributes:
         primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
@@ -55,8 +62,8 @@ class KKTResiduals(Residuals):
             each facet. Their product is not used, since it can be as small as the square of an error.
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
-        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell; on Γ_N
-            √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell, unless
+            there is an obstacle; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
     """
 
     primal: float
@@ -88,7 +95,9 @@ def kkt_residuals(
     """
     constant = data.common_constant(spaces)
     data, u = data.less(spaces, constant), u.copy()
-    p = spaces.multiplier(p.x.array[: len(spaces.facets)] - constant)
+    p = p.copy()
+    p.x.array[spaces.outer_rows] -= constant
+    p.x.scatter_forward()
     u.x.array[:] -= constant
     length = spaces.length
     scales = _scales(spaces, sigma, u, data)
@@ -101,7 +110,8 @@ def kkt_residuals(
         trace, flux = penalty.shift(trace, flux, eps)
     low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
-    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(np.array(sums)) * length) / scales
+    squares = length * np.array(sums) + _over_obstacle(spaces, data, sigma, u)
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares)) / scales
     return KKTResiduals(
         primal=float(primal.max()),
         dual=float(dual.max()),
@@ -111,10 +121,39 @@ def kkt_residuals(
     )
 
 
+def touching(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Mask | None:
+    """Mask of the owned cells in contact with the obstacle, None without one (collective)."""
+    if data.obstacle is None:
+        return None
+    above, force = _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    return np.asarray(np.abs(above) <= force)
+
+
+def _obstacle_pairs(
+    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: fem.Function, u: fem.Function
+) -> tuple[Array, Array]:
+    """(k/L)(u − ψ) and h_T λ per owned cell (collective)."""
+    above = data.conductivities(spaces) / spaces.length * (u.x.array - obstacle.means)
+    return above, -assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+
+
+def _over_obstacle(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Array:
+    """Squares of what the cells of this rank add to primal, dual and complementarity (collective)."""
+    if data.obstacle is None:
+        return np.zeros((3, 2))
+    k, (above, force) = data.conductivities(spaces), _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    parts = np.minimum(above, 0.0), np.minimum(force, 0.0), np.minimum(np.abs(above), np.abs(force))
+    return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
+
+
 def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    forms = (_energy, sigma, data.kappa_h), (_gradient_square, sigma, data.kappa_h), (_flux_square, sigma)
-    energy, gradient, flux = (np.sqrt(spaces.integrate(spaces.kept(*form))) for form in forms)
+    flux = np.sqrt(spaces.integrate(spaces.kept(_flux_square, sigma)))
+    if data.kappa.number is not None:
+        energy, gradient = flux / np.sqrt(data.kappa.number), flux / data.kappa.number
+    else:
+        forms = (_energy, _gradient_square)
+        energy, gradient = (np.sqrt(spaces.integrate(spaces.kept(form, sigma, data.kappa_h))) for form in forms)
     k, measures = data.conductivities(spaces), spaces.cell_measures
     values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
     squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
@@ -153,7 +192,9 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
 def _imbalance(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+    missing = np.zeros(len(k))
+    if data.obstacle is None:
+        missing = assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [
@@ -172,6 +213,7 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
     residual = assembled(spaces.kept(_flux_residual, data.kappa_h, sigma, u, p, data.u_lift))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
+    spaces.join_across(residual)
     size = spaces.V.dofmap.index_map.size_local
     owned = residual[:size]
     M = spaces.mass_diagonal[:size]

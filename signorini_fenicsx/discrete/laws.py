@@ -15,15 +15,15 @@ is a `Graph` in the values of its data there. A law of one's own is a small clas
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import ClassVar, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.given import Given
+from signorini_fenicsx.discrete.given import Given, at_time, parsed
 
 type Values = Mapping[str, Array]
 """The data of a law, by their names, at some points or as means over some facets."""
@@ -70,6 +70,22 @@ class Law:
     def data(self) -> dict[str, Given]:
         """The data by their names."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
+
+    def read(self, names: str) -> Self:
+        """The law with numbers and texts read as trees in these variables.
+
+        Raises:
+            InputError: If a text cannot be read.
+        """
+        return self._with(lambda given: given if given == VERTICAL else parsed(given, names))
+
+    def at(self, t: float) -> Self:
+        """The law at a time, from one that `read` has read."""
+        return self._with(lambda given: at_time(given, t))
+
+    def _with(self, change: Callable[[Any], Any]) -> Self:
+        given = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
+        return replace(self, **{name: change(value) for name, value in given.items()})
 
     def graph(self, values: Values) -> Graph:
         """The graph where the data have these values."""

@@ -171,6 +171,9 @@ class FacetPoints(Points):
     @cached_property
     def _in_cell(self) -> Array:
         """The points in each facet of the reference cell, shape (its facets, points, dim)."""
+        return self._on_facets()
+
+    def _on_facets(self) -> Array:
         cell = self.mesh.basix_cell()
         reference = [basix.geometry(cell)[vertices] for vertices in basix.topology(cell)[-2]]
         return np.stack([x[0] + self.points @ (x[1:] - x[0]) for x in reference])
@@ -208,6 +211,32 @@ class FacetPoints(Points):
     def per_cell(self, values: Array, number: int) -> Array:
         """Sums of values per facet over the facets of each owned cell; `number` is that of the cells."""
         return np.bincount(self.cells, values, number)[:number]
+
+
+@dataclass(frozen=True)
+class BesideFacets(FacetPoints):
+    """The same points, moved by a small share of the way to the centroids of the cells, or, if it is < 0, away from it.
+
+    At facets inside the domain this gives the values of a function on either side.
+    """
+
+    share: float
+
+    @cached_property
+    def x(self) -> Array:
+        """The points, shape (n, points, dim)."""
+        return self.barycentric @ corners(self.mesh)[self.cells]
+
+    @cached_property
+    def _in_cell(self) -> Array:
+        """The points beside each facet of the reference cell, shape (its facets, points, dim)."""
+        on_facets = self._on_facets()
+        return on_facets + self.share * (basix.geometry(self.mesh.basix_cell()).mean(axis=0) - on_facets)
+
+    @classmethod
+    def of(cls, points: FacetPoints, share: float) -> Self:
+        """Those beside some points."""
+        return cls(points.mesh, points.cells, points.points, points.weights, points.facets, points.local, share)
 
 
 def _barycentric(points: Array) -> Array:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
-from signorini_fenicsx.discrete.given import Given, parsed
+from signorini_fenicsx.discrete.given import Given, at_time, parsed
 from signorini_fenicsx.discrete.laws import Law
 
 
@@ -11,7 +11,8 @@ from signorini_fenicsx.discrete.laws import Law
 class Problem:
     """−∇·(κ∇u) + cu = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one.
 
-    On the parts of `laws` these hold instead of ψ and q_S.
+    On the parts of `laws` these hold instead of ψ and q_S. With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω,
+    with equality in one of them.
 
     Attributes:
         f: Load.
@@ -21,6 +22,7 @@ class Problem:
         psi: Lower bound of the trace on Γ_S, continuous.
         q_S: Lower bound of the flux on Γ_S.
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
+        obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
         exact: The exact u, where it is known.
         laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
     """
@@ -32,8 +34,25 @@ class Problem:
     psi: Given = 0.0
     q_S: Given = 0.0
     c: Given | Mapping[str, Given] = 0.0
+    obstacle: Given | None = None
     exact: Given | None = None
     laws: Sequence[Law] = ()
+
+    def at(self, t: float) -> "Problem":
+        """The problem at a time, from one that `in_time` has read."""
+        data = {field.name: at_time(getattr(self, field.name), t) for field in fields(self) if field.name != "laws"}
+        return replace(self, **data, laws=tuple(law.at(t) for law in self.laws))
+
+    def in_time(self, dim: int) -> "Problem":
+        """The same problem, with numbers and texts read as trees that may have t in them, also those of the laws.
+
+        Raises:
+            InputError: If a text cannot be read.
+        """
+        names = "xyz"[:dim] + "t"
+        data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
+        laws = tuple(law.read(names) for law in self.laws)
+        return replace(self, **{name: parsed(given, names) for name, given in data.items()}, laws=laws)
 
     def parsed(self, dim: int) -> "Problem":
         """The same problem, with numbers and texts read as trees, but not those of the laws.

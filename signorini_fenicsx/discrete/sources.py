@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.points import corners
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -20,10 +20,21 @@ class Sources:
     Attributes:
         s: s_T ≥ 0 in P0; None if it is 0 everywhere.
         b: b_T in P0.
+        moments: m_T; None if s is 0 everywhere.
     """
 
     s: fem.Function | None
     b: fem.Function
+    moments: Array | None = None
+
+    def renewed(self, data: Data) -> Sources:
+        """Those for another f_h, with the same κ_h and c_h."""
+        if self.s is None or data.c_h is None:
+            return replace(self, b=data.f_h)
+        b = fem.Function(self.b.function_space)
+        c = data.c_h.x.array
+        b.x.array[:] = data.f_h.x.array * np.divide(self.s.x.array, c, out=np.ones_like(c), where=c > 0)
+        return replace(self, b=b)
 
     def at(self, u_cr: fem.Function) -> fem.Function:
         """y_T for a function with up-to-date ghost values; b itself without s."""
@@ -34,16 +45,30 @@ class Sources:
         source.x.array[:] = self.b.x.array - self.s.x.array * means  # no ghost cells
         return source
 
+    def scalars(self, u_cr: fem.Function) -> Array:
+        """u_T = ū_T + m_T y_T per owned cell; there is an s."""
+        means = u_cr.x.array[u_cr.function_space.dofmap.list].mean(axis=1)
+        u: Array = means + self.moments * self.at(u_cr).x.array
+        return u
+
+    def held(self, cells: Mask, values: Array) -> Sources:
+        """The sources with which u_T has these values on some cells; there is an s."""
+        assert self.s is not None
+        assert self.moments is not None
+        s, b = self.s.copy(), self.b.copy()
+        s.x.array[cells] = 1 / self.moments[cells]
+        b.x.array[cells] = values[cells] / self.moments[cells]
+        return Sources(s, b, self.moments)
+
 
 def sources(spaces: Spaces, data: Data) -> Sources:
-    """Those of −∇·σ + c_h u = f_h."""
-    if data.c_h is None:
+    """Those of −∇·σ + c_h u = f_h, without contact with an obstacle."""
+    if data.c_h is None and data.obstacle is None:
         return Sources(None, data.f_h)
-    s, b = fem.Function(spaces.Q), fem.Function(spaces.Q)
-    damping = 1 + data.c_h.x.array * mean_moments(spaces, data)
-    s.x.array[:] = data.c_h.x.array / damping
-    b.x.array[:] = data.f_h.x.array / damping
-    return Sources(s, b)
+    s, moments = fem.Function(spaces.Q), mean_moments(spaces, data)
+    if data.c_h is not None:
+        s.x.array[:] = data.c_h.x.array / (1 + data.c_h.x.array * moments)
+    return Sources(s, data.f_h, moments).renewed(data)
 
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:

@@ -17,9 +17,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
+from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.discrete.points import corners
 from signorini_fenicsx.meshes.domain import Domain
+
+type Names = Sequence[str]
 
 SIGNORINI = 1
 DIRICHLET = 2
@@ -53,6 +56,7 @@ class Spaces:
         neumann_dofs: RT0 degree of freedom of each Γ_N facet.
         neumann_basis_flux: ∫_e φ·n of its basis function.
         neumann_measure: |e| of each Γ_N facet.
+        inner: The facets of Γ_S inside the domain, with those of their other sides.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
         ds_dirichlet: Measure of Γ_D on the mesh.
@@ -79,6 +83,7 @@ class Spaces:
     neumann_dofs: npt.NDArray[np.int32]
     neumann_basis_flux: Array
     neumann_measure: Array
+    inner: InnerFacets
     n: ufl.FacetNormal
     ds: ufl.Measure
     ds_dirichlet: ufl.Measure
@@ -93,6 +98,42 @@ class Spaces:
     def normal_flux(self, sigma: fem.Function) -> Array:
         """σ·n per Γ_S facet, where it is constant."""
         return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
+
+    @cached_property
+    def outer_rows(self) -> npt.NDArray[np.intp]:
+        """The rows of `facets` that are on the boundary of the domain, not inside it."""
+        return np.setdiff1d(np.arange(len(self.facets)), self.inner.rows)
+
+    @cached_property
+    def across(self) -> tuple[npt.NDArray[np.int32], Array]:
+        """The other sides of inner facets (collective when first used).
+
+        Returns:
+            Their RT0 degrees of freedom, and what these are for each unit on the named sides, so that σ·n is the same.
+        """
+        across = self.inner.facets
+        entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, self.mesh.topology, np.sort(across))
+        ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=[(1, entities)])
+        dofs = cells_and_dofs(self.V, across)[1]
+        flux = assembled(ufl.dot(ufl.TestFunction(self.V), self.n) * ds(1))[dofs]
+        return dofs, -self.basis_flux[self.inner.rows] / flux
+
+    def carry_across(self, sigma: fem.Function) -> None:
+        """Give the other sides of inner facets the σ·n of the named sides, in place, ghosts updated (collective)."""
+        if self.inner.present:
+            dofs, opposite = self.across
+            sigma.x.array[dofs] = opposite * sigma.x.array[self.flux_dofs[self.inner.rows]]
+            sigma.x.scatter_forward()
+
+    def join_across(self, values: Array) -> None:
+        """Make of a linear function of σ, given in all degrees of freedom, one of fluxes equal on both sides, in place.
+
+        Collective when first used. The other sides of inner facets get 0.
+        """
+        if self.inner.present:
+            dofs, opposite = self.across
+            values[self.flux_dofs[self.inner.rows]] += opposite * values[dofs]
+            values[dofs] = 0.0
 
     @cached_property
     def cell_measures(self) -> Array:
@@ -165,14 +206,15 @@ class Spaces:
         return self.kept_forms.get((build, space.ufl_element()), make, coefficients)
 
 
-def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str] = ()) -> Spaces:
-    """Create the spaces for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective)."""
+def build_spaces(domain: Domain, signorini: Names, neumann: Names = (), inner: Names = ()) -> Spaces:
+    """Create the spaces for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective).
+
+    The parts of Γ_S in `inner` are inside the domain.
+    """
     guard_compiler()
     mesh = domain.mesh
     dim = mesh.topology.dim
-    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(
-        mesh, dim - 1, np.unique(np.concatenate([domain.facets[name] for name in signorini]))
-    )
+    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(mesh, dim - 1, _facets_of(domain, signorini))
     V = fem.functionspace(mesh, ("RT", 1))
     Q = fem.functionspace(mesh, ("DG", 0))
     Lambda = fem.functionspace(gamma, ("DG", 0))
@@ -180,11 +222,10 @@ def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
     facets = np.empty_like(submesh_cells)
     facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
-    neumann_facets = np.unique(
-        np.concatenate([np.empty(0, dtype=np.int32), *(domain.facets[name] for name in neumann)])
-    )
+    neumann_facets = _facets_of(domain, neumann)
+    across = inner_facets(domain, facets, inner)
     dirichlet_facets = np.setdiff1d(
-        dolfinx.mesh.exterior_facet_indices(mesh.topology), np.concatenate([facets, neumann_facets])
+        dolfinx.mesh.exterior_facet_indices(mesh.topology), np.concatenate([facets, neumann_facets, across.facets])
     )
     boundary = [
         (marker, fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(part)))
@@ -221,11 +262,16 @@ def build_spaces(domain: Domain, signorini: Sequence[str], neumann: Sequence[str
         neumann_dofs=neumann_dofs,
         neumann_basis_flux=flux_of_basis[neumann_dofs],
         neumann_measure=area_of_basis[neumann_dofs] / flux_of_basis[neumann_dofs],
+        inner=across,
         n=n,
         ds=ds(SIGNORINI),
         ds_dirichlet=ds(DIRICHLET),
         ds_neumann=ds(NEUMANN),
     )
+
+
+def _facets_of(domain: Domain, parts: Names) -> npt.NDArray[np.int32]:
+    return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *(domain.facets[name] for name in parts)]))
 
 
 def cells_and_dofs(

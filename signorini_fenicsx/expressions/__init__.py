@@ -7,10 +7,11 @@ Each function of the language is one row of the table in `functions`.
 from signorini_fenicsx.expressions.evaluation import interval, interval_and_gradient, values, values_and_gradient
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.symbolic import to_ufl
-from signorini_fenicsx.expressions.tree import TREES, Tree, exactly, polynomial_degree
+from signorini_fenicsx.expressions.tree import TREES, Binary, Tree, exactly, polynomial_degree, substituted
 
 __all__ = [
     "TREES",
+    "Binary",
     "Tree",
     "exactly",
     "interval",
@@ -19,6 +20,7 @@ __all__ = [
     "parse_number",
     "polynomial_degree",
     "read",
+    "substituted",
     "to_ufl",
     "values",
     "values_and_gradient",

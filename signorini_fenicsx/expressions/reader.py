@@ -27,6 +27,8 @@ from signorini_fenicsx.expressions.tree import (
     Number,
     Or,
     Tree,
+    exactly,
+    substituted,
 )
 
 MAX_LENGTH = 2000
@@ -206,18 +208,21 @@ def _complaints(text: str, names: Collection[str]) -> Iterator[None]:
         raise InputError(f"expression '{_shortened(text)}' is nested too deeply") from None
 
 
-def parse_expression(text: str, x: Expr) -> Expr:
+def parse_expression(text: str, x: Expr, t: float | None = None) -> Expr:
     """Read an expression as UFL, see `read`.
 
     Args:
         text: The expression.
         x: Spatial coordinate of the mesh, of dimension 2 or 3.
+        t: The time, if the text may have t in it.
 
     Raises:
         InputError: If the text is not such an expression.
     """
-    names = "xyz"[: len(x)]
+    names = "xyz"[: len(x)] + ("" if t is None else "t")
     tree = read(text, names)
+    if t is not None:
+        tree = substituted(tree, "t", exactly(t))
     with _complaints(text, names):  # UFL finds that 1/(0*x) has no value
         return to_ufl(tree, x)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 
@@ -162,6 +162,18 @@ def _holds(condition: Condition, algebra: Algebra) -> Any:
             return functools.reduce(join, (_holds(operand, algebra) for operand in operands))
         case Not(operand=operand):
             return algebra.opposite(_holds(operand, algebra))
+
+
+def substituted(node: Any, name: str, number: Number) -> Any:
+    """A tree, or a part of one, with a number in the place of a variable."""
+    match node:
+        case Coordinate(name=found):
+            return number if found == name else node
+        case Number() | str():
+            return node
+        case tuple():
+            return tuple(substituted(part, name, number) for part in node)
+    return replace(node, **{each.name: substituted(getattr(node, each.name), name, number) for each in fields(node)})
 
 
 def polynomial_degree(tree: Tree) -> int | None:

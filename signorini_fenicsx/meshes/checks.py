@@ -12,6 +12,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import rows_of
+from signorini_fenicsx.meshes.domain import other_side
 
 FLAT = 1e-14
 """A cell whose volume is below this share of diameter^dim is degenerate."""
@@ -48,6 +49,7 @@ class FileMesh:
         parts: For each group of facets its facets as ascending vertices, shape (facets, dim).
         regions: For each group of cells the numbers of its cells.
         straight: Whether uniform refinement of the mesh keeps the geometry.
+        together: Pairs of cells at the two sides of a cut, which have to be on one rank; None if there is no cut.
     """
 
     points: Array
@@ -55,6 +57,7 @@ class FileMesh:
     parts: Mapping[str, Indices]
     regions: Mapping[str, Indices]
     straight: bool = False
+    together: Indices | None = None
 
     @property
     def dim(self) -> int:
@@ -220,8 +223,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
 
     Args:
         mesh: The mesh.
-        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet" or "law.0.parts". Without
-            "dirichlet", all other facets are Γ_D.
+        conditions: Parts of each kind of condition: "signorini", "neumann", "dirichlet", "inner" or "law.0.parts".
+            Without "dirichlet", all other facets are Γ_D. An inner part has two sides, and may be in a law too.
 
     Raises:
         InputError: If a part is unknown, empty or not on the boundary; if two parts overlap or a facet is in no part
@@ -235,7 +238,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     used: list[str] = []
     for section, names in conditions.items():
         key = key_of(section)
-        for name in names:
+        for name in [other_side(name) for name in names] if section == "inner" else names:
             place = f"{key}: part '{name}'"
             if name not in mesh.parts:
                 raise InputError(f"{key}: unknown part '{name}'; the mesh has {known}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import basix.ufl
 import dolfinx.graph
@@ -33,6 +34,11 @@ class Part:
     nearest: Callable[[Array], Array] | None = None
 
 
+def other_side(name: str) -> str:
+    """The name of the part that lies on an inner part: the same facets seen from the cells on the other side."""
+    return f"{name} (other side)"
+
+
 @dataclass(frozen=True)
 class Domain:
     """A distributed mesh with named boundary parts and regions.
@@ -40,7 +46,9 @@ class Domain:
     Attributes:
         mesh: The mesh. It has no ghost cells, so a boundary facet is on one rank only, together with its cell.
         h: Largest cell diameter over all ranks.
-        parts: Boundary parts, in the order of the shape or file.
+        parts: Boundary parts, in the order of the shape or file. Along an inner part the mesh is cut, so it consists of
+            facets of the boundary, and a second part, see `other_side`, of those that lie on them. The cells of both
+            are on one rank.
         facets: For each part its facets on this rank, ascending. Parts from a file may overlap, or not cover all
             facets.
         regions: For each region of a file its cells on this rank, ascending; none for named shapes.
@@ -89,14 +97,17 @@ class Boundary:
     Attributes:
         signorini: Names of the parts of Γ_S, at least one.
         neumann: Names of the parts of Γ_N.
+        inner: Names of the parts inside the domain, across which u may jump. They are part of Γ_S: the law of such a
+            part is one between the jump of u and σ·n, with n outward from the named side.
     """
 
     signorini: Sequence[str]
     neumann: Sequence[str] = ()
+    inner: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         """Refuse a string instead of a list."""
-        for key in ("signorini", "neumann"):
+        for key in ("signorini", "neumann", "inner"):
             if isinstance(getattr(self, key), str):
                 raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
 
@@ -135,7 +146,9 @@ def coordinate_element(dim: int) -> AbstractFiniteElement:
     return basix.ufl.element("Lagrange", {2: "triangle", 3: "tetrahedron"}[dim], 1, shape=(dim,))
 
 
-def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int, *, stay: bool = False) -> dolfinx.mesh.Mesh:
+def distribute(
+    comm: MPI.Comm, points: Array, cells: Indices, dim: int, *, stay: bool = False, together: Indices | None = None
+) -> dolfinx.mesh.Mesh:
     """Make a distributed mesh without ghost cells (collective).
 
     Args:
@@ -144,12 +157,36 @@ def distribute(comm: MPI.Comm, points: Array, cells: Indices, dim: int, *, stay:
         cells: Some cells on each rank, by the numbers of their points.
         dim: Dimension.
         stay: Leave each cell on the rank that gives it; otherwise DOLFINx chooses a partition with few neighbours.
+        together: Pairs of cells that go to the same rank, numbered like the points; all ranks may list some. None on
+            all ranks if there are none.
     """
+    default = dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none, 2)  # type: ignore[call-arg]  # overload
 
-    def same_rank(*_: object) -> object:
-        return dolfinx.graph.adjacencylist(np.full((len(cells), 1), comm.rank, dtype=np.int32))._cpp_object
+    def chosen(*graph: Any) -> object:
+        ranks = np.full(len(cells), comm.rank, dtype=np.int32) if stay else default(*graph).array.copy()
+        if together is not None:
+            _bring_together(comm, ranks, together)
+        return dolfinx.graph.adjacencylist(ranks[:, None])._cpp_object
 
-    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, same_rank if stay else None)
+    own = stay or together is not None
+    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, chosen if own else None)
+
+
+def _bring_together(comm: MPI.Comm, ranks: npt.NDArray[np.int32], pairs: Indices) -> None:
+    """Give the cells of each pair the lower one of their ranks, in place, until all pairs agree (collective)."""
+    pairs = np.concatenate(comm.allgather(pairs))
+    cells, place = np.unique(pairs, return_inverse=True)
+    one, other = place.reshape(pairs.shape).T
+    own = cells - sum(comm.allgather(len(ranks))[: comm.rank])
+    here = (own >= 0) & (own < len(ranks))
+    lowest = np.full(len(cells), comm.size, dtype=np.int32)
+    lowest[here] = ranks[own[here]]
+    comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
+    while np.any(lowest[one] != lowest[other]):
+        lower = np.minimum(lowest[one], lowest[other])
+        for ends in (one, other):
+            np.minimum.at(lowest, ends, lower)
+    ranks[own[here]] = lowest[here]
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
@@ -203,6 +240,35 @@ def facet_vertices(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> In
     """Vertices of facets of this rank, ascending, in the original numbering of the mesh, shape (facets, dim)."""
     nodes = dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets)
     return np.sort(mesh.geometry.input_global_indices[nodes], axis=1).reshape(-1, mesh.topology.dim)
+
+
+def facet_pairs(domain: Domain, name: str) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """The facets of an inner part on this rank, and the one of the other side that lies on each (collective).
+
+    Both have the same vertices but for their numbers, and so exactly the same sums of coordinates.
+
+    Raises:
+        InputError: If the sides do not consist of the same facets on each rank.
+    """
+    mesh = domain.mesh
+    sides = [domain.facets[part] for part in (name, other_side(name))]
+    nodes = [dolfinx.mesh.entities_to_geometry(mesh, mesh.topology.dim - 1, facets) for facets in sides]
+    places = [np.sort(mesh.geometry.x[some], axis=1).sum(axis=1).reshape(-1, 3) for some in nodes]
+    orders = [np.lexsort(some.T) for some in places]
+    first, second = (some[order] for some, order in zip(places, orders, strict=True))
+    same = np.array_equal(first, second)
+    if not mesh.comm.allreduce(same, MPI.LAND):
+        raise InputError(f"the two sides of '{name}' do not consist of the same facets")
+    named, across = (facets[order] for facets, order in zip(sides, orders, strict=True))
+    return named, across
+
+
+def cells_behind(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """The cell behind each boundary facet."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    links = mesh.topology.connectivity(dim - 1, dim)
+    return np.asarray(links.array[links.offsets[facets]], dtype=np.int32)
 
 
 def membership(domain: Domain) -> Mask:

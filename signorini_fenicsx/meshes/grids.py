@@ -40,8 +40,15 @@ def lprism_grid(h: float, _diagonal: str, share: Share) -> Simplices:
     return _tetrahedron_grid(h, share, side=2)
 
 
+def rectangle_grid(low: Array, high: Array, h: float, diagonal: str, share: Share) -> Simplices:
+    """The rectangle with these lower left and upper right corners: triangles of diameter at most h."""
+    across, up = (math.ceil(side * _per_unit(h, diagonal) * (1 - 1e-12)) for side in (high - low).tolist())
+    points, triangles = _cut_squares(_Rows(np.full(up, across), share), diagonal)
+    return low + (high - low) * (points / [across, up]), triangles
+
+
 class _Rows:
-    """Rows of squares: one unit square (side 1), or an L of three (side 2).
+    """Rows of squares.
 
     Attributes:
         squares: Number of squares in each row.
@@ -50,12 +57,22 @@ class _Rows:
         own_points: Rows of points of this rank.
     """
 
-    def __init__(self, side: int, per_unit: int, share: Share):
-        self.squares = np.repeat(per_unit * np.arange(side, 0, -1), per_unit)
+    def __init__(self, squares: Indices, share: Share):
+        self.squares = squares
         self.points = np.maximum(np.append(self.squares, 0), np.insert(self.squares, 0, 0)) + 1
         self.own = np.array_split(np.arange(len(self.squares)), share.ranks)[share.rank]
         last = share.rank == share.ranks - 1
         self.own_points = np.append(self.own, len(self.squares)) if last else self.own
+
+
+def _l_shape(side: int, per_unit: int) -> Indices:
+    """Squares in the rows of one unit square (side 1), or of an L of three (side 2)."""
+    return np.repeat(per_unit * np.arange(side, 0, -1), per_unit)
+
+
+def _per_unit(h: float, diagonal: str) -> float:
+    """Squares per unit of length."""
+    return (1.0 if diagonal == "crossed" else math.sqrt(2)) / h
 
 
 def _places(rows: Indices, lengths: Indices) -> tuple[Indices, Indices]:
@@ -65,10 +82,15 @@ def _places(rows: Indices, lengths: Indices) -> tuple[Indices, Indices]:
 
 
 def _triangle_grid(h: float, diagonal: str, share: Share, *, side: int) -> Simplices:
-    """Squares of a grid, each cut into two triangles (left, right) or four (crossed)."""
+    """A unit square (side 1), or an L of three (side 2)."""
+    per_unit = math.ceil(_per_unit(h, diagonal) * (1 - 1e-12))
+    points, triangles = _cut_squares(_Rows(_l_shape(side, per_unit), share), diagonal)
+    return points / per_unit, triangles
+
+
+def _cut_squares(rows: _Rows, diagonal: str) -> Simplices:
+    """Squares of size 1, each cut into two triangles (left, right) or four (crossed)."""
     crossed = diagonal == "crossed"
-    per_unit = math.ceil((1.0 if crossed else math.sqrt(2)) / h * (1 - 1e-12))
-    rows = _Rows(side, per_unit, share)
     lengths = rows.points + crossed * np.append(rows.squares, 0)  # the centres of a row follow its points
     first = np.cumsum(lengths) - lengths
     j, i = _places(rows.own_points, lengths[rows.own_points])
@@ -84,13 +106,14 @@ def _triangle_grid(h: float, diagonal: str, share: Share, *, side: int) -> Simpl
         triangles = [(a, b, c), (a, c, d)]
     else:
         triangles = [(a, b, d), (b, c, d)]
-    return np.stack([x, y], axis=1) / per_unit, np.concatenate([np.stack(t, axis=1) for t in triangles])
+    return np.stack([x, y], axis=1), np.concatenate([np.stack(t, axis=1) for t in triangles])
 
 
 def _tetrahedron_grid(h: float, share: Share, *, side: int) -> Simplices:
     """Cubes of a grid of height 1, each cut into six tetrahedra along the same space diagonal (Kuhn)."""
     per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
-    rows, column = _Rows(side, per_unit, share), per_unit + 1  # a row is a layer here, and has columns of points
+    rows = _Rows(_l_shape(side, per_unit), share)  # a row is a layer here, and has columns of points
+    column = per_unit + 1
     lengths = rows.points * column
     first = np.cumsum(lengths) - lengths
     i, place = _places(rows.own_points, lengths[rows.own_points])

@@ -10,13 +10,15 @@ from pathlib import Path
 import dolfinx.mesh
 import gmsh
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.signals import listen_again
-from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters
+from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
+from signorini_fenicsx.meshes.cut import Side, cut, opened
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -29,7 +31,7 @@ from signorini_fenicsx.meshes.domain import (
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 
 CURVATURE = 1.0
@@ -54,7 +56,7 @@ def estimated_cells(shape_name: str, h: float) -> float:
     Raises:
         InputError: If there are more than MAX_CELLS.
     """
-    shape, edge = SHAPES[shape_name], 0.65 * h
+    shape, edge = shape_of(shape_name), 0.65 * h
     cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
     return _allowed(cells, h, shape_name)
 
@@ -64,7 +66,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
 
     Args:
         comm: Communicator of the mesh.
-        shape_name: Key of SHAPES.
+        shape_name: Name of a shape, see `shapes`.
         h: Wanted largest cell diameter.
         mesh: "unstructured" (a large mesh is a uniform refinement of a mesh of Gmsh), "gmsh" or "structured".
         diagonal: How structured squares are cut: left, right (the default) or crossed.
@@ -73,7 +75,7 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
         InputError: If h asks for more than MAX_CELLS cells, or for more than fit into memory; or if there is no mesh
             with this h.
     """
-    shape, expected = SHAPES[shape_name], estimated_cells(shape_name, h)  # refuses too many
+    shape, expected = shape_of(shape_name), estimated_cells(shape_name, h)  # refuses too many
     check_memory(comm, f"h = {h:g}", shape.dim, expected, h)
     levels = refinements(expected, shape.dim) if mesh == "unstructured" else 0
     if mesh == "structured" and shape.grid is not None:
@@ -89,11 +91,32 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
     return domain
 
 
+def coarser_domains(fine: Domain) -> Callable[[float], Domain]:
+    """Makes meshes that are coarser by a factor: one from which the mesh was refined, or one of the same named shape.
+
+    Args:
+        fine: The mesh.
+
+    Returns:
+        A function that raises InputError if there is no such mesh (collective).
+    """
+    mesh = "structured" if fine.made == "structured" else "gmsh"
+
+    def coarser(factor: float) -> Domain:
+        ancestor = fine.ancestor(factor)
+        if ancestor is None and not fine.is_shape:
+            raise InputError("a mesh of a file that was not refined has no coarser mesh")
+        return ancestor or build_domain(fine.mesh.comm, fine.name, factor * fine.h, mesh=mesh)
+
+    return coarser
+
+
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
     """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
-    dim, asked = SHAPES[shape_name].dim, h * 2**levels
-    simplices = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
-    domain = label_parts(distribute(comm, *simplices, dim), shape_name, made="Gmsh")
+    dim, asked = shape_of(shape_name).dim, h * 2**levels
+    points, cells = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
+    points, cells, together = _opened(shape_name, points, cells)
+    domain = label_parts(distribute(comm, points, cells, dim, together=together), shape_name, made="Gmsh")
     for _ in range(levels):
         domain = refined_uniformly(domain)
     if levels > 0 and domain.h > h:  # vertices that moved to a curved boundary have made edges longer than expected
@@ -114,29 +137,64 @@ def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) ->
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
+def _opened(shape_name: str, points: Array, cells: Indices) -> tuple[Array, Indices, Indices | None]:
+    """The mesh of a named shape, cut along its inner parts, and the pairs of cells there, see `distribute`."""
+    shape = shape_of(shape_name)
+    inner = [shape.parts[name] for name in shape.inside]
+    if not inner:
+        return points, cells, None
+    everything, along = faces(cells), np.zeros((points.shape[1], len(points)))
+    along[:] = points.T
+    on_cut = np.any([part.contains(along)[everything].all(axis=1) for part in inner], axis=0)
+    done = cut(points, cells, np.unique(everything[on_cut], axis=0))
+    return done.points, done.cells, done.pairs
+
+
 def label_parts(mesh: dolfinx.mesh.Mesh, shape_name: str, made: str = "given") -> Domain:
     """Find the facets of each boundary part of a named shape (collective)."""
-    dim, shape = mesh.topology.dim, SHAPES[shape_name]
+    dim, shape = mesh.topology.dim, shape_of(shape_name)
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = {
         name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, part.contains) for name, part in shape.parts.items()
     }
+    for name, part in shape.parts.items():
+        if part.side:
+            facets[name] = facets[name][part.side * height_of_cells(mesh, facets[name]) > 0]
     return Domain(mesh, largest_diameter(mesh), shape.parts, facets, {}, CURVATURE, shape_name, True, made)
 
 
-def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[str, Sequence[str]]) -> Domain:
+def height_of_cells(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
+    """How far the cell behind each boundary facet is above it, in the last coordinate."""
+    dim = mesh.topology.dim
+    of_facets = mesh.topology.connectivity(dim - 1, dim)
+    cells = of_facets.array[of_facets.offsets[facets]]
+    middle = [
+        dolfinx.mesh.compute_midpoints(mesh, d, some)[:, dim - 1] for d, some in ((dim, cells), (dim - 1, facets))
+    ]
+    return np.asarray(middle[0] - middle[1], dtype=np.float64)
+
+
+def own_domain(
+    comm: MPI.Comm,
+    path: str,
+    h: float | None,
+    conditions: Mapping[str, Sequence[str]],
+    sides: Mapping[str, Side] | None = None,
+) -> Domain:
     """Read a mesh, or make the mesh of a `.geo` file, and check it (collective).
 
     Args:
         comm: Communicator of the mesh; rank 0 reads it.
         path: Path of the file.
         h: Wanted largest cell diameter for the mesh of a `.geo` file; None for the sizes in the file.
-        conditions: The parts with each kind of condition, see `check_boundary`.
+        conditions: The parts with each kind of condition, see `check_boundary`; the mesh is cut along those of "inner".
+        sides: The named sides of inner parts, see `cut.opened`.
 
     Raises:
         InputError: If the file, its mesh or its parts cannot be used, or the mesh does not fit into memory.
     """
     read: list[FileMesh] = []
+    inner = conditions.get("inner", ())
     if h is not None:
         check_memory(comm, f"mesh {path}, h = {h:g}", *on_root(comm, lambda: expected_size(path, h)), h)
 
@@ -144,6 +202,7 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
         levels = _file_refinements(path, h)
         mesh = _coarse_enough(path, h, levels)
         try:
+            mesh = opened(mesh, inner, sides or {}) if inner else mesh
             check_boundary(mesh, conditions)
         except InputError as error:
             raise InputError(f"mesh {path}: {error}") from None
@@ -156,14 +215,15 @@ def own_domain(comm: MPI.Comm, path: str, h: float | None, conditions: Mapping[s
     check_memory(comm, f"mesh {path}", dim, size * 2 ** (dim * levels))
     points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
     facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
-    inside = None
+    inside, together = None, np.empty((0, 2), dtype=np.int64) if inner else None
     if read:
+        together = read[0].together
         points, cells, facets = read[0].points, read[0].cells, read[0].parts
         inside = np.zeros((len(cells), len(regions)), dtype=bool)
         for column, chosen in enumerate(read[0].regions.values()):
             inside[chosen, column] = True
     parts = {name: axis_part(label) for name, label in labels.items()}
-    mesh, marks = distribute(comm, points, cells, dim), Marks(facets, inside, regions)
+    mesh, marks = distribute(comm, points, cells, dim, together=together), Marks(facets, inside, regions)
     made = "Gmsh" if is_geometry(path) else "file"
     domain = marked_domain(mesh, parts, marks, curvature=curvature, name=Path(path).name, made=made)
     for _ in range(levels):
@@ -235,7 +295,7 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
     a tetrahedron may be longer than half of it, but this happens only in the first refinement. A few tetrahedra that
     are too long decide then about all, so several meshes are tried, and that with the fewest cells is taken.
     """
-    shape = SHAPES[shape_name]
+    shape = shape_of(shape_name)
     trials = TRIALS if shape.dim == 3 and levels > 0 else 1
     best: Simplices | None = None
     gmsh.initialize(readConfigFiles=False, interruptible=False)
@@ -268,7 +328,7 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
 
 def _diameter_in_time(shape_name: str, points: Array, cells: Indices, levels: int) -> float:
     """Largest diameter of these cells; twice that of their children if they will be refined uniformly (rank 0 only)."""
-    shape = SHAPES[shape_name]
+    shape = shape_of(shape_name)
     if levels == 0:
         return float(diameters(points, cells).max())
     if all(part.nearest is None for part in shape.parts.values()):

@@ -18,6 +18,7 @@ from signorini_fenicsx.meshes.domain import (
     distribute,
     found,
     largest_diameter,
+    other_side,
 )
 from signorini_fenicsx.meshes.meshing import OWN_CURVATURE
 
@@ -141,6 +142,15 @@ def check_parts(domain: Domain, named: Mapping[str, Sequence[str]]) -> None:
         unknown = [part for part in names if part not in domain.parts]
         if unknown:
             raise InputError(f"{key}: unknown part '{unknown[0]}'; there are {', '.join(domain.parts)}")
+    inner = named.get("inner", ())
+    for part in domain.parts:
+        if part in inner and other_side(part) not in domain.parts:
+            raise InputError(f"inner: the mesh is not cut along '{part}'")
+        if part in inner and part not in named["signorini"]:
+            raise InputError(f"inner: '{part}' needs a law: a part of Γ_S is what has one")
+        if part not in inner and other_side(part) in domain.parts:
+            raise InputError(f"'{part}' is inside the domain: it belongs to inner, with a law")
+    named = {key: [other_side(part) for part in names] if key == "inner" else names for key, names in named.items()}
     topology, comm = domain.mesh.topology, domain.mesh.comm
     free = np.zeros(topology.index_map(topology.dim - 1).size_local, dtype=bool)
     free[dolfinx.mesh.exterior_facet_indices(topology)] = True

@@ -9,12 +9,22 @@ from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, largest_diameter, marked_domain, membership
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.meshes.domain import (
+    Domain,
+    Marks,
+    distribute,
+    facet_pairs,
+    largest_diameter,
+    marked_domain,
+    membership,
+    other_side,
+)
 
 SAME = 1e-6
 """Cells whose indicators differ relatively by less than this are refined together, so that rounding does not choose."""
 NEGLIGIBLE = 1e-20
+NONE = np.empty(0, dtype=np.int32)
 FLAT = 0.1
 """A cell must keep at least this share of its volume when vertices move to a curved boundary."""
 SKEW = np.eye(3) + 1e-6 * np.array(
@@ -54,19 +64,32 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
     """Halve all edges of some cells, and other edges as needed for conformity, by longest-edge bisection (collective).
 
     New vertices on curved boundary parts of named shapes move to the curve; a mesh from a file keeps its polygon or
-    polyhedron. Parts and regions are inherited. The refined mesh is distributed anew.
+    polyhedron. Parts and regions are inherited. Both sides of an inner part are refined alike. The refined mesh is
+    distributed anew.
 
     Args:
         domain: The domain to refine.
         cells: Owned cells to refine.
 
     Raises:
+        InputError: If there are inner parts in three dimensions.
         NumericalFailure: If moving the vertices to a curved boundary would flatten or invert a cell.
     """
     mesh = domain.mesh
     dim = mesh.topology.dim
-    fine, parent_cell, parent_facet = _bisected(mesh, cells)
-    boundary, children = _boundary_facets(mesh, fine, parent_cell, parent_facet)
+    pairs = [facet_pairs(domain, name) for name in domain.parts if other_side(name) in domain.parts]
+    named, across = (np.concatenate([NONE, *some]) for some in ([pair[side] for pair in pairs] for side in (0, 1)))
+    if pairs and dim == 3:
+        raise InputError("in space a mesh with parts inside the domain is not refined where the error is")
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
+    fine, parent_cell, parent_facet = _bisected(mesh, edges)
+    boundary, children, behind = _boundary_facets(mesh, fine, parent_cell, parent_facet)
+    while mesh.comm.allreduce(bool(len(uneven := _uneven(boundary, named, across))), MPI.LOR):
+        edges = np.union1d(edges, uneven).astype(np.int32)  # in the plane edges are facets
+        fine, parent_cell, parent_facet = _bisected(mesh, edges)
+        boundary, children, behind = _boundary_facets(mesh, fine, parent_cell, parent_facet)
     nodes = fine.geometry.index_map()
 
     def vertices(local: npt.NDArray[np.int32], columns: int) -> Indices:
@@ -78,7 +101,30 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         tuple(domain.regions),
     )
     points, cell_nodes = fine.geometry.x[: nodes.size_local, :dim], vertices(fine.geometry.dofmaps[0], dim + 1)
-    return descendant(domain, distribute(mesh.comm, points, cell_nodes, dim), marks, "refined where the error is")
+    together = None
+    if pairs:
+        places = np.sort(fine.geometry.x[children], axis=1).sum(axis=1)
+        sides = [np.flatnonzero(np.isin(boundary, facets)) for facets in (named, across)]
+        together = np.stack([behind[rows[np.lexsort(places[rows].T)]] for rows in sides], axis=1).astype(np.int64)
+        together += fine.topology.index_map(dim).local_range[0]
+    result = distribute(mesh.comm, points, cell_nodes, dim, together=together)
+    return descendant(domain, result, marks, "refined where the error is")
+
+
+def _uneven(
+    boundary: npt.NDArray[np.int32], named: npt.NDArray[np.int32], across: npt.NDArray[np.int32]
+) -> npt.NDArray[np.int32]:
+    """The inner facets of which one side is cut into more facets than the other, by their sides.
+
+    Args:
+        boundary: The parent of each refined facet.
+        named: The facets of the named sides.
+        across: Those that lie on them.
+    """
+    number = max(named.max(initial=0), across.max(initial=0), boundary.max(initial=0)) + 1
+    count = np.bincount(boundary, minlength=number)
+    uneven = count[named] != count[across]
+    return np.concatenate([named[uneven], across[uneven]])
 
 
 def descendant(
@@ -120,19 +166,16 @@ def descendant(
 
 
 def _bisected(
-    mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32]
+    mesh: dolfinx.mesh.Mesh, edges: npt.NDArray[np.int32]
 ) -> tuple[dolfinx.mesh.Mesh, npt.NDArray[np.int32], npt.NDArray[np.int8]]:
-    """Refine without moving vertices (collective).
+    """Halve these edges, and others as needed, without moving vertices (collective).
 
     Returns:
         The refined mesh, with cells on the ranks of their parents; the parent of each cell; and for each facet of each
         cell the facet of the parent that contains it, or −1. Facet i is opposite to vertex i.
     """
     dim = mesh.topology.dim
-    mesh.topology.create_entities(1)
-    mesh.topology.create_connectivity(dim, 1)
     mesh.topology.create_connectivity(1, dim)
-    edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
     x = mesh.geometry.x.copy()
     mesh.geometry.x[:] = x @ SKEW
     fine, parent_cell, parent_facet = dolfinx.mesh.refine(
@@ -168,8 +211,8 @@ def _boundary_facets(
     fine: dolfinx.mesh.Mesh,
     parent_cell: npt.NDArray[np.int32],
     parent_facet: npt.NDArray[np.int8],
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Refined facets on the boundary: the parent facet of each, and its nodes, shape (facets, dim)."""
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.intp]]:
+    """Refined facets on the boundary: the parent facet of each, its nodes, shape (facets, dim), and its cell."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim, dim - 1)
     facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
@@ -178,7 +221,7 @@ def _boundary_facets(
     outside = np.isin(parents, dolfinx.mesh.exterior_facet_indices(mesh.topology))
     nodes = fine.geometry.dofmaps[0][cells[outside]]
     others = nodes[np.arange(dim + 1) != opposite[outside, None]]
-    return parents[outside], others.reshape(-1, dim)
+    return parents[outside], others.reshape(-1, dim), cells[outside]
 
 
 def _on_all_ranks(mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:

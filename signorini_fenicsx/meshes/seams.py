@@ -36,7 +36,7 @@ def seams(corners: Array, apexes: Array) -> tuple[Mask, Mask]:
     """
     count, dim = apexes.shape
     edges = corners[:, 1:] - corners[:, :1]
-    normals = _normals(edges)
+    normals = unit_normals(edges)
     heights = np.einsum("fi,fi->f", apexes - corners[:, 0], normals)
     tried = np.einsum("wc,fci->fwi", WEIGHTS[dim], corners).reshape(-1, dim)
     crack, overlap = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
@@ -55,7 +55,7 @@ def seams(corners: Array, apexes: Array) -> tuple[Mask, Mask]:
     return crack, overlap
 
 
-def _normals(edges: Array) -> Array:
+def unit_normals(edges: Array) -> Array:
     """Unit normals of facets with these edges from their first corner."""
     if edges.shape[2] == 2:
         normals = np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)

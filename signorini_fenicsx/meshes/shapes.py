@@ -1,6 +1,11 @@
-"""The named shapes: their boundary parts, their outlines for Gmsh and their structured meshes."""
+"""The named shapes: their boundary parts, their outlines for Gmsh and their structured meshes.
 
+A rectangle has its corners in its name: "[-2, 2] x [0, 1]" is −2 < x < 2, 0 < y < 1.
+"""
+
+import functools
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -8,8 +13,19 @@ import gmsh
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.meshes.domain import Part
-from signorini_fenicsx.meshes.grids import Share, Simplices, cube_grid, lprism_grid, lshape_grid, square_grid
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.expressions import parse_number
+from signorini_fenicsx.meshes.domain import Part, other_side
+from signorini_fenicsx.meshes.grids import (
+    Share,
+    Simplices,
+    cube_grid,
+    lprism_grid,
+    lshape_grid,
+    rectangle_grid,
+    square_grid,
+)
 
 TINY = np.finfo(np.float64).tiny
 
@@ -20,9 +36,11 @@ class NamedPart(Part):
 
     Attributes:
         contains: Maps points of shape (3, n) to a mask of those on the part.
+        side: Of an inner part 1 for its upper side, −1 for its lower one; 0 for parts of the boundary.
     """
 
     contains: Callable[[Array], Mask] = field(kw_only=True)
+    side: int = 0
 
 
 @dataclass(frozen=True)
@@ -33,7 +51,7 @@ class Shape:
         dim: Dimension, 2 or 3.
         measure: Area or volume.
         diameter: Largest distance between two of its points.
-        parts: Boundary parts; they cover the boundary.
+        parts: Boundary parts; they cover the boundary. Inner parts are among them, with both sides.
         outline: Adds the domain to the current Gmsh model.
         grid: Makes a rank's share of the structured mesh for h and a diagonal; None if there is none.
     """
@@ -45,10 +63,21 @@ class Shape:
     outline: Callable[[], None]
     grid: Callable[[float, str, Share], Simplices] | None = None
 
+    @property
+    def names(self) -> list[str]:
+        """The parts, each inner one once."""
+        return [name for name, part in self.parts.items() if part.side >= 0]
 
-def _plane(axis: int, value: float) -> NamedPart:
-    other = 1 - min(axis, 1)
-    return NamedPart(lambda x: x[other], "xy"[other], contains=lambda x: np.isclose(x[axis], value))
+    @property
+    def inside(self) -> list[str]:
+        """The inner parts."""
+        return [name for name, part in self.parts.items() if part.side > 0]
+
+
+def _plane(axis: int, value: float, size: float = 1.0) -> NamedPart:
+    """A side of a domain of about this size."""
+    other, off = 1 - min(axis, 1), 1e-8 * size
+    return NamedPart(lambda x: x[other], "xy"[other], contains=lambda x: np.isclose(x[axis], value, atol=off))
 
 
 def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
@@ -109,6 +138,21 @@ def _annulus() -> None:
     gmsh.model.geo.addPlaneSurface([_circle_loop(1.0), _circle_loop(0.5)])
 
 
+def _slit_square() -> None:
+    """The square (−1, 1)² with a line in it, from the middle of its left side to its centre."""
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, 0)]
+    points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
+    lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+    square = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+    slit = gmsh.model.geo.addLine(points[-1], gmsh.model.geo.addPoint(0, 0, 0))
+    gmsh.model.geo.synchronize()
+    gmsh.model.mesh.embed(1, [slit], 2, square)
+
+
+def _slit(side: int) -> NamedPart:
+    return NamedPart(lambda x: x[0], "x", contains=lambda x: np.isclose(x[1], 0) & (x[0] < 1e-9), side=side)
+
+
 def _ball() -> None:
     """The unit ball, made of eight octants, so that the mesh resolves the equator."""
     centre, *equator, south, north = [
@@ -160,6 +204,20 @@ SHAPES: Mapping[str, Shape] = {
         _polygon(*L_CORNERS),
         lshape_grid,
     ),
+    "slit": Shape(
+        2,
+        4.0,
+        2 * math.sqrt(2),
+        {
+            "left": _plane(0, -1),
+            "right": _plane(0, 1),
+            "bottom": _plane(1, -1),
+            "top": _plane(1, 1),
+            "slit": _slit(1),
+            other_side("slit"): _slit(-1),
+        },
+        _slit_square,
+    ),
     "half_disk": Shape(
         2, math.pi / 2, 2.0, {"arc": _circle(1.0, lower_half=True), "diameter": _plane(1, 0)}, _half_disk
     ),
@@ -197,3 +255,64 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "ball": Shape(3, 4 / 3 * math.pi, 2.0, {"lower": _hemisphere(-1), "upper": _hemisphere(1)}, _ball),
 }
+
+
+INTERVAL = r"\s*\[([^,\[\]]*),([^,\[\]]*)\]\s*"
+
+
+def shape_of(name: str) -> Shape:
+    """The shape with this name.
+
+    Raises:
+        InputError: If there is none, or an interval of a rectangle is empty.
+    """
+    return SHAPES[name] if name in SHAPES else _rectangle(*_intervals(name))
+
+
+def full_name(name: str) -> str:
+    """The name of a shape as it is in results: with the numbers of a rectangle as decimals.
+
+    Raises:
+        InputError: If there is no such shape, or an interval of a rectangle is empty.
+    """
+    if name in SHAPES:
+        return name
+    ends = [repr(end).removesuffix(".0") for end in _intervals(name)]
+    return "[{}, {}] x [{}, {}]".format(*ends)
+
+
+def _intervals(name: str) -> tuple[float, float, float, float]:
+    """The ends of both intervals of a rectangle.
+
+    Raises:
+        InputError: If this is not the name of one.
+    """
+    found = re.fullmatch(f"{INTERVAL}x{INTERVAL}", name)
+    if found is None:
+        meant = did_you_mean(name, SHAPES)
+        raise InputError(
+            f"unknown shape '{name}'; use one of {', '.join(SHAPES)}, or a rectangle such as '[-2, 2] x [0, 1]'{meant}"
+        )
+    left, right, low, high = (parse_number(end.strip()) for end in found.groups())
+    if not (left < right and low < high):
+        raise InputError(f"shape '{name}': each interval must begin with the smaller number")
+    return left, right, low, high
+
+
+@functools.cache
+def _rectangle(left: float, right: float, low: float, high: float) -> Shape:
+    width, height = right - left, high - low
+    size = max(abs(end) for end in (left, right, low, high))
+    return Shape(
+        2,
+        width * height,
+        math.hypot(width, height),
+        {
+            "left": _plane(0, left, size),
+            "right": _plane(0, right, size),
+            "bottom": _plane(1, low, size),
+            "top": _plane(1, high, size),
+        },
+        _polygon((left, low), (right, low), (right, high), (left, high)),
+        functools.partial(rectangle_grid, np.array([left, low]), np.array([right, high])),
+    )

@@ -4,6 +4,8 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from signorini_fenicsx.backends.contract import Backend, Iterate
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
@@ -38,7 +40,9 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
     with contextlib.suppress(LinearSolveFailure):
         with task.watch.phase("prediction"):
             earlier, inexact, worth_it = task.start, backend.inexact, task.predict and prediction.is_worth_it(spaces)
-            if earlier is None and worth_it:
+            if earlier is None and task.predict and task.data.obstacle is not None:
+                earlier = prediction.over_obstacle(spaces)
+            elif earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
             if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
                 predicted, steps = prediction.settle(inexact, spaces, backend.chains, earlier)
@@ -56,7 +60,10 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
 
 
 def _floating(task: Task) -> Array | None:
-    return None if task.data.holds(task.spaces) else task.spaces.facet_measure
+    if task.data.holds(task.spaces):
+        return None
+    cells = task.spaces.cell_measures if task.data.obstacle is not None else np.empty(0)
+    return np.append(task.spaces.facet_measure, cells)
 
 
 def _made_precise(

@@ -18,13 +18,17 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSegments
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.methods.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Coarser
 
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
+OBSTACLE_COARSENING = 2.0
+"""Mesh size of the coarser mesh of a prediction with an obstacle, divided by that of the finer mesh."""
+MOST_STEPS = 200
+"""Largest number of set updates on a coarser mesh with an obstacle."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,38 @@ class Prediction:
         """Whether the problem is so large that a prediction saves more than it costs."""
         return spaces.V.dofmap.index_map.size_global >= self.tuning.predict_from
 
-    def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> FacetSegments | None:
+    def over_obstacle(self, spaces: Spaces, factor: float = 1.0) -> Segments | None:
+        """The segments on a mesh that is coarser by 2, from those on one that is coarser still (collective).
+
+        From a cold start the edge of the contact with an obstacle moves by one cell per step, so that the number of
+        steps grows like 1/h. From the contact on a mesh that is coarser by 2 a few steps are left.
+
+        Args:
+            spaces: The spaces on the present mesh.
+            factor: How much coarser than the problem's mesh it is.
+
+        Returns:
+            The set. None if the present mesh is small, or there is no coarser mesh or no solution on it.
+        """
+        if self.coarser is None or spaces.V.dofmap.index_map.size_global < self.tuning.predict_obstacle_from:
+            return None
+        factor *= OBSTACLE_COARSENING
+        with contextlib.suppress(InputError, NumericalFailure):
+            coarse, data = self.coarser(factor)
+            start = self.over_obstacle(coarse, factor)
+            backend = HybridBackend(coarse, data, tuning=self.tuning, prefix="coarse_")
+            law, conditions = self.law(backend.chains), self._start(coarse, backend.chains, start)
+            for _ in range(MOST_STEPS):
+                pairs = backend.solve(conditions)
+                wanted = self.wanted(law, conditions, pairs.p, pairs.flux)
+                if wanted.same(conditions, coarse.mesh.comm):
+                    break
+                conditions = wanted
+            PETSc.garbage_cleanup(coarse.mesh.comm)  # in parallel PETSc frees objects only here
+            return Segments.of_sites(coarse, law.segments(conditions), obstacle=True)
+        return None
+
+    def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> Segments | None:
         """The segments on a coarser mesh (collective).
 
         Args:
@@ -82,11 +117,11 @@ class Prediction:
                 return None
             conditions, _ = self.settle(backend.inexact, spaces, backend.chains, start)
             PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
-            return FacetSegments(spaces, self.law(backend.chains).segments(conditions))
+            return Segments(spaces, self.law(backend.chains).segments(conditions))
         return None
 
     def settle(
-        self, backend: Inexact, spaces: Spaces, chains: Chains, start: FacetSegments | None
+        self, backend: Inexact, spaces: Spaces, chains: Chains, start: Segments | None
     ) -> tuple[SiteConditions, int]:
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
@@ -106,10 +141,7 @@ class Prediction:
             LinearSolveFailure: If the linear solver breaks down.
         """
         comm, law = spaces.mesh.comm, self.law(chains)
-        if start is not None:
-            conditions = self.transferred(start, spaces, law)
-        else:
-            conditions = contact_without_dirichlet(spaces, chains) or law.conditions(self.rule.first(law))
+        conditions = self._start(spaces, chains, start)
         changed: list[int] = []
         while len(changed) < 3 or changed[-1] < changed[-3]:
             watch = _Watch(self, law, conditions, comm)
@@ -121,10 +153,17 @@ class Prediction:
             conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
         return conditions, len(changed)
 
-    def transferred(self, earlier: FacetSegments, spaces: Spaces, law: Chains) -> SiteConditions:
+    def _start(self, spaces: Spaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
+        """Those of another mesh, or the algorithm's own start (collective)."""
+        law = self.law(chains)
+        if earlier is not None:
+            return self.transferred(earlier, spaces, law)
+        return contact_without_dirichlet(spaces, chains) or law.conditions(self.rule.first(law))
+
+    def transferred(self, earlier: Segments, spaces: Spaces, law: Chains) -> SiteConditions:
         """Conditions for the segments of another mesh of the domain (collective).
 
-        A facet is on the segment of the other mesh's facet at its midpoint.
+        A facet is on the segment of the other mesh's facet at its midpoint, and a cell on that of the cell there.
         """
         return law.conditions(np.minimum(earlier.on(spaces), law.count))
 

@@ -27,6 +27,8 @@ from signorini_fenicsx.methods.task import Task
 
 MANY = 100_000
 """Iterations allowed for methods with cheap iterations."""
+FOR_OBSTACLE = 20
+"""Factor of the iterations allowed where there is an obstacle."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Method:
         starts_from_sets: Whether it can start from a contact set.
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
+        takes_inner: Whether it takes parts of Γ_S inside the domain.
+        obstacle: Whether it takes an obstacle in Ω.
         single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
         on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
@@ -58,6 +62,8 @@ class Method:
     starts_from_sets: bool = False
     needs_dirichlet: bool = False
     laws: tuple[type[Law], ...] | None = (Signorini,)
+    takes_inner: bool = False
+    obstacle: bool = False
     single_call: bool = False
     max_iterations: int = 50
     on_one_rank: bool = False
@@ -67,8 +73,23 @@ class Method:
     def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
         """The method that runs a set rule."""
         run = partial(solve_by_sets, rule)
-        laws = None if rule.penalty is None else (Signorini,)
-        return cls(title, reference, run, rule.contact, rule.penalty, starts_from_sets=True, laws=laws)
+        exact = rule.penalty is None
+        laws = None if exact else (Signorini,)
+        return cls(
+            title,
+            reference,
+            run,
+            rule.contact,
+            rule.penalty,
+            starts_from_sets=True,
+            laws=laws,
+            takes_inner=exact,
+            obstacle=exact,
+        )
+
+    def most_iterations(self, *, obstacle: bool) -> int:
+        """Iterations allowed unless the options say otherwise; with an obstacle a cold start takes about 1/h."""
+        return FOR_OBSTACLE * self.max_iterations if obstacle else self.max_iterations
 
     @property
     def has_eps(self) -> bool:
@@ -110,6 +131,7 @@ METHODS: Mapping[str, Method] = {
         "Benson, Munson: Optim. Methods Softw. (2006)",
         solve_bound_constrained,
         laws=(Signorini, TwoSided),
+        takes_inner=True,
     ),
     "uzawa": _classical(
         "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", laws=(), max_iterations=MANY
@@ -172,6 +194,8 @@ METHODS: Mapping[str, Method] = {
         "Theorem 2 of the slides",
         "quadratic.quadratic_programme",
         laws=None,
+        takes_inner=True,
+        obstacle=True,
         single_call=True,
         max_iterations=250,
         on_one_rank=True,

@@ -10,7 +10,7 @@ from signorini_fenicsx.backends.contract import BackendFactory, Iterate
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSegments
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -47,7 +47,7 @@ class Task:
     max_iterations: int
     on_step: OnStep
     backend: BackendFactory
-    start: FacetSegments | None = None
+    start: Segments | None = None
     predict: bool = True
     coarser: Coarser | None = None
     tuning: Tuning = field(default_factory=Tuning)

@@ -1,6 +1,5 @@
 """Reads a saved solution on any number of ranks, see `checkpoint_writing`; a damaged one is told by its residuals."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,42 +10,45 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.base.rows import fetch_rows, find_rows
+from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.cases.solving import options_of
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cases.solving import AnySolution, options_of
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
-from signorini_fenicsx.discrete.laws import LAWS, Law
+from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticLaw, ElasticProblem
+from signorini_fenicsx.discrete.kkt import kkt_residuals, touching
+from signorini_fenicsx.discrete.laws import LAWS, Friction, Law
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.domain import Marks, Part, axis_part, distribute, facet_vertices, marked_domain
-from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.methods.history import Outcome
-from signorini_fenicsx.methods.registry import Method
-from signorini_fenicsx.output.checkpoint_file import About, Arrays, Checkpoint, read_checkpoint
+from signorini_fenicsx.output.checkpoint_elastic import read_elastic_solution
+from signorini_fenicsx.output.checkpoint_file import Arrays, Checkpoint, GivenInPython, read_checkpoint
+from signorini_fenicsx.output.checkpoint_parts import damage_of, made, read_domain, rows_of_facets
 from signorini_fenicsx.output.checkpoint_writing import COSTS, OUTCOME
 from signorini_fenicsx.solving.options import OWN, Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import gamma_s
 
-SAME = 1e-3
-"""Allowed relative difference between the KKT residuals of what is read and those that were written."""
-
 
 @collector_off()
 @doing("reading the solution")
-def load_solution(
-    folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
-) -> Solution:
-    """Read the solution of a results folder, on as many ranks as there are now (collective).
+def load_any_solution(
+    folder: Path | str,
+    comm: MPI.Comm,
+    *,
+    problem: Problem | ElasticProblem | None = None,
+    options: Options | None = None,
+) -> AnySolution:
+    """Read the solution of a results folder, of any physics, on as many ranks as there are now (collective).
 
     Args:
         folder: The results folder.
@@ -61,10 +63,37 @@ def load_solution(
     """
     on_root(comm, lambda: repair(folder))
     found = read_checkpoint(comm, Path(folder))
-    about, path, arrays, dim = found.about, found.path, found.arrays, found.dim
-    problem, options = problem or _read_problem(found, dim), options or _read_options(found)
+    options = options or _read_options(found)
+    if found.about.physics is None:
+        scalar = problem if isinstance(problem, Problem) else _read_problem(found, found.dim)
+        return _read_solution(found, comm, scalar, options)
+    elastic = problem if isinstance(problem, ElasticProblem) else _read_elastic_problem(found)
+    return read_elastic_solution(found, comm, elastic, options)
+
+
+def load_solution(
+    folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
+) -> Solution:
+    """Read the solution of a scalar problem, see `load_any_solution` (collective).
+
+    Raises:
+        InputError: As there, and if the solution is an elastic one.
+    """
+    found = load_any_solution(folder, comm, problem=problem, options=options)
+    if isinstance(found, Solution):
+        return found
+    raise InputError(f"{folder}: holds an elastic solution; read it by load_any_solution")
+
+
+def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options: Options) -> Solution:
+    """The scalar solution of a checkpoint (collective)."""
+    about, path, arrays = found.about, found.path, found.arrays
+    assert isinstance(found.boundary, Boundary)
+    boundary = gamma_s(found.boundary, problem)
     try:
-        spaces, rows = _spaces(found, comm, problem)
+        domain = read_domain(found, comm, vars(boundary))
+        spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
+        rows = rows_of_facets(found, spaces)
     except InputError as error:
         raise InputError(f"{path}: is damaged: its mesh: {error}") from None
     sigma, u = _fields(spaces, arrays)
@@ -77,14 +106,16 @@ def load_solution(
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
     conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))
     kkt = kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps)
-    damage = _damage(about, options.method, kkt)
+    damage = damage_of(about, options.method, kkt)
     by_sets = about.converged and options.method.starts_from_sets
     if damage is None and by_sets and not _hold(conditions, sigma, u, trace, flux, spaces):
         damage = "its facet conditions are not those of its values"
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
     outcome = Outcome(
-        iterate=Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u),
+        iterate=Iterate(
+            p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=touching(spaces, data, sigma, u)
+        ),
         conditions=conditions,
         history=about.history,
         **{key: getattr(about, key) for key in OUTCOME},
@@ -93,7 +124,7 @@ def load_solution(
         name=about.name,
         title=found.title,
         source=found.case,
-        boundary=gamma_s(found.boundary, problem),
+        boundary=boundary,
         problem=problem,
         options=options,
         spaces=spaces,
@@ -111,14 +142,36 @@ def _read_problem(found: Checkpoint, dim: int) -> Problem:
     Raises:
         InputError: If the file does not have all data.
     """
-    if found.case is not None:
+    if isinstance(found.case, Case):
         return found.case.data(dim)
-    assert found.about.given is not None
+    given = _given(found)
+    return replace(made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
+
+
+def _read_elastic_problem(found: Checkpoint) -> ElasticProblem:
+    """The same for an elastic problem."""
+    if isinstance(found.case, ElasticCase):
+        return found.case.data()
+    given = _given(found)
+    laws: list[ElasticLaw] = []
+    for table in given.laws:
+        values = {name: value for name, value in table.items() if name != "kind"}
+        laws.append(made(Coulomb, values) if table.get("kind") == Coulomb.name else made(Friction, values))
+    return replace(made(ElasticProblem, given.problem), laws=laws)
+
+
+def _given(found: Checkpoint) -> GivenInPython:
+    """The problem that was given in Python.
+
+    Raises:
+        InputError: If the file does not have all data.
+    """
     given = found.about.given
+    assert given is not None
     if given.missing:
         missing = ", ".join(given.missing)
         raise InputError(f"{missing}: given in Python, so not in the file; pass the problem to load_solution")
-    return replace(_made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
+    return given
 
 
 def _law(table: dict[str, Any]) -> Law:
@@ -130,7 +183,7 @@ def _law(table: dict[str, Any]) -> Law:
     kind = LAWS.get(table.get("kind", ""))
     if kind is None:
         raise InputError("not a readable solution (its law is not of this version)")
-    return _made(kind, {name: value for name, value in table.items() if name != "kind"})
+    return made(kind, {name: value for name, value in table.items() if name != "kind"})
 
 
 def _read_options(found: Checkpoint) -> Options:
@@ -145,26 +198,7 @@ def _read_options(found: Checkpoint) -> Options:
     values = found.about.given.options
     if values.get("algorithm") == OWN:
         raise InputError("the algorithm was given in Python; pass the options to load_solution")
-    return _made(Options, values)
-
-
-def _made[T](kind: type[T], values: dict[str, Any]) -> T:
-    try:
-        return kind(**values)
-    except TypeError:
-        raise InputError(f"not a readable solution (its {kind.__name__.lower()} is not of this version)") from None
-
-
-def _damage(about: About, method: Method, kkt: KKTResiduals) -> str | None:
-    """Why the residuals of what was read are not those that were written, or None if they are."""
-    for name, value in vars(kkt).items():
-        before = (about.kkt or {}).get(name, value)
-        if np.isfinite(before) and not abs(value - before) <= KKT + SAME * before:
-            return f"its KKT residual {name} is {value:.1e}, and was {before:.1e} when it was written"
-    known = about.kkt is not None or method.starts_from_sets
-    judged = about.converged and known and about.own_residual is None  # own_residual judges the others
-    violation = kkt.violation() if judged else None
-    return None if violation is None else f"it claims to be a solution, but has {violation}"
+    return made(Options, values)
 
 
 def _hold(
@@ -179,44 +213,6 @@ def _hold(
     left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))
     sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (sigma, u)]
     return bool(np.all(np.sqrt(left) <= KKT * np.sqrt(sizes)))
-
-
-def _parts(found: Checkpoint) -> Mapping[str, Part]:
-    if found.shape is not None:
-        return SHAPES[found.shape].parts
-    return {name: axis_part(label) for name, label in found.about.parts.items()}
-
-
-def _spaces(found: Checkpoint, comm: MPI.Comm, problem: Problem) -> tuple[Spaces, Indices]:
-    """The spaces on the mesh of the file, and for each facet of Γ_S of this rank its row in the file (collective).
-
-    Raises:
-        InputError: If the parts are not on the boundary, or the facets with values are not those of Γ_S.
-    """
-    about, arrays = found.about, found.arrays
-    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim)
-    facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
-    domain = marked_domain(
-        mesh,
-        _parts(found),
-        Marks(facets, arrays.get("inside"), tuple(about.regions)),
-        curvature=about.bend,
-        name=found.domain,
-        is_shape=found.shape is not None,
-        made=about.made,
-    )
-    boundary = gamma_s(found.boundary, problem)
-    check_parts(domain, vars(boundary))
-    for index, name in enumerate(facets):
-        used = name in (*boundary.signorini, *boundary.neumann)
-        if used and comm.allreduce(len(domain.facets[name])) != found.headers[f"part_{index}"].shape[0]:
-            raise InputError(f"part '{name}' has facets that are not on the boundary")
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
-    rows = find_rows(comm, facet_vertices(mesh, spaces.facets), [arrays["facet_vertices"]])[:, 0]
-    missing, count = comm.allreduce(np.array([np.count_nonzero(rows < 0), len(rows)]))
-    if missing > 0 or count != found.headers["facet_vertices"].shape[0]:
-        raise InputError("its facets with values are not those of Γ_S")
-    return spaces, rows
 
 
 def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:

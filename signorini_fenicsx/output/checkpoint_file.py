@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,16 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import complaint
+from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary
+from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.meshes.domain import AXES, Boundary
-from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, VALUES
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 
 type Arrays = dict[str, npt.NDArray]
@@ -34,25 +38,6 @@ type Arrays = dict[str, npt.NDArray]
 UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
 """Errors of NumPy and zipfile for damaged files. NumPy also warns when it reads something that it never wrote."""
 
-LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
-    "points": (np.float64, "points", "dim"),
-    "cells": (np.int64, "cells", "corners"),
-    "u": (np.float64, "cells"),
-    "sigma": (np.float64, "cells", "dim"),
-    "divergence": (np.float64, "cells"),
-    "facet_part": (np.int64, "facets"),
-    "facet_x": (np.float64, "facets", "space"),
-    "facet_along": (np.float64, "facets"),
-    "facet_measure": (np.float64, "facets"),
-    "facet_u": (np.float64, "facets"),
-    "facet_p": (np.float64, "facets"),
-    "facet_flux": (np.float64, "facets"),
-    "facet_condition": (np.int64, "facets"),
-    "facet_vertices": (np.int64, "facets", "dim"),
-}
-"""Type and shape of the arrays of a file; a word stands for the same number everywhere."""
-VALUES = ("u", "sigma", "divergence", "facet_u", "facet_p", "facet_flux")
-"""Arrays that need not be finite if the run has failed."""
 FOLDER, TEXT = "checkpoint", "about.json"
 """The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""
 
@@ -69,10 +54,12 @@ class GivenInPython(BaseModel):
         domain: Name of its domain.
         signorini: Parts of Γ_S.
         neumann: Parts of Γ_N.
+        inner: Parts inside the domain.
         problem: The data that are numbers, texts or tables of these.
         laws: The laws, as [[law]] has them.
         missing: Names of the other data, which no file can hold.
         options: The options that are names and numbers; the algorithm is `options.OWN` if it is not in the registry.
+        fixed: In elasticity the parts that are fixed in some components.
     """
 
     model_config = ConfigDict(strict=True)
@@ -81,10 +68,12 @@ class GivenInPython(BaseModel):
     domain: str
     signorini: list[str]
     neumann: list[str]
+    inner: list[str] = []
     problem: dict[str, Any]
     laws: list[dict[str, Any]] = []
     missing: list[str]
     options: dict[str, Any]
+    fixed: dict[str, str] = {}
 
 
 class About(BaseModel):
@@ -103,11 +92,14 @@ class About(BaseModel):
         history: One step per iteration.
         beta: β of the ROBIN facets.
         kkt: The KKT residuals when it was written; files of version 0.1 do not have them.
+        physics: "elasticity", or None for a scalar problem.
     """
 
     model_config = ConfigDict(strict=True)
 
     name: str
+    physics: Literal["elasticity"] | None = None
+    bound_changes: list[float] = []
     format: int = Field(default=1, ge=1, le=FORMAT)
     case: dict[str, Any] | None
     given: GivenInPython | None = None
@@ -140,23 +132,29 @@ class Checkpoint:
         about: Its contents besides arrays.
         case: Its case; None for a problem given in Python.
         headers: Shape and type of its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary
-            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions.
+            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions; `together`, shape (pairs,
+            2), the pairs of cells at facets inside the domain, if there are parts there.
         arrays: The rows of its arrays that this rank has read; rows continue from rank to rank.
     """
 
     path: Path
     about: About
-    case: Case | None
+    case: AnyCase | None
     headers: dict[str, Header]
     arrays: Arrays
 
     @property
-    def boundary(self) -> Boundary:
-        """Γ_S and Γ_N."""
+    def boundary(self) -> Boundary | ElasticBoundary:
+        """Γ_S, Γ_N and parts inside; of an elastic problem Γ_C and all others."""
+        given = self.about.given
+        if isinstance(self.case, ElasticCase):
+            return self.case.parts.read()
         if self.case is not None:
             return boundary_of(self.case)
-        assert self.about.given is not None
-        return Boundary(self.about.given.signorini, self.about.given.neumann)
+        assert given is not None
+        if self.about.physics is not None:
+            return ElasticBoundary(given.signorini, given.neumann, given.fixed)
+        return Boundary(given.signorini, given.neumann, given.inner)
 
     @property
     def title(self) -> str:
@@ -260,11 +258,12 @@ def _told(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: not a readable solution ({error})") from None
 
 
-def _case(about: About) -> Case | None:
+def _case(about: About) -> AnyCase | None:
     if (about.case is None) == (about.given is None):
         raise InputError("not a readable solution (it has neither a case nor a problem)")
     try:
-        return None if about.case is None else Case.model_validate(about.case | {"name": about.name})
+        kind = Case if about.physics is None else ElasticCase
+        return None if about.case is None else kind.model_validate(about.case | {"name": about.name})
     except ValidationError:
         raise InputError("its case is from another version") from None
 
@@ -272,16 +271,19 @@ def _case(about: About) -> Case | None:
 def _check_layout(found: Checkpoint) -> None:
     """Check the types and shapes of the arrays, and that parts, shape and dimension fit (rank 0)."""
     about, headers = found.about, found.headers
-    layout = LAYOUT | {
+    layout = (LAYOUT if about.physics is None else ELASTIC_LAYOUT) | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
+    boundary = found.boundary
+    if isinstance(boundary, Boundary) and boundary.inner:
+        layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
     dim = headers["points"].shape[-1] if headers["points"].shape[-1:] in ((2,), (3,)) else 0
-    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions)}
+    sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions), "two": 2}
     for name, (kind, *words) in layout.items():
         shape = headers[name].shape
         lengths = [sizes.setdefault(word, size) for word, size in zip(words, shape, strict=False)]
@@ -292,12 +294,12 @@ def _check_layout(found: Checkpoint) -> None:
     if found.shape is None:
         known = set(about.parts.values()) <= set(AXES[:dim])
     else:
-        known = list(about.parts) == list(SHAPES[found.shape].parts)
-        if SHAPES[found.shape].dim != dim:
+        known = list(about.parts) == list(shape_of(found.shape).parts)
+        if shape_of(found.shape).dim != dim:
             raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
-    if about.part_names != list(found.boundary.signorini):
+    if about.part_names != list(boundary.signorini if isinstance(boundary, Boundary) else boundary.contact):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     if found.case is not None:
         found.case.check_dimension(dim)
@@ -311,6 +313,16 @@ def _wrong_value(found: Checkpoint) -> str:
             return f"is damaged: {name} is not finite everywhere"
     if not np.isin(found.arrays["facet_condition"], list(Condition)).all():
         return "is damaged: facet_condition has a value that is no condition"
-    if not np.isin(found.arrays["facet_part"], range(len(found.about.part_names))).all():
+    if "together" in found.arrays and not _are_rows(found.arrays["together"], found.headers["cells"]):
+        return "is damaged: together has a number that is no cell"
+    states = found.arrays.get("facet_state", np.empty(0))
+    if not np.isin(states, range(len(Friction.segments))).all():
+        return "is damaged: facet_state has a value that is no state"
+    parts = found.arrays.get("facet_part", np.empty(0))
+    if not np.isin(parts, range(len(found.about.part_names))).all():
         return "is damaged: facet_part has a value that is no part"
     return ""
+
+
+def _are_rows(numbers: npt.NDArray, of: Header) -> bool:
+    return bool(np.all((numbers >= 0) & (numbers < of.shape[0])))

@@ -2,15 +2,17 @@
 
 Cells and points have the original numbering of the mesh, and a facet of Γ_S is identified by its vertices. RT0 is
 stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T). So there are no degrees of
-freedom in it, and except for the order of the facets nothing in it depends on the partition.
+freedom in it, and except for the order of the facets nothing in it depends on the partition. Elastic stresses are
+stored at the vertices of the subcells, displacements at those of the cells.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.array_files import write_arrays
@@ -18,12 +20,16 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.exchange import delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.discrete.laws import LAWS
-from signorini_fenicsx.meshes.domain import facet_vertices, membership
+from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.elastic_case import ELASTICITY
+from signorini_fenicsx.cases.solving import AnySolution
+from signorini_fenicsx.discrete.elastic_problem import Coulomb
+from signorini_fenicsx.discrete.laws import LAWS, Law
+from signorini_fenicsx.meshes.domain import Boundary, cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.gather import cell_values, facet_table
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
 OUTCOME = (
@@ -34,7 +40,7 @@ OUTCOME = (
 COSTS = ("timings", "peak_memory")
 
 
-def write_checkpoint(folder: Path, solution: Solution) -> None:
+def write_checkpoint(folder: Path, solution: AnySolution) -> None:
     """Write a checkpoint into an existing folder (collective).
 
     If the program is killed at any moment, the folder holds the checkpoint from before, or the new one.
@@ -77,14 +83,20 @@ def _finish(folder: Path) -> None:
         (folder / OLD_FILE).unlink(missing_ok=True)
 
 
-def _about(solution: Solution) -> dict[str, Any]:
+def _about(solution: AnySolution) -> dict[str, Any]:
     """Everything that is the same on all ranks, see `checkpoint_file.About`."""
     domain = solution.spaces.domain
+    elastic: dict[str, Any] = {}
+    if isinstance(solution, ElasticSolution):
+        part_names = solution.spaces.scalar.part_names
+        elastic = {"physics": ELASTICITY, "bound_changes": list(solution.bound_changes)}
+    else:
+        part_names = solution.spaces.part_names
     return {
         "format": FORMAT,
         "name": solution.name,
         **_problem(solution),
-        "part_names": solution.spaces.part_names,
+        "part_names": part_names,
         "parts": {name: part.label for name, part in domain.parts.items()},
         "regions": list(domain.regions),
         "bend": domain.curvature,
@@ -94,16 +106,20 @@ def _about(solution: Solution) -> dict[str, Any]:
         "kkt": vars(solution.kkt),
         **{key: getattr(solution.outcome, key) for key in OUTCOME},
         **{key: getattr(solution, key) for key in COSTS},
+        **elastic,
     }
 
 
-def _arrays(solution: Solution) -> Arrays:
+def _arrays(solution: AnySolution) -> Arrays:
     """The rows of all arrays that this rank writes (collective)."""
     domain, mesh = solution.spaces.domain, solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     points = Order(comm, geometry.input_global_indices[: geometry.index_map().size_local])
     places = points.places(geometry.input_global_indices)
-    values = cell_values(solution)
+    if isinstance(solution, ElasticSolution):
+        values, of_facets = _elastic_values(solution)
+    else:
+        values, of_facets = cell_values(solution), vars(facet_table(solution))
     size = len(values["u"])
     order = Order(comm, mesh.topology.original_cell_index[:size])
 
@@ -114,30 +130,54 @@ def _arrays(solution: Solution) -> Arrays:
         "points": points.sorted(geometry.x[: geometry.index_map().size_local, :dim]),
         "cells": order.sorted(places[geometry.dofmaps[0][:size]]),
         **{key: order.sorted(rows) for key, rows in values.items()},
-        **{f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()},
+        **{f"facet_{key}": rows for key, rows in of_facets.items()},
     }
     arrays["facet_vertices"] = renumbered(arrays["facet_vertices"])
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
+    if isinstance(solution, Solution) and solution.spaces.inner.present:
+        inner, original = solution.spaces.inner, mesh.topology.original_cell_index
+        pairs = np.column_stack([solution.spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
+        arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 
 
-def _problem(solution: Solution) -> dict[str, Any]:
+def _elastic_values(solution: ElasticSolution) -> tuple[Arrays, Arrays]:
+    """σ_h and u_h at vertices in ascending order, per cell; what is known at the vertices of the facets of Γ_C."""
+    spaces = solution.spaces
+    friction = np.zeros((3, *solution.gap.shape))
+    if solution.data.friction is not None:
+        for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
+            values[spaces.rough_rows] = rough
+    slip, state, bound = friction
+    of_facets = {
+        "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
+        "p": solution.gap,
+        "condition": solution.touching.astype(np.int64),
+        "slip": slip,
+        "state": state.astype(np.int64),
+        "bound": bound,
+    }
+    return {"sigma": solution.stresses, "u": spaces.displacement_values(solution.u)}, of_facets
+
+
+def _problem(solution: AnySolution) -> dict[str, Any]:
     """The case; or, for a problem given in Python, the data that a file can hold."""
-    if isinstance(solution.source, Case):
+    if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws = solution.problem.laws
+    laws: Sequence[Law | Coulomb] = solution.problem.laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]
-    if not all(law.name in LAWS and _storable(vars(law)) for law in laws):
+    if not all((law.name in LAWS or isinstance(law, Coulomb)) and _storable(vars(law)) for law in laws):
         laws, missing = (), [*missing, "laws"]
     given = GivenInPython(
         title=solution.title,
         domain=solution.spaces.domain.name,
-        signorini=list(boundary.signorini),
+        signorini=list(solution.contact_parts),
         neumann=list(boundary.neumann),
+        **({"inner": list(boundary.inner)} if isinstance(boundary, Boundary) else {"fixed": dict(boundary.fixed)}),
         problem=stored,
         laws=[{"kind": law.name, **vars(law)} for law in laws],
         missing=missing,

@@ -8,12 +8,12 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
-from signorini_fenicsx.meshes.domain import Domain, Marks, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import Domain, Marks, cells_behind, facet_vertices, membership
 from signorini_fenicsx.solving.solution import Solution
 
 TINY = np.finfo(np.float64).tiny
@@ -28,8 +28,8 @@ class FacetTable:
         x: Midpoints, shape (facets, 3).
         along: Coordinate along the part.
         measure: |e|.
-        u: u_h in the cell behind the facet.
-        p: Trace p_h.
+        u: u_h in the cell behind the facet; for a facet inside the domain the jump of u_h.
+        p: Trace p_h, or the jump p_h.
         flux: σ_h·n.
         psi: Mean of ψ.
         q_S: Mean of q_S.
@@ -58,7 +58,7 @@ class Boundary:
 
     Attributes:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
-        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N.
+        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
         vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
     """
 
@@ -78,6 +78,7 @@ class Fields:
         sigma: σ_h at the centroids, shape (cells, dim).
         divergence: ∇·σ_h, shape (cells,).
         indicator: η_T of the certificate, shape (cells,); None without a certificate.
+        contact: Whether a cell is in contact with the obstacle, shape (cells,); None without an obstacle.
     """
 
     points: Array
@@ -86,12 +87,14 @@ class Fields:
     sigma: Array
     divergence: Array
     indicator: Array | None = None
+    contact: Mask | None = None
 
 
 def facet_table(solution: Solution) -> FacetTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces = solution.spaces
-    size = len(spaces.facets)
+    size, u = len(spaces.facets), solution.u.x.array[spaces.cells]
+    u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
     midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
     along = np.empty(size)
     for index, name in enumerate(spaces.part_names):
@@ -102,7 +105,7 @@ def facet_table(solution: Solution) -> FacetTable:
         x=midpoints,
         along=along,
         measure=spaces.facet_measure,
-        u=solution.u.x.array[spaces.cells],
+        u=u,
         p=solution.p.x.array[:size],
         flux=spaces.normal_flux(solution.sigma),
         psi=solution.data.psi_h,
@@ -135,7 +138,8 @@ def gather_boundary(solution: Solution) -> Boundary | None:
     spaces = solution.spaces
     lift = solution.data.u_lift
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    p = solution.p.x.array[: len(spaces.facets)]
+    p = solution.p.x.array[: len(spaces.facets)].copy()
+    p[spaces.inner.rows] = np.nan
     blocks = [
         (SIGNORINI, spaces.facets, p),
         (DIRICHLET, spaces.dirichlet_facets, u_D),
@@ -170,6 +174,20 @@ def gather_marks(domain: Domain) -> Marks:
 
 def _sorted(rows: Indices) -> Indices:
     return rows[np.lexsort(rows.T[::-1])]
+
+
+def gather_free_boundary(solution: Solution) -> Array | None:
+    """Midpoint and measure of each facet between a cell in contact and another, on rank 0, shape (facets, 4)."""
+    spaces, space = solution.spaces, solution.spaces.crouzeix_raviart
+    mesh, dofs, dim = spaces.mesh, solution.free_boundary(), spaces.mesh.topology.dim
+    mesh.topology.create_connectivity(dim, dim - 1)
+    of_dof = np.empty(space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts, dtype=np.int32)
+    of_dof[space.dofmap.list.ravel()] = mesh.topology.connectivity(dim, dim - 1).array
+    corners = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, of_dof[dofs])].reshape(-1, dim, 3)
+    edges = corners[:, 1:] - corners[:, :1]
+    measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
+    rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
+    return None if rows is None else rows[np.lexsort(np.round(rows.T[::-1], 12))]
 
 
 def check_drawable(cells: float, tuning: Tuning) -> None:
@@ -211,7 +229,8 @@ def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> 
     mesh = solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     size = mesh.topology.index_map(mesh.topology.dim).size_local
-    values = cell_values(solution) | ({} if indicator is None else {"indicator": indicator.x.array[:size]})
+    others = {"contact": solution.outcome.iterate.contact, "indicator": indicator and indicator.x.array[:size]}
+    values = cell_values(solution) | {key: rows for key, rows in others.items() if rows is not None}
     ids = gather_rows(comm, geometry.input_global_indices)
     points = gather_rows(comm, geometry.x[:, :dim])
     cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmaps[0][:size]])

@@ -22,6 +22,7 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
@@ -38,6 +39,7 @@ from signorini_fenicsx.output.gather import (
     gather_boundary,
     gather_facets,
     gather_fields,
+    gather_free_boundary,
     gather_marks,
     in_order,
 )
@@ -85,12 +87,18 @@ def write_solution(
     """
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
+        write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
         drawn = is_drawable(solution)
         if isinstance(solution, ElasticSolution):
             on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot and drawn))
         else:
-            write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
             write_table_of_facets(folder, solution)
+            if solution.data.obstacle is not None:
+                write_free_boundary(folder / "free_boundary.csv", solution)
+            water = seepage(solution)
+            if water is not None:
+                rows = [{"x": x, "y": y} for x, y in water.phreatic_line.tolist()]
+                on_root(comm, lambda: write_rows(folder / "phreatic_line.csv", ("x", "y"), rows))
             if (plot or html) and drawn:
                 with doing("drawing"):
                     draw(folder, solution, certificate, plot=plot, html=html)
@@ -98,6 +106,8 @@ def write_solution(
         if fields:
             write_fields(solution, folder, certificate)
         summary = solution.summary()
+        if (water := seepage(solution)) is not None:
+            summary["seepage"] = water.summary()
         if certificate is not None:
             summary["certificate"] = certificate.summary()
             summary["timings"] |= {"certificate": certificate.seconds}
@@ -117,12 +127,14 @@ def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, p
     """Draw a solution on rank 0 (collective)."""
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)
     table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
+    water = seepage(solution)
+    line = None if water is None else water.phreatic_line
 
     def write() -> None:
         if table is not None and cells is not None and boundary is not None:
             from signorini_fenicsx.output import pictures  # takes a second to import
 
-            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate)
+            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate, line)
             if plot:
                 pictures.draw_all(folder, scene)
             if html:
@@ -210,6 +222,14 @@ def write_table_of_facets(folder: Path, solution: Solution) -> None:
         raise OSError(errno.EIO, failure, str(folder))
 
 
+def write_free_boundary(path: Path, solution: Solution) -> None:
+    """Write one row per facet between a cell in contact with the obstacle and another one (collective)."""
+    names = ("x", "y", "z", "measure")
+    facets = gather_free_boundary(solution)
+    rows = [] if facets is None else [dict(zip(names, row, strict=True)) for row in facets.tolist()]
+    on_root(solution.spaces.mesh.comm, lambda: write_rows(path, names, rows))
+
+
 def facet_columns(part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str]) -> dict[str, npt.NDArray]:
     """The columns of the table of Γ_S that is written."""
     return {
@@ -262,9 +282,9 @@ def _sizes(solution: Solution) -> dict[str, int]:
     number, place, vtx = 8, 3 * 8, 9  # bytes of a value, of a point or vector, and of VTX's extra data per point
     head = 12_000 + 3_000 * ranks
     return {
-        "solution.bp": cells * ((dim + 1) * (2 * place + 2 * number + vtx) + (dim + 2) * number) + head,
+        "solution.bp": cells * ((dim + 1) * (2 * place + 4 * number + vtx) + (dim + 2) * number) + head,
         "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 4 * number) + head,
-        "solution.h5": cells * ((dim + 1) * number + place + 3 * number) + points * dim * number + head,
+        "solution.h5": cells * ((dim + 1) * number + place + 5 * number) + points * dim * number + head,
     }
 
 
@@ -279,19 +299,40 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     u = fem.Function(linear, name="u")
     u.interpolate(solution.u)
     magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
-    write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude])
+    on_obstacle = _on_obstacle(solution)
+    write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude, *_in(linear, on_obstacle)])
 
     flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
     condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
     segments = []
     if solution.data.laws.listed:
         segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
-    write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
+    if spaces.part_names:
+        write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
 
     sigma = centroid_flux(solution)
     magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
     file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
     file.write_mesh(mesh)
-    for function in (solution.u, sigma, magnitude, *([] if certificate is None else [certificate.indicator])):
+    indicator = [] if certificate is None else [certificate.indicator]
+    for function in (solution.u, sigma, magnitude, *on_obstacle, *indicator):
         file.write_function(function)
     file.close()
+
+
+def _on_obstacle(solution: Solution) -> list[fem.Function]:
+    """1 in the cells in contact with the obstacle, and its force, in P0; none without one (collective)."""
+    inside = solution.outcome.iterate.contact
+    if inside is None:
+        return []
+    contact = fem.Function(solution.spaces.Q, name="contact")
+    contact.x.array[:] = inside
+    return [contact, solution.force()]
+
+
+def _in(space: fem.FunctionSpace, functions: list[fem.Function]) -> list[fem.Function]:
+    """The same functions in a larger space (collective)."""
+    found = [fem.Function(space, name=function.name) for function in functions]
+    for larger, function in zip(found, functions, strict=True):
+        larger.interpolate(function)
+    return found

@@ -33,6 +33,8 @@ RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 BOUND_CHANGE = 1e-9
 """Coulomb's fixed point ends where the bound of the shear changes by this share of itself."""
 MOST_BOUNDS = 100
+MORE_WITH_FRICTION = 4
+"""By default so many times the iterations of problems without friction are allowed for each bound."""
 
 
 def solve_elastic(
@@ -82,7 +84,7 @@ def solve_elastic(
         motions = check_rigid_motions(spaces, data)
         held_by_contact = motions.shape[1] > 0
         backend = ElasticBackend(spaces, data, options.tuning, motions)
-    if start is None and remesh is not None and options.predict and backend.dofs >= options.tuning.predict_from:
+    if start is None and remesh is not None and options.predict and backend.dofs >= options.tuning.elastic_predict_from:
         with watch.phase("prediction"):
             start = _on_coarser_mesh(remesh, boundary, problem, options)
     with watch.phase("solve"):
@@ -135,7 +137,8 @@ def _with_friction(
         The outcome with the iterations of all loops, and how much the bound changed after each, relative to itself.
     """
     rule = RULES[str(options.algorithm)]
-    parameters = Parameters(max_iterations=options.max_iterations or options.method.max_iterations)
+    most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
+    parameters = Parameters(max_iterations=options.max_iterations or most)
     history: list[Step] = []
     changes: list[float] = []
     spaces = backend.spaces

@@ -11,18 +11,18 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.contact_sets import FacetSegments, FacetSet, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.errors import exact_contact, exact_errors
+from signorini_fenicsx.discrete.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.discrete.kkt import KKTResiduals
 from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.sampling import at_points
@@ -202,26 +202,59 @@ class Solution(Solved):
         """Errors if the exact solution is known, otherwise None (collective).
 
         They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
-        the contact set and the facets at whose midpoints the exact u is ψ.
+        the contact set and the facets at whose midpoints the exact u is ψ. With an obstacle the measure of the cells
+        that are in contact in one of u and u_h only takes the place of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
             return None
         norms = exact_errors(spaces, data, exact, self.sigma, self.u, self.p)
-        return norms | {"contact_hausdorff": hausdorff(self.contact_set(), exact_contact(spaces, data, exact))}
+        norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
+        contact = self.outcome.iterate.contact
+        return norms if contact is None else norms | {"missed_contact": missed_contact(spaces, data, exact, contact)}
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
         return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
+
+    def free_boundary(self) -> npt.NDArray[np.int32]:
+        """The owned facets between a cell in contact with the obstacle and another one (collective)."""
+        space, contact = self.spaces.crouzeix_raviart, self.outcome.iterate.contact
+        touching, cells = fem.Function(space), fem.Function(space)
+        inside = np.zeros(0, dtype=bool) if contact is None else contact
+        for count, some in ((touching, np.flatnonzero(inside)), (cells, np.arange(len(inside)))):
+            np.add.at(count.x.array, space.dofmap.list[some].ravel(), 1.0)
+            count.x.scatter_reverse(la.InsertMode.add)
+        between = (touching.x.array == 1) & (cells.x.array == 2)
+        return np.flatnonzero(between[: space.dofmap.index_map.size_local]).astype(np.int32)
+
+    def force(self) -> fem.Function:
+        """λ_h = −∇·σ_h − f_h + c_h u_h in P0, the force of the obstacle, exactly 0 in the cells off it (collective)."""
+        spaces, contact = self.spaces, self.outcome.iterate.contact
+        found = fem.Function(spaces.Q, name="force")
+        if contact is not None:
+            divergence = assembled(ufl.div(self.sigma) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
+            found.x.array[:] = np.where(contact, -divergence - self.data.source(self.u).x.array, 0.0)
+        return found
+
+    def on_obstacle(self) -> dict[str, float]:
+        """Number and measure of the cells in contact with the obstacle, and ∫λ_h (collective)."""
+        comm, measures, contact = self.spaces.mesh.comm, self.spaces.cell_measures, self.outcome.iterate.contact
+        inside = np.zeros(len(measures), dtype=bool) if contact is None else contact
+        local = np.array([np.count_nonzero(inside), measures[inside].sum(), measures @ self.force().x.array])
+        cells, measure, force = comm.allreduce(local).tolist()
+        return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
 
     @property
     def law(self) -> Chains:
         """The law that each Γ_S facet has in the end: with a penalty, that of the penalty."""
         return self.data.laws.chains.with_penalty(self.method.penalty, self.options.eps)
 
-    def segments(self) -> FacetSegments:
-        """The segment of its law that each Γ_S facet is on, by its final condition."""
-        return FacetSegments(self.spaces, self.law.segments(self.outcome.conditions))
+    def segments(self) -> Segments:
+        """The segment of its law that each Γ_S facet is on, and each cell if there is an obstacle."""
+        contact = self.outcome.iterate.contact
+        cells = None if contact is None else (~contact).astype(np.int8)
+        return Segments(self.spaces, self.law.segments(self.outcome.conditions), cells)
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""
@@ -279,6 +312,7 @@ class Solution(Solved):
             "contact_facets": contact_facets,
             "contact_measure": contact_measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
+            **({} if self.data.obstacle is None else {"obstacle": self.on_obstacle()}),
             "iterations": len(outcome.history),
             "rough_steps": outcome.rough_steps,
             "converged": outcome.converged,

@@ -1,9 +1,11 @@
 """From a domain, a boundary and a problem to the solution: spaces, data, method, KKT check."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Iterate, Renewable
@@ -12,12 +14,15 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memor
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data import Data, project_data
 from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
@@ -55,16 +60,15 @@ class Solver:
 
         Args:
             domain: The mesh with its parts.
-            boundary: The parts that are Γ_S and Γ_N; the rest is Γ_D.
+            boundary: The parts that are Γ_S and Γ_N, and those inside the domain; the rest is Γ_D.
 
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        if not boundary.signorini:
-            raise InputError("signorini: lists no part, and there are no laws")
         check_parts(domain, vars(boundary))
-        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+        self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
+        self._known = Known()
         self._backend: Backend[Iterate] | None = None
         self._made_for: tuple[object, Tuning] | None = None
 
@@ -74,15 +78,19 @@ class Solver:
         problem: Problem,
         options: Options | None = None,
         *,
-        start: Solution | None = None,
+        start: Solution | Segments | None = None,
         remesh: Remesh | None = None,
         name: str = "problem",
         title: str = "",
         source: object = None,
         watch: Stopwatch | None = None,
         on_step: OnStep = lambda step: None,
+        memory: fem.Function | None = None,
     ) -> Solution:
         """Solve a problem with these boundary conditions (collective). The arguments are those of `solve`.
+
+        `start` may also be segments alone. One is added: `memory`, a load in P0 besides f, which the step of a problem
+        in time takes from those before.
 
         Raises:
             InputError: If the problem cannot be discretised as asked.
@@ -92,7 +100,8 @@ class Solver:
         options, watch, spaces = options or Options(), watch or Stopwatch(), self.spaces
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
-            data = project_data(spaces, problem)
+            data = project_data(spaces, problem, self._known).after(memory)
+            remesh = remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
             _check(options, spaces, data, start)
             # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
             constant = 0.0 if method.stabilised else data.common_constant(spaces)
@@ -101,17 +110,16 @@ class Solver:
                 data=data.less(spaces, constant),
                 rho=options.rho,
                 eps=options.eps,
-                max_iterations=options.max_iterations or method.max_iterations,
+                max_iterations=options.max_iterations or method.most_iterations(obstacle=data.obstacle is not None),
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
-                start=None if start is None else start.segments(),
+                start=start.segments() if isinstance(start, Solution) else start,
                 predict=options.predict,
                 coarser=remesh and (lambda factor: _discretised(remesh(factor), boundary, problem)),
                 tuning=options.tuning,
                 watch=watch,
             )
-        with watch.phase("solve"):
-            outcome = _run(task, options)
+        outcome = _run(task, options)
         with watch.phase("kkt"):
             kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
             outcome.iterate.u.x.array[:] += constant
@@ -198,7 +206,8 @@ def solve(
 def _run(task: Task, options: Options) -> Outcome:
     """Run the method; if it is interrupted, return its last state (collective)."""
     try:
-        return options.method.run(task)
+        with task.watch.phase("solve"):
+            return options.method.run(task)
     except LoopInterruption as interruption:
         return Outcome.interrupted(interruption, options.backend_name)
 
@@ -215,14 +224,14 @@ def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
     boundary = gamma_s(boundary, problem)
-    spaces = build_spaces(domain, boundary.signorini, boundary.neumann)
+    spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     return spaces, project_data(spaces, problem)
 
 
 def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
     """The boundary with the parts of all laws in Γ_S."""
     parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
-    return Boundary(list(dict.fromkeys(parts)), boundary.neumann)
+    return replace(boundary, signorini=list(dict.fromkeys(parts)))
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
@@ -250,16 +259,28 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
     )
 
 
-def _check(options: Options, spaces: Spaces, data: Data, start: Solution | None) -> None:
+def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segments | None) -> None:
     """Make sure that there is a solution, that the method can find it, and that it can use this start (collective).
 
     Raises:
         InputError: If there is none, or the method cannot.
     """
-    check_solvability(spaces, data)
     method = options.method
+    if data.obstacle is None and not spaces.part_names:
+        raise InputError("signorini: lists no part, and there are no laws and no obstacle")
+    if data.obstacle is not None and not method.obstacle:
+        *others, last = (name for name, other in METHODS.items() if other.obstacle)
+        raise InputError(f"{options.algorithm_name} does not take an obstacle; {', '.join(others)} and {last} do")
+    check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    if spaces.inner.present and not method.takes_inner:
+        usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
+        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
+    if spaces.inner.present and data.obstacle is not None:
+        raise InputError(
+            "[problem] obstacle: there may be no parts inside the domain as well, leave out [boundary] inner"
+        )
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
@@ -299,6 +320,8 @@ def _check_size(options: Options, spaces: Spaces) -> None:
 
 def same_domain(domain: Domain, other: Domain) -> bool:
     """Whether two meshes are of one domain: shapes have the same name, files the same bounding box (collective)."""
+    if domain is other:
+        return True
     if domain.is_shape and other.is_shape:
         return domain.name == other.name
     if domain.mesh.topology.dim != other.mesh.topology.dim:

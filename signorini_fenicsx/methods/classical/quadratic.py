@@ -8,6 +8,9 @@ no multipliers. Its own multipliers of ∇·τ = −f_h are u_h, and (12) gives 
 
 Where c > 0 the constraint is ∇·τ − cu = −f_h with ½(cu, u) added: u is one more unknown there, equal to its multiplier.
 
+With an obstacle the balance is ∇·τ − cu + λ = −f_h with λ ≥ 0, one more unknown per cell, and −(ψ, λ) is added: the
+multiplier u is ψ plus that of λ ≥ 0.
+
 For other laws the integral of φ*(−τ·n) is added, −p being the slope of φ* as a function of τ·n: linear on a vertical
 segment of the graph, quadratic on a sloped one, and flat segments are kinks. Where there are kinks τ·n is a sum of
 unknowns, one for each segment that is not flat.
@@ -21,12 +24,16 @@ import scipy.sparse
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
+from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.discrete.spaces import assembled
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.kkt import touching
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.history import Outcome, Recorder
@@ -40,26 +47,25 @@ def quadratic_programme(task: Task) -> Outcome:
     The history has one step, because the solver does not show its iterates. The step's `linear_iterations` is their
     number.
     """
-    spaces = task.spaces
+    spaces, data = task.spaces, task.data
     V, Q, comm = spaces.V, spaces.Q, spaces.mesh.comm
     flux_size, cells = V.dofmap.index_map.size_local, Q.dofmap.index_map.size_local
-    data = task.data
-    sigma, tau, v = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.TestFunction(Q)
-    hessian, divergence = (
-        _on_root(form) for form in (flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx))
-    )
+    tau, v = ufl.TestFunction(V), ufl.TestFunction(Q)
+    hessian, divergence = (matrix_on_root(matrix) for matrix in _matrices(spaces, data))
     weight = 1 / np.sqrt(spaces.cell_measures[:cells])  # rows of the divergence for an orthonormal basis of Q_h
     linear = assembled(
         flux_product(data.sigma_lift, tau, ufl.dx, data.kappa_h)
         - trace_term(data.u_lift, tau, spaces.n, spaces.ds_dirichlet + spaces.ds)
     )[:flux_size]
+    spaces.join_across(linear)
     reaction = np.zeros(cells) if data.c_h is None else data.c_h.x.array
+    psi = np.full(cells, np.nan) if data.obstacle is None else data.obstacle.means
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
 
     flux_rows, cell_rows = RootRows(comm, flux_size), RootRows(comm, cells)
     bounds, pieces = _laws(task, flux_size)
     of_flux = flux_rows.gather(np.column_stack([linear, bounds]))
-    of_cell = cell_rows.gather(np.column_stack([weight, weight * right, reaction]))
+    of_cell = cell_rows.gather(np.column_stack([weight, weight * right, reaction, psi / weight]))
     of_pieces = gather_rows(comm, pieces)
     values = balance = left = None
     status, iterations = "", 0
@@ -68,8 +74,7 @@ def quadratic_programme(task: Task) -> Outcome:
         assert of_cell is not None
         assert of_pieces is not None
         scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
-        parts = _with_reaction(hessian, scaled, of_flux, of_cell[:, 2])
-        programme = _with_laws(*parts, of_cell[:, 1], of_pieces)
+        programme = _programme(hessian, scaled, of_flux, of_cell, of_pieces, obstacle=data.obstacle is not None)
         x, y, status, iterations = programme.solve(task.max_iterations)
         values, balance = x[: len(of_flux)], y[: len(of_cell)]
         left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
@@ -83,7 +88,9 @@ def quadratic_programme(task: Task) -> Outcome:
     p = flux_rows.scatter(left)[spaces.flux_dofs] / spaces.basis_flux
     flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
-    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h)
+    spaces.carry_across(sigma_h)
+    contact = touching(spaces, data, sigma_h, u_h)
+    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h, contact=contact)
     law = data.laws.chains
     conditions = law.conditions(ALGORITHM_2.following(law, p, flux, 1.0))
 
@@ -101,11 +108,19 @@ def quadratic_programme(task: Task) -> Outcome:
     )
 
 
-def _on_root(form: ufl.Form) -> scipy.sparse.csr_array | None:
-    """A matrix on rank 0, None on the other ranks (collective)."""
-    matrix = assemble_matrix(fem.form(form))
-    matrix.assemble()
-    return matrix_on_root(matrix)
+def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
+    """The mass matrix and the divergence, for fluxes that are equal on both sides of inner facets (collective)."""
+    sigma, tau, v = ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
+    blocks = flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx)
+    matrices = [assemble_matrix(fem.form(form)) for form in blocks]
+    for matrix in matrices:
+        matrix.assemble()
+    basis = with_one_flux(spaces, spaces.V.dofmap.index_map.size_local)
+    if basis is None:
+        return matrices
+    mass, divergence = matrices[0].ptap(basis), matrices[1].matMult(basis)
+    mass.zeroRowsColumns(spaces.across[0] + mass.getOwnershipRange()[0])
+    return [mass, divergence]
 
 
 def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
@@ -119,6 +134,8 @@ def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
     spaces, law = task.spaces, task.data.laws.chains
     bounds = np.tile([-np.inf, np.inf, 0.0, 0.0], (flux_size, 1))
     bounds[spaces.neumann_dofs, :2] = 0.0
+    if spaces.inner.present:
+        bounds[spaces.across[0], :2] = 0.0
     e, basis, steep = spaces.facet_measure, spaces.basis_flux, law.slope > 0
     several = steep.sum(axis=1) > 1
     ends = np.stack(law.extent()[2:], axis=1) * (e / basis)[:, None]
@@ -207,6 +224,35 @@ def _with_reaction(
     )
 
 
+def _with_obstacle(
+    hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, of_flux: Array, psi: Array
+) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array, Array]:
+    """The same unknowns and the force of the obstacle, for an orthonormal basis of Q_h (rank 0)."""
+    nothing = np.zeros_like(psi)
+    force = np.column_stack([-psi, nothing, np.full_like(psi, np.inf), nothing, nothing])
+    return (
+        scipy.sparse.csr_array(scipy.sparse.block_diag([hessian, scipy.sparse.diags_array(nothing)])),
+        scipy.sparse.csr_array(scipy.sparse.hstack([divergence, scipy.sparse.eye_array(len(psi))])),
+        np.concatenate([of_flux, force]),
+    )
+
+
+def _programme(
+    hessian: scipy.sparse.csr_array,
+    divergence: scipy.sparse.csr_array,
+    of_flux: Array,
+    of_cell: Array,
+    pieces: Array,
+    *,
+    obstacle: bool,
+) -> _Programme:
+    """The programme for the rows of all ranks (rank 0)."""
+    parts = _with_reaction(hessian, divergence, of_flux, of_cell[:, 2])
+    if obstacle:
+        parts = _with_obstacle(*parts, of_cell[:, 3])
+    return _with_laws(*parts, of_cell[:, 1], pieces)
+
+
 def _with_laws(
     hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, of_flux: Array, right: Array, pieces: Array
 ) -> _Programme:
@@ -221,7 +267,11 @@ def _with_laws(
     of_facet, first, row = np.unique(unknown, return_index=True, return_inverse=True)
     meets_next = np.append(unknown[1:] == unknown[:-1], np.zeros(min(len(unknown), 1), dtype=bool))
     corners = np.bincount(row, np.where(meets_next, e * np.where(meets_next, lowest, 0.0), 0.0), len(of_facet))
-    size = 1 / np.sqrt(hessian.diagonal())
+    diagonal = hessian.diagonal()
+    size = np.divide(1.0, np.sqrt(diagonal), out=np.zeros_like(diagonal), where=diagonal > 0)
+    of_rows = np.sqrt((divergence @ scipy.sparse.diags_array(size)).power(2).sum(axis=1))
+    forces = np.flatnonzero(diagonal == 0)  # one in each row, or none
+    size[forces] = of_rows[: len(forces)]
     hessian = hessian + scipy.sparse.diags_array(quadratic)
     matrix = divergence
     if len(unknown) > 0:

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import matplotlib as mpl
 
-from signorini_fenicsx.base.arrays import Mask
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
@@ -21,18 +21,22 @@ from signorini_fenicsx.output.gather import (
 )
 from signorini_fenicsx.output.pictures import elastic, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
+from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
 __all__ = [
+    "animate",
     "draw_all",
     "draw_bounds",
     "draw_errors",
     "draw_mesh",
+    "draw_sets",
     "gathered_scene",
     "overview",
     "scene_of",
+    "shown",
     "write_page",
 ]
 
@@ -44,6 +48,7 @@ def scene_of(
     boundary: Boundary,
     regions: Mask | None = None,
     certificate: Certificate | None = None,
+    phreatic_line: Array | None = None,
 ) -> Scene:
     """The scene for pictures of a solution, from its gathered arrays (rank 0)."""
     spaces = solution.spaces
@@ -58,6 +63,8 @@ def scene_of(
         contact=solution.method.contact,
         segments=solution.data.laws.names() if solution.data.laws.listed else [],
         history=solution.outcome.history,
+        inside=solution.boundary.inner,
+        phreatic_line=phreatic_line,
     )
 
 

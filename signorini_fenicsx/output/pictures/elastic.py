@@ -17,7 +17,7 @@ from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.output.elastic_body import Body
 from signorini_fenicsx.output.pictures import plane_files, style
-from signorini_fenicsx.output.pictures.plane import Plane
+from signorini_fenicsx.output.pictures.plane import WIDE, Plane
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
@@ -73,7 +73,9 @@ def draw(
 def _deformed(scene: Scene, moved: Scene, title: str) -> Figure:
     """The deformed body, coloured by the equivalent stress, over its mesh before."""
     width, height = np.ptp(scene.fields.points, axis=0)
-    figure = Figure(figsize=(6.4, 1.4 + 5.0 * min(max(height / width, 0.3), 1.6)), layout="constrained")
+    across = 8.5 if width > WIDE * height else 6.4
+    down = 1.4 + 0.8 * across * min(max(height / width, 0.2), 1.6)
+    figure = Figure(figsize=(across, down), layout="constrained")
     axes = figure.add_subplot()
     axes.triplot(Triangulation(*scene.fields.points.T, scene.fields.cells), color="0.85", linewidth=0.3)
     low, high, extend = style.limits(scene.sigma_norm, scene.measure)
@@ -102,13 +104,13 @@ def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Figu
             axes.set_ylabel("pressure, shear")
             _mark_states(axes, table, mine)
         lines = [*axes.lines, *other.lines]
-        axes.legend(handles=lines, loc="upper center", ncols=3)
+        axes.legend(handles=lines, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=5)
     return figure
 
 
 def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:
-    """Marks at the lower edge where the body slips, and none where it sticks."""
-    along, state = table.along[rows], table.state[rows]
+    """Marks at the lower edge where the body slips in contact, and none where it sticks or is open."""
+    along, state = table.along[rows], np.where(table.touching[rows], table.state[rows], -1)
     for name, look in (("slip+", "<"), ("slip-", ">")):
         slipping = along[state == Friction.segments.index(name)]
         if len(slipping):

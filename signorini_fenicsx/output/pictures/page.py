@@ -127,10 +127,13 @@ def _space(scene: Scene) -> tuple[list, list[Sheet]]:
     cuts = space.slices().triangulate()
     cut_points, cut_triangles = np.asarray(cuts.points, dtype=np.float64), cuts.regular_faces.astype(np.int64)
     cut_triangles, _ = thinned(cut_points, cut_triangles, MOST_TRIANGLES)
+    if len(edge := scene.free_boundary()) > 0:
+        edge, _ = thinned(points, edge, MOST_TRIANGLES)
+        contact.append(_surface(points, edge, None, style.CONTACT, name="edge of the contact"))
+    on_gamma = {"p<sub>h</sub>": facets.p, "σ<sub>h</sub>·n": facets.flux} if scene.labels else {}
     sheets = [
         Sheet("contact", contact),
-        Sheet("p<sub>h</sub>", [_surface(points, triangles, facets.p[rows], style.U_MAP)]),
-        Sheet("σ<sub>h</sub>·n", [_surface(points, triangles, facets.flux[rows], style.U_MAP)]),
+        *(Sheet(name, [_surface(points, triangles, each[rows], style.U_MAP)]) for name, each in on_gamma.items()),
         Sheet("u<sub>h</sub>", [_surface(cut_points, cut_triangles, np.asarray(cuts["u"]), style.U_MAP)]),
     ]
     lines = space.streamlines

@@ -107,7 +107,9 @@ class Plane:
         for group in scene.groups:
             for _, vertices in chains(scene.facets.vertices[group.facets]):
                 axes.plot(*points[vertices].T, scene.u[vertices], color=group.colour, linewidth=2, zorder=10)
-        side = np.average(scene.facets.x[:, :2], axis=0, weights=scene.facets.measure) - points.mean(axis=0)
+        facets = scene.facets.x[:, :2]
+        seen = np.average(facets, axis=0, weights=scene.facets.measure) if len(facets) > 0 else points.mean(axis=0)
+        side = seen - points.mean(axis=0)
         far = np.linalg.norm(side) > 0.1 * np.ptp(self.box, axis=0).max()
         azimuth = np.degrees(np.arctan2(side[1], side[0])) if far else -90.0
         axes.view_init(elev=28, azim=azimuth + 30)
@@ -166,6 +168,8 @@ class Plane:
         listed += [
             (DIRICHLET in kinds, r"$\Gamma_D$", {"color": "black", "linewidth": 1.2}),
             (NEUMANN in kinds, r"$\Gamma_N$", {"color": "black", "linewidth": 1.2, "linestyle": ":"}),
+            (len(scene.free_boundary()) > 0, "edge of the contact", {"color": style.CONTACT, "linewidth": 1.8}),
+            (scene.phreatic_line is not None, "phreatic line", {"color": style.WATER, "linewidth": 1.8}),
             (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
         ]
         handles = [Line2D([], [], label=label, **look) for there, label, look in listed if there]
@@ -177,6 +181,13 @@ class Plane:
         points = scene.fields.points
         if self.water is not None:
             self.water.draw(axes)
+        if scene.fields.contact is not None:
+            zone = points[scene.fields.cells[scene.fields.contact]]
+            tint = PolyCollection(zone, facecolors=style.CONTACT, alpha=0.25, linewidths=0, rasterized=True)
+            axes.add_collection(tint, autolim=False)
+            axes.add_collection(LineCollection(points[scene.free_boundary()], colors=style.CONTACT, linewidths=1.8))
+        if scene.phreatic_line is not None:
+            axes.plot(*scene.phreatic_line.T, color=style.WATER, linewidth=1.8)
         inner = LineCollection(points[scene.interfaces()], colors="black", linewidths=0.8, linestyles="--")
         axes.add_collection(inner)
         for kind, look in ((DIRICHLET, "-"), (NEUMANN, ":")):

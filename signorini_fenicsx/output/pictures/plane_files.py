@@ -20,7 +20,8 @@ def draw_files(folder: Path, scene: Scene) -> None:
     _draw_u(folder / "u.png", plane)
     _draw_map(folder / "sigma.png", plane, "sigma")
     draw_certificate_file(folder / "certificate.png", plane)
-    _draw_traces(folder / "signorini.png", scene)
+    if scene.labels:
+        _draw_traces(folder / "signorini.png", scene)
     style.save(_overview(plane), folder / "overview.png")
 
 
@@ -86,7 +87,8 @@ def _draw_traces(path: Path, scene: Scene) -> None:
 def _draw_part(scene: Scene, row: list[Axes], part: int, number: int) -> None:
     """Both panels of a part of Γ_S."""
     name = list(scene.labels)[part]
-    for axes, (panel, title) in zip(row, traces.TITLES.items(), strict=True):
+    titles = traces.TITLES | ({"u": "jump of $u$"} if name in scene.inside else {})
+    for axes, (panel, title) in zip(row, titles.items(), strict=True):
         traces.draw_trace(scene, axes, part, panel, f"{style.letter(number)} {title} on {name}")
         number += 1
 
@@ -97,8 +99,9 @@ def _overview(plane: Plane) -> style.Page:
     parts = range(min(len(scene.labels), OVERVIEW_PARTS))
     columns, maps = (2, 2) if plane.wide else (3, 1)
     height = 11 / columns * 0.85 / max(plane.aspect, 0.6) + 0.5
-    figure = style.Page(figsize=(12.5, 1.2 + maps * height + 2.2 * len(parts)), layout="constrained")
-    grid = figure.add_gridspec(maps + len(parts), columns, height_ratios=[height] * maps + [2.2] * len(parts))
+    rows = max(len(parts), 1)
+    figure = style.Page(figsize=(12.5, 1.2 + maps * height + 2.2 * rows), layout="constrained")
+    grid = figure.add_gridspec(maps + rows, columns, height_ratios=[height] * maps + [2.2] * rows)
     slots = [grid[row, column] for row in range(maps) for column in range(columns)]
     plane.draw_u(figure, figure.add_subplot(slots[0]), "(a) $H = -u_h$" if plane.water else "(a) $u_h$")
     plane.draw_sigma(figure, figure.add_subplot(slots[1]), r"(b) $\sigma_h$ on $|\sigma_h|$")
@@ -112,10 +115,11 @@ def _overview(plane: Plane) -> style.Page:
     for part in parts:
         row = [figure.add_subplot(grid[maps + part, column]) for column in range(2)]
         _draw_part(scene, row, part, first + 2 * part)
-    axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2])
+    axes = figure.add_subplot(slots[3] if plane.wide else grid[maps:, 2 if len(parts) > 0 else slice(None)])
     draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
-    style.legend_below(figure, [*plane.handles(), *traces.handles(scene), *axes.get_legend_handles_labels()[0]], 6)
+    of_traces = traces.handles(scene) if scene.labels else []
+    style.legend_below(figure, [*plane.handles(), *of_traces, *axes.get_legend_handles_labels()[0]], 6)
     _lay_out(figure)
     return figure
 

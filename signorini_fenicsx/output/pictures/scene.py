@@ -1,6 +1,7 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,6 +46,8 @@ class Scene:
         history: Steps of the algorithm.
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
+        inside: The parts of Γ_S inside the domain.
+        phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
     """
 
     title: str
@@ -59,6 +62,8 @@ class Scene:
     history: list[Step]
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
+    inside: Collection[str] = ()
+    phreatic_line: Array | None = None
 
     @property
     def dim(self) -> int:
@@ -119,13 +124,22 @@ class Scene:
 
     def interfaces(self) -> Indices:
         """Edges between cells of different regions, in the plane: shape (edges, 2)."""
-        if self.regions is None or self.regions.shape[1] < 2:
-            return np.empty((0, 2), dtype=np.int64)
-        cells = self.fields.cells
-        edges = np.sort(np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
-        _, region = np.unique(self.regions, axis=0, return_inverse=True)
-        both = np.column_stack([edges, np.tile(region.ravel(), 3)])
-        different = np.unique(both, axis=0)[:, :2]
+        return self._facets_between(self.regions if self.regions is not None and self.regions.shape[1] > 1 else None)
+
+    def free_boundary(self) -> Indices:
+        """Facets between cells in contact with the obstacle and others, shape (facets, dim)."""
+        contact = self.fields.contact
+        return self._facets_between(None if contact is None else contact[:, None])
+
+    def _facets_between(self, groups: Mask | None) -> Indices:
+        """Facets between cells that differ in the groups that they are in; `groups` is a mask, a column for each."""
+        if groups is None:
+            return np.empty((0, self.dim), dtype=np.int64)
+        cells, corners = self.fields.cells, list(itertools.combinations(range(self.dim + 1), self.dim))
+        facets = np.sort(np.concatenate([cells[:, some] for some in corners]), axis=1)
+        _, region = np.unique(groups, axis=0, return_inverse=True)
+        both = np.column_stack([facets, np.tile(region.ravel(), len(corners))])
+        different = np.unique(both, axis=0)[:, : self.dim]
         found, times = np.unique(different, axis=0, return_counts=True)
         return found[times == 2]
 

@@ -90,6 +90,8 @@ class Space:
     @cached_property
     def views(self) -> list[Array]:
         """One direction from which Γ_S is seen, or two if one hides a part of it."""
+        if len(self.scene.facets.measure) == 0:
+            return [max(VIEWS, key=lambda view: float(view @ USUAL_VIEW))]
         seen = np.array([self._seen(view) for view in VIEWS])
         possible = seen.max(axis=0).sum()
         preferred = 1 + 0.02 * np.array([view @ USUAL_VIEW / np.linalg.norm(USUAL_VIEW) for view in VIEWS])
@@ -224,8 +226,10 @@ class Space:
         self._show(axes, f"{len(self.scene.fields.cells)} cells", "mesh", build, view)
 
     def handles(self) -> list:
-        """The entries of the legend of Γ_S."""
-        return [Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in self.scene.groups]
+        """The entries of the legend of Γ_S and of the contact with an obstacle."""
+        edge = [Patch(color=style.CONTACT, label="edge of the contact")] if len(self.scene.free_boundary()) > 0 else []
+        groups = self.scene.groups
+        return [*(Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups), *edge]
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
@@ -238,6 +242,9 @@ class Space:
             triangles = self._triangles(self.scene.facets.vertices[group.facets])
             edges = self._edges() if opacity == 1.0 else {}
             plotter.add_mesh(triangles, color=group.colour, opacity=opacity, lighting=False, **edges)
+        between = self.scene.free_boundary()
+        if len(between) > 0:
+            plotter.add_mesh(self._triangles(between), color=style.CONTACT, opacity=opacity, lighting=False)
 
     def _add_hull(self, plotter: pyvista.Plotter) -> None:
         if self.hull.n_cells:

@@ -25,7 +25,8 @@ def draw_files(folder: Path, scene: Scene) -> None:
     _finish(figure, space, folder / "sigma.png")
 
     _draw_certificate_file(folder, space)
-    _draw_traces(folder / "signorini.png", space, TRACES)
+    if scene.labels:
+        _draw_traces(folder / "signorini.png", space, TRACES)
     style.save(_overview(space), folder / "overview.png")
 
 
@@ -107,8 +108,12 @@ def _overview(space: Space) -> style.Page:
         space.draw_sigma(figure, panels[2], r"(c) $|\sigma_h|$ on half of the domain")
     else:
         space.draw_certificate(figure, panels[2], r"(c) contributions $\eta_T$ to the certified error")
-    space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
-    space.draw_trace(figure, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
+    if scene.labels:
+        space.draw_trace(figure, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
+        space.draw_trace(figure, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
+    else:
+        space.draw_cuts(figure, panels[3], "(d) $u_h$ on cuts through the middle")
+        space.draw_contact(figure, panels[4], "(e) edge of the contact", space.views[0])
     draw_steps(panels[5], scene.history, "(f) iteration errors")
     figure.suptitle(f"{scene.title}\n{scene.caption}", fontsize=11)
     style.legend_below(figure, [*space.handles(), *panels[5].get_legend_handles_labels()[0]])

@@ -31,6 +31,8 @@ class Water:
     def of(cls, scene: Scene) -> Water | None:
         """The water of a problem whose ψ is −y, None for other problems."""
         y = scene.facets.x[:, 1]
+        if len(y) == 0:
+            return None
         size = float(np.ptp(scene.fields.points[:, 1]))
         if not np.allclose(scene.facets.psi, -y, rtol=0, atol=1e-6 * size) or np.ptp(y) < 0.05 * size:
             return None

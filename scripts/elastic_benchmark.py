@@ -1,0 +1,88 @@
+"""Elastic contact against one linear solve with the known set, and against P2 displacements at the same energy error.
+
+uv run python scripts/elastic_benchmark.py [--quick]
+
+A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
+one core, from the mesh to the fields. The energy error of a stress is (2(C(σ_h) − C))^½, that of a displacement
+(2(J(v) + C))^½: the exact C is between C(σ_h) and −J(v), and is taken as the middle of the two on the finest mesh.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import time
+
+import dolfinx.mesh
+import numpy as np
+from mpi4py import MPI
+from p2_contact import solve_p2
+
+from signorini_fenicsx.backends.elastic import ElasticBackend
+from signorini_fenicsx.discrete.elastic_data import elastic_data
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.solving.elastic import solve_elastic
+
+COMM = MPI.COMM_SELF
+GAP, YOUNG, POISSON = 0.02, 1.0, 0.3
+CELLS = {2: (16, 32, 64, 128), 3: (2, 4, 8)}
+QUICK = {2: (8, 16, 32), 3: (2, 4)}
+
+
+def block(dim: int, n: int) -> Domain:
+    """A box of length 2 with n cells along the other edges."""
+    make = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[dim]
+    mesh = make(COMM, [[0.0] * dim, [2.0] + [1.0] * (dim - 1)], [2 * n] + [n] * (dim - 1))
+    parts = {
+        f"{name}{end}": lambda x, axis=axis, place=place: np.isclose(x[axis], place)
+        for axis, name in enumerate("xyz"[:dim])
+        for end, place in enumerate((0.0, 2.0 if axis == 0 else 1.0))
+    }
+    return domain_of(mesh, parts)
+
+
+def coarser(dim: int, n: int, factor: float) -> Domain:
+    """The same with cells larger by a factor, from which the sets are predicted."""
+    return block(dim, max(round(n / factor), 1))
+
+
+def main() -> None:
+    """Print a line for each method and mesh."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--quick", action="store_true", help="coarse meshes only")
+    for dim, sizes in (QUICK if options.parse_args().quick else CELLS).items():
+        last = "xyz"[dim - 1]
+        f, push = [0.0] * (dim - 1) + [-0.3], [0.0] * (dim - 1) + [-0.1]
+        free = [f"{last}1", "x1", *(["y0", "y1"] if dim == 3 else [])]
+        boundary = ElasticBoundary([f"{last}0"], neumann=free)
+        problem = ElasticProblem(
+            YOUNG, POISSON, f=[str(x) for x in f], g_N={f"{last}1": [str(x) for x in push]}, gap=GAP
+        )
+        rows = []
+        for n in sizes:
+            domain = block(dim, n)
+            began = time.process_time()
+            solution = solve_elastic(
+                domain, boundary, problem, remesh=lambda factor, dim=dim, n=n: coarser(dim, n, factor)
+            )
+            ours = time.process_time() - began
+            began = time.process_time()
+            spaces = build_elastic_spaces(domain, boundary)
+            ElasticBackend(spaces, elastic_data(spaces, problem)).solve(solution.outcome.conditions)
+            known = time.process_time() - began
+            other = solve_p2(domain.mesh, YOUNG, POISSON, f, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP)
+            norms = solution.norms()
+            energy = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
+            rows.append((n, solution.outcome.dofs, ours, known, energy, other))
+        exact = (rows[-1][4] - rows[-1][5].energy) / 2
+        print(f"{dim}D: cells, unknowns, energy error, seconds; seconds over those of one solve with the known set")
+        for n, dofs, ours, known, energy, other in rows:
+            error, of_other = np.sqrt(2 * (energy - exact)), np.sqrt(2 * (other.energy + exact))
+            print(f"  ours {n:4d} {dofs:8d} {error:9.2e} {ours:8.2f}   {ours / known:.2f}", flush=True)
+            print(f"  P2   {n:4d} {other.unknowns:8d} {of_other:9.2e} {other.seconds:8.2f}   {other.steps} steps")
+
+
+if __name__ == "__main__":
+    main()

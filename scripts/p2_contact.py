@@ -1,0 +1,125 @@
+"""Elastic contact by conforming P2 displacements and primal-dual active set, as a second program: SciPy, one process.
+
+The coefficients are those of Bernstein's basis, so that v_n ≤ g holds on whole facets if the coefficients satisfy it.
+Then the energy of v is above that of the exact u, and the complementary energy of an admissible stress below.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import scipy.sparse.linalg
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+MOST_STEPS = 100
+
+
+@dataclass(frozen=True)
+class P2Contact:
+    """A solution by P2 displacements.
+
+    Attributes:
+        v: The displacement.
+        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩.
+        touching: Number of coefficients in contact.
+        steps: Set updates.
+        unknowns: Unknowns of the linear systems.
+        seconds: Of the processor, from the mesh to v.
+    """
+
+    v: fem.Function
+    energy: float
+    touching: int
+    steps: int
+    unknowns: int
+    seconds: float
+
+
+def stress(v: ufl.core.expr.Expr, young: float, poisson: float) -> ufl.core.expr.Expr:
+    """ℂε(v), plane strain in two dimensions."""
+    strain = ufl.sym(ufl.grad(v))
+    mu, lame = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    return 2 * mu * strain + lame * ufl.tr(strain) * ufl.Identity(len(v))
+
+
+def solve_p2(
+    mesh: dolfinx.mesh.Mesh,
+    young: float,
+    poisson: float,
+    f: Sequence[float],
+    g_N: Mapping[tuple[int, float], Sequence[float]],
+    fixed: Mapping[tuple[int, float], Sequence[int]],
+    gap: float,
+) -> P2Contact:
+    """Solve on a box whose last coordinate is 0 on Γ_C, with a gap that is a number.
+
+    Args:
+        mesh: Mesh of the box, on one process.
+        young: E.
+        poisson: ν.
+        f: Force per volume.
+        g_N: Tractions by side: the coordinate and its value there.
+        fixed: For a side the components of v that are 0.
+        gap: g.
+
+    Raises:
+        RuntimeError: If the sets do not settle.
+    """
+    assert mesh.comm.size == 1
+    began = time.process_time()
+    dim = mesh.geometry.dim
+    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
+    space = fem.functionspace(mesh, element)
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    load = ufl.dot(ufl.as_vector([float(x) for x in f]), v) * ufl.dx
+    for side, traction in g_N.items():
+        facets = np.sort(_facets(mesh, side))
+        tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets, np.ones_like(facets))
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds
+    A = fem.assemble_matrix(fem.form(ufl.inner(stress(u, young, poisson), ufl.sym(ufl.grad(v))) * ufl.dx)).to_scipy()
+    A = A.tocsr()
+    b = fem.assemble_vector(fem.form(load)).array
+    zero = [_dofs(space, mesh, side, k) for side, components in fixed.items() for k in components]
+    held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
+    contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
+
+    x, active = np.zeros(len(b)), np.zeros(len(contact), dtype=bool)
+    for steps in range(1, MOST_STEPS + 1):
+        x = np.zeros(len(b))
+        x[contact[active]] = -gap
+        essential = np.concatenate([held, contact[active]])
+        free = np.setdiff1d(np.arange(len(b)), essential)
+        x[free] = scipy.sparse.linalg.spsolve(A[free][:, free].tocsc(), (b - A @ x)[free])
+        force = (A @ x - b)[contact]
+        following = np.where(active, force > 0, x[contact] < -gap)
+        if (following == active).all():
+            found = fem.Function(space)
+            found.x.array[:] = x
+            energy = float(x @ (A @ x) / 2 - b @ x)
+            return P2Contact(found, energy, int(active.sum()), steps, len(free), time.process_time() - began)
+        active = following
+    raise RuntimeError("the sets do not settle")
+
+
+def stress_norm(mesh: dolfinx.mesh.Mesh, sigma: ufl.core.expr.Expr, young: float, poisson: float) -> float:
+    """‖σ‖ in the energy norm."""
+    theta = poisson if mesh.geometry.dim == 2 else poisson / (1 + poisson)
+    product = (1 + poisson) / young * (ufl.inner(sigma, sigma) - theta * ufl.tr(sigma) ** 2)
+    return float(np.sqrt(mesh.comm.allreduce(fem.assemble_scalar(fem.form(product * ufl.dx)), MPI.SUM)))
+
+
+def _facets(mesh: dolfinx.mesh.Mesh, side: tuple[int, float]) -> np.ndarray:
+    axis, place = side
+    return dolfinx.mesh.locate_entities_boundary(mesh, mesh.geometry.dim - 1, lambda x: np.isclose(x[axis], place))
+
+
+def _dofs(space: fem.FunctionSpace, mesh: dolfinx.mesh.Mesh, side: tuple[int, float], component: int) -> np.ndarray:
+    """Unknowns of a component on a side; in Bernstein's basis as in Lagrange's."""
+    nodes = fem.locate_dofs_topological(space, mesh.geometry.dim - 1, _facets(mesh, side))
+    return nodes.astype(np.int64) * mesh.geometry.dim + component

@@ -1,0 +1,176 @@
+"""Tests the bound of elastic contact on random problems against solutions on the mesh refined twice: never too low.
+
+uv run python scripts/random_elastic_bounds.py --seeds 60
+
+A seed chooses the square, the L-shape or the cube, its mesh, the parts in contact, loaded, or fixed in a component, a
+constant f, linear tractions, a curved gap, ν from 0 to 0.49 and, in the plane, sometimes Tresca's friction: all of them
+are in the discrete spaces, so that the bound is guaranteed. A row has ‖σ_f − σ_h‖ with σ_f from the finer mesh, and the
+ratio of the bound to it. If this is below 1, the bound of the finer mesh decides whether σ_f is not exact enough or the
+bound is too low.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
+from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+
+
+@dataclass(frozen=True)
+class Row:
+    """The result of a seed.
+
+    Attributes:
+        problem: The problem in words.
+        poisson: ν.
+        dim: Dimension.
+        difference: ‖σ_f − σ_h‖ in the energy norm.
+        bound: The bound of ‖σ − σ_h‖.
+        wrong: Whether the bound of the finer mesh proves that the bound is too low.
+    """
+
+    problem: str
+    poisson: float
+    dim: int
+    difference: float
+    bound: float
+    wrong: bool
+
+    @property
+    def ratio(self) -> float:
+        """The bound divided by the error."""
+        return self.bound / self.difference
+
+
+def problem_of(rng: np.random.Generator, shape: str) -> tuple[ElasticBoundary, ElasticProblem]:
+    """A random problem whose data are in the discrete spaces."""
+    dim = SHAPES[shape].dim
+    parts = [str(part) for part in rng.permutation(list(SHAPES[shape].parts))]
+    contact, loaded, held = parts[:1], parts[1 : 1 + rng.integers(0, dim + 1)], parts[-1]
+    fixed = {parts[-2]: "n"} if parts[-2] not in loaded and rng.random() < 0.4 else {}
+    boundary = ElasticBoundary(contact, [part for part in loaded if part != held], fixed)
+
+    def linear(size: float) -> str:
+        a = rng.uniform(-size, size, dim + 1)
+        return " + ".join([str(a[0]), *(f"({slope})*{x}" for slope, x in zip(a[1:], "xyz", strict=False))])
+
+    middle = rng.uniform(0, 1, dim)
+    bowl = " + ".join(f"({x} - {m})^2" for x, m in zip("xyz", middle, strict=False))
+    laws = [Friction(contact, g=rng.uniform(0, 0.1))] if dim == 2 and rng.random() < 0.4 else []
+    return boundary, ElasticProblem(
+        young=1.0,
+        poisson=float(rng.choice([0.0, 0.3, 0.45, 0.49])),
+        f=[str(x) for x in rng.uniform(-1, 1, dim)],
+        g_N=[linear(0.5) for _ in range(dim)] if loaded else None,
+        gap=f"{rng.uniform(0, 0.1)} + {rng.uniform(0, 0.2)}*({bowl})",
+        laws=laws,
+    )
+
+
+def uniformly_refined(domain: Domain) -> Domain:
+    """All cells refined."""
+    mesh = domain.mesh
+    return refine(domain, np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32))
+
+
+def energy_difference(coarse: ElasticSolution, fine: ElasticSolution) -> float:
+    """‖σ − σ'‖ in the energy norm for E = 1, by quadrature on the finer mesh, each point searched in all cells."""
+    dim, poisson = fine.spaces.dim, float(str(fine.problem.poisson))
+    theta = poisson if dim == 2 else poisson / (1 + poisson)
+    rule = SplitQuadrature.of_degree(dim, 2)
+    corners = split_vertices(fine.spaces.vertices)
+    points = np.einsum("qa,nsai->nsqi", rule.local, corners)
+    off = np.einsum("qa,nsaij->nsqij", rule.local, fine.stresses)
+    off -= stress_at(coarse, points.reshape(-1, dim)).reshape(off.shape)
+    product = (1 + poisson) * ((off**2).sum(axis=(3, 4)) - theta * np.einsum("nsqii->nsq", off) ** 2)
+    weights = Cells(fine.spaces.vertices).measure[:, None, None] / (dim + 1) * rule.weights
+    return float(np.sqrt((weights * product).sum()))
+
+
+def stress_at(solution: ElasticSolution, points: Array) -> Array:
+    """σ_h at points, shape (points, d, d)."""
+    vertices, dim = solution.spaces.vertices, solution.spaces.dim
+    edges = np.linalg.inv((vertices[:, 1:] - vertices[:, :1]).transpose(0, 2, 1))
+    nearest = np.full(len(points), -np.inf)
+    shares, cells = np.empty((len(points), dim + 1)), np.zeros(len(points), dtype=np.int64)
+    for cell, (inverse, corner) in enumerate(zip(edges, vertices[:, 0], strict=True)):
+        rest = (points - corner) @ inverse.T
+        share = np.column_stack([1 - rest.sum(axis=1), rest])
+        better = share.min(axis=1) > nearest
+        nearest[better], shares[better], cells[better] = share.min(axis=1)[better], share[better], cell
+    subcells = shares.argmin(axis=1)  # the centroid and the vertices but one
+    others = np.take_along_axis(shares, opposite(dim)[subcells], axis=1) - nearest[:, None]
+    local = np.column_stack([others, (dim + 1) * nearest])
+    return np.einsum("pa,paij->pij", local, solution.stresses[cells, subcells])
+
+
+def measured(seed: int) -> Row:
+    """Solve and bound the problem of a seed.
+
+    Raises:
+        InputError: If there is no such problem, as the body can move.
+    """
+    rng = np.random.default_rng(seed)
+    shape = str(rng.choice(["square", "lshape", "square", "cube"]))
+    dim = SHAPES[shape].dim
+    size, mesh = (rng.uniform(0.3, 0.6), "unstructured") if dim == 2 else (1.7, "structured")
+    coarse = build_domain(MPI.COMM_SELF, shape, size, mesh=mesh)
+    boundary, problem = problem_of(rng, shape)
+    solution = solve_elastic(coarse, boundary, problem)
+    finer = solve_elastic(uniformly_refined(uniformly_refined(coarse)), boundary, problem)
+    certificate, difference = certify_elastic(solution), energy_difference(solution, finer)
+    wrong = certificate.sigma_bound < difference and (
+        certificate.sigma_bound < (1 - 1e-9) * (difference - certify_elastic(finer).sigma_bound)
+    )
+    friction = ", friction" if problem.laws else ""
+    about = f"{shape}, contact on {', '.join(boundary.contact)}, ν = {problem.poisson}{friction}"
+    assert certificate.guaranteed
+    return Row(about, float(str(problem.poisson)), dim, difference, certificate.sigma_bound, wrong)
+
+
+def main() -> None:
+    """Go through the seeds; exit status 1 if a bound is too low."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--seeds", type=int, default=60, help="number of problems that have a solution")
+    options.add_argument("--first", type=int, default=0)
+    asked = options.parse_args()
+    rows, seed = list[Row](), asked.first
+    while len(rows) < asked.seeds:
+        try:
+            row = measured(seed)
+        except InputError as error:
+            if "move rigidly" not in str(error):
+                raise
+        else:
+            if row.difference > 1e-12:
+                rows.append(row)
+                print(f"{seed:4d} {row.difference:10.3e} {row.ratio:6.3f} {row.problem}", flush=True)
+        seed += 1
+    for dim in (2, 3):
+        for few in (True, False):
+            ratios = [row.ratio for row in rows if row.dim == dim and (row.poisson <= 0.3) == few]
+            if ratios:
+                name = "ν ≤ 0.3" if few else "0.3 < ν ≤ 0.49"
+                print(f"{dim}D, {name}: {len(ratios)} problems, ratio {min(ratios):.3f} to {max(ratios):.3f}")
+    print(f"bounds that are too low: {sum(row.wrong for row in rows)}")
+    sys.exit(1 if any(row.wrong for row in rows) else 0)
+
+
+if __name__ == "__main__":
+    main()

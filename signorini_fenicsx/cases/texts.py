@@ -1,0 +1,66 @@
+"""`[problem]` and `[time]`: the data of a scalar problem as text."""
+
+from typing import Annotated
+
+from signorini_fenicsx.cases.parts import Section
+from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, Positive, Whole, choice, within
+from signorini_fenicsx.discrete.evolution import SCHEMES, Evolution
+from signorini_fenicsx.discrete.given import parsed
+from signorini_fenicsx.discrete.problem import Problem
+
+
+class ProblemTexts(Section):
+    """`[problem]`: the data of a `Problem` as text in x, y, z.
+
+    κ is a text, a matrix, or one of them per region; c is a text, or one per region.
+    """
+
+    f: Expression
+    kappa: Conductivity = "1"
+    u_D: Expression = "0"
+    g_N: Expression = "0"
+    psi: Expression = "0"
+    q_S: Expression = "0"
+    c: ExpressionByRegion = "0"
+    obstacle: Expression | None = None
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key."""
+        found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
+        found += [] if self.obstacle is None else [("obstacle", self.obstacle)]
+        values: list[tuple[str, str | list[list[str]]]] = []
+        for name, whole in (("kappa", self.kappa), ("c", self.c)):
+            values += (
+                [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
+            )
+        for name, value in values:
+            found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
+        return found
+
+    def read(self, names: str) -> Problem:
+        """The data as trees in these variables.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        return Problem(**{key: parsed(value, names) for key, value in self})
+
+
+class Time(Section):
+    """`[time]`: an `Evolution`. With it t is known to all expressions but those of this section."""
+
+    end: Annotated[Positive, within(1e-90, 1e90)]
+    steps: Annotated[Whole, within(1, 10**6)]
+    initial: Expression = "0"
+    capacity: ExpressionByRegion = "1"
+    scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key."""
+        by_region = self.capacity if isinstance(self.capacity, dict) else {"": self.capacity}
+        of_regions = [(f"capacity.{region}".rstrip("."), text) for region, text in by_region.items()]
+        return [("initial", self.initial), *of_regions]
+
+    def evolution(self) -> Evolution:
+        """The same for `evolve`."""
+        return Evolution(**dict(self))

@@ -1,0 +1,122 @@
+"""An obstacle u ≥ ψ in Ω in the bound.
+
+Let y ∈ RT0 have λ = −∇·y − f_h ≥ 0 in each cell, and v ≥ ψ in Ω. For the obstacle problem with the load f_h, whose
+solution ũ has the force λ̃ = −∇·κ∇ũ − f_h,
+
+    ½‖κ^½∇v − κ^-½y‖² + (λ, v − ψ) = ½|∇(v − ũ)|² + ½‖y − κ∇ũ‖² + (λ̃, v − ψ) + (λ, ũ − ψ).
+
+Proof. The difference of both sides is (∇(v − ũ), κ∇ũ − y) + (λ, v − ũ) − (λ̃, v − ψ). The first term is (v − ũ, λ̃ − λ),
+and (λ̃, ũ − ψ) = 0. So all cancel. The last two terms on the right are ≥ 0. With laws on Γ_S these add what they add
+without an obstacle.
+
+With a term cu, λ = −∇·y − f_h + c_h u*, and both sides have the terms of `reaction`.
+
+The variational inequalities of u and ũ, each tested with the other one, give |∇(u − ũ)| ≤ osc as without an obstacle:
+both are taken over the same functions v ≥ ψ.
+
+v is the maximum of ψ and of a function that is quadratic on each cell, by Bernstein coefficients not below those of
+I_hψ. In vertices all of whose cells touch it is lowered by as much as I_hψ may be above ψ, so that v is ψ itself there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.certificate.admissible_trace import Trace
+from signorini_fenicsx.certificate.law_bounds import Bound
+from signorini_fenicsx.certificate.relaxation import Edges
+from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.obstacle import Obstacle
+from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells, quadratic_nodes
+from signorini_fenicsx.discrete.spaces import Spaces, assembled
+
+ROOM = 2.0
+"""Factor of the largest I_hψ − ψ in the points of a quadrature."""
+
+
+def force(spaces: Spaces, y: fem.Function, source: fem.Function) -> Array:
+    """λ = −∇·y − source per owned cell, 0 where this is less (collective)."""
+    divergence = assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
+    return np.maximum(-divergence - source.x.array, 0.0)
+
+
+def is_quadratic(psi: Datum) -> bool:
+    """Whether ψ is its own quadratic interpolant."""
+    return psi.polynomial is not None and psi.polynomial <= 2
+
+
+def not_quadratic(data: Data) -> set[str]:
+    """The name of the obstacle if integrals of v rely on quadrature."""
+    return {"obstacle"} if data.obstacle is not None and not is_quadratic(data.obstacle.psi) else set()
+
+
+def coefficients(psi: Datum, space: fem.FunctionSpace, edges: Edges) -> Array:
+    """Bernstein coefficients of I_hψ (collective)."""
+    interpolant = psi.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+    edges.to_bernstein(interpolant.x.array)
+    return np.asarray(interpolant.x.array, dtype=np.float64)
+
+
+def add_load(load: fem.Function, spaces: Spaces, forces: Array) -> None:
+    """Add ∫λφ for each node φ, on this rank: all Bernstein polynomials of a cell have the same integral."""
+    nodes = load.function_space.dofmap.list
+    np.add.at(load.x.array, nodes.ravel(), np.repeat(forces * spaces.cell_measures / nodes.shape[1], nodes.shape[1]))
+
+
+def touch(v: fem.Function, contact: Mask | None, floor: Array, on_dirichlet: Indices) -> None:
+    """Let v be I_hψ in the nodes of all cells in contact with the obstacle, but not on Γ_D (collective)."""
+    if contact is None:
+        return
+    touched = fem.Function(v.function_space)
+    touched.x.array[v.function_space.dofmap.list[contact]] = 1.0
+    touched.x.scatter_reverse(la.InsertMode.add)
+    touched.x.scatter_forward()
+    touched.x.array[on_dirichlet] = 0.0
+    v.x.array[:] = np.where(touched.x.array > 0, floor, v.x.array)
+
+
+def lower_inside(v: fem.Function, floor: Array, obstacle: Obstacle, edges: Edges) -> None:
+    """Lower v in the vertices all of whose cells touch, so that the maximum with ψ is ψ there (collective)."""
+    if is_quadratic(obstacle.psi):
+        return
+    mesh, space = v.function_space.mesh, v.function_space
+    above, interpolant = np.zeros(len(obstacle.means)), fem.Function(space)
+    interpolant.x.array[:] = floor
+    for points in cell_quadrature(mesh, owned_cells(mesh), quadrature_degree(obstacle.psi)):
+        missed = points.quadratic(interpolant)[:, :, 0] - obstacle.psi.values(points)
+        above[points.cells] = missed.max(axis=1, initial=0.0)
+    cells = space.dofmap.list
+    vertices = cells[:, : mesh.topology.dim + 1]
+    apart = (v.x.array[cells] > floor[cells]).any(axis=1)
+    depth, free = fem.Function(space), fem.Function(space)
+    for function, values in ((depth, ROOM * above), (free, 1.0 * apart)):
+        np.maximum.at(function.x.array, vertices.ravel(), np.repeat(values, vertices.shape[1]))
+        function.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+        function.x.scatter_forward()
+    depth.x.array[free.x.array > 0] = 0.0
+    depth.x.array[edges.middle] = depth.x.array[edges.ends].mean(axis=1)  # linear on each cell
+    v.x.array[:] -= depth.x.array
+
+
+def bound(obstacle: Obstacle, linear: fem.FunctionSpace) -> Bound:
+    """ψ as a bound of u everywhere."""
+    everywhere = fem.Function(linear)
+    everywhere.x.array[:] = 1.0
+    return Bound(obstacle.psi, 1.0, everywhere, 0.0)
+
+
+def gap(obstacle: Obstacle, spaces: Spaces, trace: Trace, forces: Array) -> Array:
+    """2(λ, v − ψ) per owned cell (collective)."""
+    found = np.zeros(len(forces))
+    cells = np.flatnonzero(forces > 0).astype(np.int32)
+    far, near = np.setdiff1d(cells, trace.cells), np.intersect1d(cells, trace.cells)
+    for close, some in ((False, far), (True, near)):
+        for points in cell_quadrature(spaces.mesh, some, max(trace.degree, quadrature_degree(obstacle.psi))):
+            above = trace.jet(points, near=close)[:, :, 0] - obstacle.psi.values(points)
+            found[points.cells] = 2 * forces[points.cells] * points.integrals(np.maximum(above, 0.0))
+    return found

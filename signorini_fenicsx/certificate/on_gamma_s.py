@@ -1,0 +1,112 @@
+"""Γ_S with the pieces of the laws near which the trace of a bound is to be, see `law_trace`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.certificate.laws import Goal, LawPoints
+from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.discrete.conditions import Kinds
+from signorini_fenicsx.discrete.points import facet_type
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.solving.solution import Solution
+
+RIGID = 1e4
+"""A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""
+STIFF = 1.0
+"""A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
+
+
+@dataclass(frozen=True)
+class OnGammaS:
+    """Γ_S with the pieces of the laws near which v is to be.
+
+    Attributes:
+        goal: The problem.
+        spaces: The discrete spaces.
+        segment: The segment of each facet.
+        piece: The sloped or flat segment that v is near on each facet; rigid only if no other is beside.
+        flux: y·n per facet.
+        level: σ·n + βp on the piece, per facet.
+        steep: The segments of each facet that hold v: vertical ones, and stiff ones, shape (facets, segments).
+        rigid: Those of them that hold v as vertical ones do.
+    """
+
+    goal: Goal
+    spaces: Spaces
+    segment: Kinds
+    piece: Kinds
+    flux: Array
+    level: Array
+    steep: Mask
+    rigid: Mask
+
+    @classmethod
+    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
+        """Those of a solution and a flux."""
+        spaces, data, law = solution.spaces, solution.data, goal.chains
+        segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
+        height = metric.volume[spaces.cells] / spaces.facet_measure
+        resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
+        steepness = law.slope * (height * resistance)[:, None]
+        piece = goal.pieces(segment, flux - data.q_Sh, steepness > RIGID)
+        rows = np.arange(len(piece))
+        slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
+        level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
+        return cls(goal, spaces, segment, piece, flux, level, steepness > STIFF, steepness > RIGID)
+
+    def slope(self, at: LawPoints) -> Array:
+        """β of the piece in points; 0 on a vertical one."""
+        slope, _ = at.on(self.piece)
+        return np.where(np.isinf(slope), 0.0, slope)
+
+    def flux_of_piece(self, at: LawPoints, v: Array) -> tuple[Array, Array]:
+        """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is rigid."""
+        rigid = self.rigid[np.arange(len(self.segment)), self.segment][:, None]
+        slope = np.where(rigid, 0.0, self.slope(at))
+        return slope, np.where(rigid, 0.0, at.on(self.piece)[1] - slope * v)
+
+    def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
+        """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
+        rows = np.arange(len(self.segment))
+        slope, value = nodes.on(self.segment)
+        vertical = np.isinf(slope)
+        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=~vertical & (slope > 0))
+        fully = self.rigid[rows, self.segment]
+        nearly = self.steep[rows, self.segment] & ~fully & (slope > 0).all(axis=1)
+        return np.where(vertical, value, on_line), fully, nearly
+
+    def ends(self, nodes: LawPoints) -> list[Array]:
+        """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
+
+        Returns:
+            The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
+        """
+        low, high = nodes.extent()[:2]
+        rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece
+        steep = np.pad(self.steep, ((0, 0), (1, 1)))
+        left, right = steep[rows, piece], steep[rows, piece + 2]
+        begin, end = (nodes.trace_at(np.clip(corner, 0, law.corners - 1)) for corner in (piece - 1, piece))
+        only = self.rigid[rows, piece]  # no other segment is beside
+        value = nodes.on(piece)[1]
+        begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
+        soft_low = np.where((left | only)[:, None], begin, -np.inf)
+        soft_high = np.where((right | only)[:, None], end, np.inf)
+        return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
+
+    def loads(self, at: LawPoints) -> Array:
+        """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
+        points, slope = at.points, self.slope(at)
+        level = np.where(slope > 0, at.on(self.piece)[1], self.level[:, None])
+        only = self.rigid[np.arange(len(self.piece)), self.piece]
+        density = np.where(only[:, None], 0.0, self.flux[:, None] - level)
+        barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
+        first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
+        basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
+        found: Array = points.scale[:, None] * ((density * points.weights) @ basis)
+        return found

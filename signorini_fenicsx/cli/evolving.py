@@ -1,0 +1,147 @@
+"""`signorini solve` for cases with [time]."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.results import ResultsFolder
+from signorini_fenicsx.base.signals import end_if_told
+from signorini_fenicsx.cli.case_report import CaseReport
+from signorini_fenicsx.cli.common import results_place
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.certificate.step_bounds import StepBounds
+    from signorini_fenicsx.output.steps import StepFolder
+    from signorini_fenicsx.solving.evolving import Instant
+
+
+MOST_BEFORE = 2
+"""Steps before a step that its bound needs: after a restart these are done again."""
+
+
+class EvolutionReport(CaseReport):
+    """What it prints."""
+
+    def columns(self, case: Case, *, certified: bool) -> None:
+        """Print the problem of the run, and the names of the columns of the steps."""
+        assert case.time is not None
+        self.line(f"{case.fineness}, {case.time.steps} steps of {case.time.scheme} to t = {case.time.end:g}")
+        bound = f" {'bound':>11}" if certified else ""
+        self.line(
+            f"{'step':>6} {'t':>11} {'contact':>9} {'measure':>11} {'solves':>9} {'KKT':>9}{bound} {'seconds':>9}"
+        )
+
+    def step(self, row: Mapping[str, Any]) -> None:
+        """Print a step."""
+        bound = f" {row['bound']:11.4e}" if "bound" in row else ""
+        self.line(
+            f"{row['step']:6d} {row['t']:11.5g} {row['contact_facets']:9d} {row['contact_measure']:11.5g} "
+            f"{row['iterations']:9d} {row['kkt']:9.1e}{bound} {row['seconds']:9.2f}"
+        )
+
+    def finished(self, summary: Mapping[str, Any], *, certified: bool) -> None:
+        """Print the summary of all steps."""
+        about = summary["time"]
+        lines = {
+            "steps": f"{about['steps']} to t = {about['end']:g}, {summary['iterations']} linear problems",
+            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
+            "contact": f"at the end {summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
+            "largest": "  ".join(
+                f"{name} {value:.3e}" for name, value in about["largest"].items() if name != "guaranteed"
+            ),
+        }
+        if "errors" in summary:
+            lines["errors"] = "at the end " + "  ".join(
+                f"{name} {value:.4e}" for name, value in summary["errors"].items()
+            )
+        if certified:
+            lines["certified"] = (
+                "each bound is that of the distance to the exact solution of the step's elliptic problem, with the "
+                "computed earlier steps" + ("" if about["largest"]["guaranteed"] else "; not all are guaranteed")
+            )
+        self.entries(lines)
+
+
+def solve_in_time(
+    case: Case,
+    comm: MPI.Comm,
+    output: Path | None,
+    *,
+    restart: bool,
+    certify_steps: bool,
+    plot: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Solve a case in time and write its results (collective).
+
+    Raises:
+        InputError: If it cannot be discretised as asked, or there is nothing to go on with.
+        NumericalFailure: If a step cannot be solved.
+    """
+    from signorini_fenicsx.certificate.step_bounds import StepBounds
+    from signorini_fenicsx.output.evolution import write_evolution
+    from signorini_fenicsx.output.steps import StepFolder
+
+    report = EvolutionReport(quiet=quiet, as_json=as_json)
+    with ResultsFolder(comm, results_place(output, case.name), saves_state=False) as folder:
+        steps = StepFolder(comm, folder.target)
+        done = steps.begin(case, restart=restart)
+        report.heading(case, comm)
+        report.columns(case, certified=certify_steps)
+        last = _go_on(case, comm, steps, done, StepBounds() if certify_steps else None, report)
+        write_evolution(folder.path, steps, last, plot=plot)
+        folder.publish()
+        steps.remove()
+        report.finished(on_root(comm, lambda: _read_summary(folder.target)), certified=certify_steps)
+        report.results(folder.target)
+        report.summary(folder.target)
+
+
+def _go_on(
+    case: Case, comm: MPI.Comm, steps: StepFolder, done: int, bounds: StepBounds | None, report: EvolutionReport
+) -> Instant:
+    """Do all steps after those that are done; the last one again if all are (collective)."""
+    from signorini_fenicsx.cases.solving import evolve_case
+    from signorini_fenicsx.output.evolution import row_of
+
+    assert case.time is not None
+    done = min(done, case.time.steps - 1)
+    known = done if bounds is None else max(0, done - MOST_BEFORE)
+    past = None if known == 0 else (lambda solver: steps.past(solver, known))
+    last = None
+    began = time.perf_counter()
+    try:
+        for instant in evolve_case(case, comm, past=past, on_step=lambda step: end_if_told(comm)):
+            certificate = None if bounds is None else bounds.certify(instant)
+            if instant.step <= done:
+                continue
+            now = time.perf_counter()
+            row = row_of(instant, certificate, now - began)
+            steps.save(instant, row)
+            report.step(row)
+            last, began, done = instant, now, instant.step
+    except (NumericalFailure, InputError) as error:
+        t = case.time.evolution().time(done + 1)
+        kept = f"; `--restart` goes on after the {done} steps in {steps.path}" if done > 0 else ""
+        if done == 0:
+            steps.remove()
+        error.args = (f"step {done + 1}, t = {t:.5g}: {error}{kept}",)
+        raise
+    assert last is not None
+    return last
+
+
+def _read_summary(target: Path) -> dict[str, Any]:
+    import json
+
+    found: dict[str, Any] = json.loads((target / "summary.json").read_text(encoding="utf-8"))
+    return found

@@ -1,0 +1,162 @@
+"""Writes the results of a run in time: tables of all steps, the fields as one series, pictures."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from dolfinx import fem, io
+
+from signorini_fenicsx.base.errors import WriteFailure
+from signorini_fenicsx.base.parallel import gather_rows, on_root
+from signorini_fenicsx.base.progress import doing
+from signorini_fenicsx.base.text import write_rows
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.output.field_files import check_room
+from signorini_fenicsx.output.steps import Row, StepFolder
+from signorini_fenicsx.output.writing import facet_columns, write_summary
+from signorini_fenicsx.solving.evolving import Instant
+from signorini_fenicsx.solving.solution import Solution
+
+BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
+
+
+def row_of(instant: Instant, certificate: Certificate | None, seconds: float) -> dict[str, Any]:
+    """The numbers of a step (collective)."""
+    solution = instant.solution
+    facets, measure = solution.contact()
+    history = solution.outcome.history
+    bounds = {} if certificate is None else {name: certificate.numbers()[name] for name in BOUNDS}
+    guaranteed = {} if certificate is None else {"guaranteed": certificate.guaranteed}
+    return {
+        "step": instant.step,
+        "t": instant.t,
+        "contact_facets": facets,
+        "contact_measure": measure,
+        "iterations": len(history),
+        "linear_iterations": sum(step.linear_iterations for step in history),
+        "kkt": max(vars(solution.kkt).values()),
+        **(solution.errors() or {}),
+        **bounds,
+        **guaranteed,
+        "seconds": seconds,
+    }
+
+
+def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: bool) -> None:
+    """Write all files of a run in time into an existing folder (collective).
+
+    Args:
+        folder: The folder.
+        steps: All steps.
+        last: The last of them.
+        plot: Also draw pictures.
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+        WriteFailure: If a library cannot write, at least on this rank.
+    """
+    solution, rows = last.solution, steps.rows()
+    comm = solution.spaces.mesh.comm
+
+    def tables() -> None:
+        write_rows(folder / "steps.csv", rows[0], rows)
+        _write_facets(folder, steps, rows, solution)
+
+    on_root(comm, tables)
+    times = comm.bcast([row["t"] for row in rows])
+    _write_series(folder, steps, times, solution)
+    if plot:
+        with doing("drawing"):
+            _draw(folder, steps, times, solution)
+    summary = solution.summary()
+    on_root(comm, lambda: write_summary(folder, summary | _along(rows)))
+
+
+def _along(rows: Sequence[Row]) -> dict[str, Any]:
+    """What a summary has for all steps together."""
+    errors = [name for name in rows[0] if name.endswith("_L2")]
+    bounds = [name for name in ("bound", "sigma_bound") if name in rows[0]]
+    largest = {name: max(row[name] for row in rows) for name in ("kkt", *errors, *bounds)}
+    iterations = sum(row["iterations"] for row in rows)
+    guaranteed = {"guaranteed": all(row["guaranteed"] for row in rows)} if bounds else {}
+    end = {"steps": len(rows), "end": rows[-1]["t"], "seconds": sum(row["seconds"] for row in rows)}
+    return {"iterations": iterations, "time": end | {"largest": largest | guaranteed}}
+
+
+def _write_facets(folder: Path, steps: StepFolder, rows: Sequence[Row], solution: Solution) -> None:
+    """Write `facets.csv`, one row for each facet of Γ_S and step; `facets.parquet` if there are many (rank 0)."""
+    spaces, laws = solution.spaces, solution.data.laws
+    names = laws.names() if laws.listed else []
+
+    def columns(row: Row) -> dict[str, Any]:
+        table = steps.facets(row["step"])
+        when = {key: np.full(len(table.part), row[key]) for key in ("step", "t")}
+        return when | facet_columns(spaces.part_names, table, names)
+
+    number = len(rows) * spaces.Lambda.dofmap.index_map.size_global
+    if number > solution.options.tuning.one_table_up_to:
+        import pyarrow.parquet  # takes a second to import
+
+        first = pyarrow.table(columns(rows[0]))
+        with pyarrow.parquet.ParquetWriter(folder / "facets.parquet", first.schema) as writer:
+            for row in rows:
+                writer.write_table(pyarrow.table(columns(row), schema=first.schema))
+        return
+    with (folder / "facets.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        for row in rows:
+            found = columns(row)
+            if row is rows[0]:
+                writer.writerow(found)
+            writer.writerows(zip(*(column.tolist() for column in found.values()), strict=True))
+
+
+def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solution) -> None:
+    """Write `solution.bp`: u_h and σ_h after each step, in DG1, in which they are exact (collective)."""
+    mesh = solution.spaces.mesh
+    comm, dim = mesh.comm, mesh.geometry.dim
+    sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
+    u = fem.Function(fem.functionspace(mesh, ("DG", 1)), name="u")
+    arms = corners(mesh) - corners(mesh).mean(axis=1, keepdims=True)
+    cells = mesh.topology.index_map(dim).size_global
+    size = cells * (dim + 1) * 8 * (len(times) * 4 + 8) + 12_000 + 3_000 * (comm.size + len(times))
+    on_root(comm, lambda: check_room(folder, {"solution.bp": size}))
+    try:
+        file = io.VTXWriter(comm, folder / "solution.bp", [sigma, u], engine="BP4")  # see `field_files.write_vtx`
+        for step, t in enumerate(times, start=1):
+            found = {key: steps.cells(solution.spaces, step, key) for key in ("u", "sigma", "divergence")}
+            u.x.array[u.function_space.dofmap.list] = found["u"].reshape(-1, 1)
+            slope = found["divergence"].reshape(-1, 1, 1) / dim
+            sigma.x.array.reshape(-1, dim)[sigma.function_space.dofmap.list] = found["sigma"][:, None] + slope * arms
+            file.write(t)
+        file.close()
+    except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
+        raise WriteFailure("the fields for ParaView cannot be written") from error
+
+
+def _draw(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solution) -> None:
+    """Draw `contact.png` and, in the plane, `animation.gif` (collective)."""
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    spaces, comm = solution.spaces, solution.spaces.mesh.comm
+    scene = pictures.gathered_scene(solution)
+    order = gather_rows(comm, spaces.mesh.topology.original_cell_index)
+    frames = []
+    for step in pictures.shown(len(times)) if spaces.mesh.topology.dim == 2 else []:
+        u = gather_rows(comm, steps.cells(spaces, step, "u"))
+        if u is not None and order is not None:
+            frames.append((times[step - 1], u[np.argsort(order)], steps.facets(step)))
+
+    def write() -> None:
+        if scene is not None:
+            tables = [steps.facets(step) for step in range(1, len(times) + 1)]
+            pictures.draw_sets(folder / "contact.png", scene, tables, times)
+            if frames:
+                pictures.animate(folder / "animation.gif", scene, frames)
+
+    on_root(comm, write)

@@ -1,0 +1,131 @@
+"""Pictures of a run in time: the contact set over time, and an animation."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.output.gather import FacetTable
+from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.plane import Plane
+from signorini_fenicsx.output.pictures.scene import Group, Scene
+
+MOST_FRAMES = 200
+"""Most pictures of an animation; of more steps only some are shown."""
+SECONDS = 8.0
+"""How long an animation takes, and the most for one picture below."""
+SLOW = 0.4
+
+type Frame = tuple[float, Array, FacetTable]
+"""The time, u_h in the cells, and Γ_S."""
+
+
+@mpl.rc_context(style.STYLE)
+def draw_sets(path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float]) -> None:
+    """Draw the sets on each part of Γ_S over time; in space, where parts are no lines, their measures (rank 0)."""
+    scenes = [replace(scene, facets=table) for table in tables]
+    ends = [0.0, *times]
+    groups = _groups(scenes)
+    figure = Figure(figsize=(6.4, 1.0 + 3.2 * (len(scene.labels) if scene.dim == 2 else 1)), layout="constrained")
+    if scene.dim == 2:
+        panels = figure.subplots(len(scene.labels), 1, squeeze=False)[:, 0]
+        for part, (axes, name) in enumerate(zip(panels, scene.labels, strict=True)):
+            _draw_part(axes, scenes, groups, part, ends)
+            axes.set(xlabel=f"arc length on {name}", ylabel="$t$", title=f"sets on {name}")
+    else:
+        axes = figure.add_subplot()
+        for name, colour in groups.items():
+            sizes = [_measure(each, name) for each in scenes]
+            axes.plot(times, sizes, color=colour, linewidth=1.6)
+        axes.set(xlabel="$t$", ylabel="measure", title="sets")
+    handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
+    style.legend_below(figure, handles)
+    style.save(figure, path)
+
+
+def _groups(scenes: Sequence[Scene]) -> dict[str, str]:
+    """The colours of all groups of facets, by name."""
+    return {group.name: group.colour for scene in scenes for group in scene.groups}
+
+
+def _measure(scene: Scene, name: str) -> float:
+    return float(sum(scene.facets.measure[group.facets].sum() for group in scene.groups if group.name == name))
+
+
+def _draw_part(axes: Axes, scenes: Sequence[Scene], groups: dict[str, str], part: int, ends: Sequence[float]) -> None:
+    """One row of colours for each step; a row reaches from the time before to its own."""
+    names = list(groups)
+    rows: Indices = np.flatnonzero(scenes[0].facets.part == part)
+    lengths = scenes[0].facets.measure[rows]
+    shown = np.array([_numbers(scene.groups, names, len(scene.facets.part))[rows] for scene in scenes])
+    axes.pcolormesh(
+        np.concatenate([[0.0], np.cumsum(lengths)]),
+        ends,
+        shown,
+        cmap=ListedColormap([to_rgb(colour) for colour in groups.values()]),
+        vmin=-0.5,
+        vmax=len(names) - 0.5,
+        rasterized=True,
+    )
+    axes.grid(visible=False)
+
+
+def _numbers(groups: Sequence[Group], names: Sequence[str], size: int) -> Indices:
+    """The number of the group of each facet."""
+    found = np.zeros(size, dtype=np.int64)
+    for group in groups:
+        found[group.facets] = names.index(group.name)
+    return found
+
+
+def shown(steps: int) -> list[int]:
+    """The steps that an animation shows: all, or some of them with the last one."""
+    return list(range(steps, 0, -steps // MOST_FRAMES))[::-1]
+
+
+@mpl.rc_context(style.STYLE)
+def animate(path: Path, scene: Scene, chosen: Sequence[Frame]) -> None:
+    """Write u_h and the sets over time as an animated GIF (rank 0).
+
+    Args:
+        path: The file.
+        scene: The scene of the last step.
+        chosen: The steps that `shown` chooses.
+    """
+    low, high = min(u.min() for _, u, _ in chosen), max(u.max() for _, u, _ in chosen)
+    plane = Plane(scene)
+    triangulation, rows = plane.triangulation
+    width = 8.0 if plane.wide else 5.2
+    figure = Figure(figsize=(width, 1.2 + 0.8 * width / max(plane.aspect, 0.6)), dpi=80, layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.tripcolor(triangulation, chosen[0][1].ravel()[rows], cmap=style.U_MAP, vmin=low, vmax=high)
+    style.colour_bar(figure, axes, image, "$u_h$")
+    segments = scene.fields.points[scene.facets.vertices]
+    line = axes.add_collection(LineCollection(segments, linewidths=4, clip_on=False, zorder=5))
+    groups = _groups([replace(scene, facets=table) for _, _, table in chosen])
+    style.shape_axes(axes, "")
+    style.legend_below(
+        figure, [Line2D([], [], color=colour, linewidth=4, label=name) for name, colour in groups.items()]
+    )
+    canvas, pictures = FigureCanvasAgg(figure), []
+    for t, u, table in chosen:
+        image.set_array(u.ravel()[rows])
+        colours = np.empty((len(table.part), 3))
+        for group in replace(scene, facets=table).groups:
+            colours[group.facets] = to_rgb(group.colour)
+        line.set_color(colours)
+        axes.set_title(f"$t = {style.power(t)}$")
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("P", palette=Image.Palette.ADAPTIVE))
+    duration = 1000 * min(SECONDS / len(pictures), SLOW)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration, loop=0)

@@ -1,0 +1,171 @@
+"""The steps of a run in time, kept beside its results until these are complete: a folder of NumPy arrays for each.
+
+All ranks write and read it together, each its own cells in its own order. Cells and facets are identified by their
+places, the sums of their vertices, which each run that adds steps writes once. So any number of ranks can go on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.array_files import read_header, read_share, write_arrays
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.exchange import delete
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.rows import fetch_rows, find_rows
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.certificate.enclosures import facet_vertices
+from signorini_fenicsx.discrete.contact_sets import Segments
+from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.output.gather import FacetTable, cell_values, facet_table, in_order
+from signorini_fenicsx.solving.evolving import Instant, Past
+from signorini_fenicsx.solving.solver import Solver
+
+CASE, ROW, MESH = "case.json", "row.json", "mesh-"
+type Row = Mapping[str, Any]
+"""The numbers of a step."""
+
+
+class StepFolder:
+    """The folder `<target>.steps`. Its methods are collective."""
+
+    def __init__(self, comm: MPI.Comm, target: Path):
+        """Keep the place; nothing on disk changes."""
+        self._comm = comm
+        self.path = target.with_name(target.name + ".steps")
+        self._saved: Spaces | None = None
+        self._rows: dict[tuple[int, str], Indices] = {}
+
+    def begin(self, case: Case, *, restart: bool) -> int:
+        """Make the folder, or find out where to go on.
+
+        Returns:
+            The last step that is complete; 0 for none.
+
+        Raises:
+            InputError: If there are steps of another run, or there is nothing to go on with.
+        """
+        about = case.model_dump(mode="json", exclude_unset=True)
+        return on_root(self._comm, lambda: self._begin(about, restart=restart))
+
+    def _begin(self, about: Mapping[str, Any], *, restart: bool) -> int:
+        if not restart:
+            if self.path.exists():
+                raise InputError(f"{self.path} has steps of a run that was ended; go on with --restart, or remove it")
+            self.path.mkdir(parents=True)
+            (self.path / CASE).write_text(json.dumps(about), encoding="utf-8")
+            return 0
+        try:
+            before = json.loads((self.path / CASE).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            raise InputError(f"--restart: there is no {self.path} with steps to go on with") from None
+        changed = [key for key in {**before, **about} if before.get(key) != about.get(key)]
+        if changed:
+            raise InputError(f"--restart: {self.path} is of a case with another [{changed[0]}]; take the same case")
+        for entry in self.path.glob("*.part"):
+            delete(entry)
+        return len(self._places())
+
+    def _places(self) -> list[Path]:
+        """The folders of the steps that are complete, in order (rank 0)."""
+        return sorted(entry for entry in self.path.iterdir() if entry.suffix == "" and entry.name.isdigit())
+
+    def save(self, instant: Instant, row: Row) -> None:
+        """Keep a step.
+
+        Raises:
+            OSError: On all ranks, if the disk is full.
+        """
+        solution, comm = instant.solution, self._comm
+        if self._saved is None:
+            self._saved = solution.spaces
+            place = self.path / f"{MESH}{instant.step:06}"
+            on_root(comm, lambda: place.mkdir(exist_ok=True))
+            write_arrays(comm, place, _places(solution.spaces))
+        part = self._place(instant.step).with_suffix(".part")
+        on_root(comm, part.mkdir)
+        arrays = cell_values(solution) | {f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()}
+        arrays["facet_own"] = solution.segments().segment
+        write_arrays(comm, part, arrays)
+
+        def end() -> None:
+            (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
+            part.rename(self._place(instant.step))
+
+        on_root(comm, end)
+
+    def _place(self, step: int) -> Path:
+        return self.path / f"{step:06}"
+
+    def rows(self) -> list[Row]:
+        """The numbers of all steps; none on ranks but 0."""
+        if self._comm.rank > 0:
+            return []
+        return [json.loads((place / ROW).read_text(encoding="utf-8")) for place in self._places()]
+
+    def cells(self, spaces: Spaces, step: int, key: str) -> Array:
+        """u, sigma or divergence in the cells of this rank after a step, see `gather.Fields`.
+
+        Raises:
+            InputError: If these are not the cells of this mesh.
+        """
+        return self._fetch(spaces, step, key, "cells")
+
+    def facets(self, step: int) -> FacetTable:
+        """Γ_S after a step (rank 0, not collective)."""
+        columns = {key: np.load(self._place(step) / f"facet_{key}.npy") for key in FacetTable.__dataclass_fields__}
+        return in_order(FacetTable(**columns))
+
+    def past(self, solver: Solver, step: int) -> Past:
+        """What the step after this one needs.
+
+        Raises:
+            InputError: If these are not the cells and facets of this mesh.
+        """
+        spaces = solver.spaces
+        u = []
+        for earlier in range(step, max(step - 2, 0), -1):
+            values = fem.Function(spaces.Q, name="u")
+            values.x.array[:] = self.cells(spaces, earlier, "u").ravel()
+            u.append(values)
+        own = self._fetch(spaces, step, "facet_own", "facets")
+        return Past(step, u, Segments(spaces, own))
+
+    def _fetch(self, spaces: Spaces, step: int, key: str, kind: str) -> Any:
+        """An array of a step for the cells or facets of this rank."""
+        first = on_root(self._comm, lambda: self._first(step))
+        if (first, kind) not in self._rows:
+            known = self._read(self.path / f"{MESH}{first:06}" / f"{kind}.npy")
+            rows = find_rows(self._comm, _places(spaces)[kind], [known])[:, 0]
+            if self._comm.allreduce(int(np.count_nonzero(rows < 0))) > 0:
+                raise InputError(f"--restart: {self.path} is of another mesh")
+            self._rows[first, kind] = rows
+        return fetch_rows(self._comm, self._rows[first, kind], self._read(self._place(step) / f"{key}.npy"))
+
+    def _first(self, step: int) -> int:
+        """The first step of the run that did this one (rank 0)."""
+        begun = (int(entry.name.removeprefix(MESH)) for entry in self.path.glob(f"{MESH}*"))
+        return max(first for first in begun if first <= step)
+
+    def _read(self, path: Path) -> Any:
+        return read_share(self._comm, path, on_root(self._comm, lambda: read_header(path)))
+
+    def remove(self) -> None:
+        """Remove the folder with all steps."""
+        on_root(self._comm, lambda: delete(self.path))
+
+
+def _places(spaces: Spaces) -> dict[str, Indices]:
+    """What identifies the owned cells and the facets of Γ_S on any rank: the bits of the sums of their vertices."""
+    vertices = {"cells": corners(spaces.mesh), "facets": facet_vertices(spaces.mesh, spaces.facets)}
+    sums = {key: np.sort(x, axis=1).sum(axis=1) + 0.0 for key, x in vertices.items()}  # sorted: the same bits
+    return {key: np.ascontiguousarray(rows).view(np.int64) for key, rows in sums.items()}

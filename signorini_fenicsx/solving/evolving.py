@@ -1,0 +1,122 @@
+"""Problems in time: one solution after another, by one solver that is set up once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from dolfinx import fem
+
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.discrete.contact_sets import Segments
+from signorini_fenicsx.discrete.evolution import Evolution, Steps
+from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.methods.history import OnStep
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import Solver, gamma_s
+
+COLLECT = 50
+"""Python's garbage is collected after so many steps; a step makes some hundred kilobytes."""
+
+
+@dataclass(frozen=True)
+class Instant:
+    """The solution after a step.
+
+    Attributes:
+        step: Number of the step, from 1.
+        t: The time.
+        solution: σ_h, u_h and p_h then, as the solution of the step's own problem.
+        steps: The problem in time on its mesh.
+    """
+
+    step: int
+    t: float
+    solution: Solution
+    steps: Steps
+
+
+@dataclass(frozen=True)
+class Past:
+    """What the next step needs of the last one.
+
+    Attributes:
+        step: Its number.
+        u: u_h, and that of the step before; without u_0.
+        segments: The segments on which it ended.
+    """
+
+    step: int
+    u: Sequence[fem.Function]
+    segments: Segments | None
+
+
+def evolve(
+    place: Domain | Solver,
+    boundary: Boundary,
+    problem: Problem,
+    evolution: Evolution,
+    options: Options | None = None,
+    *,
+    past: Callable[[Solver], Past] | None = None,
+    name: str = "problem",
+    title: str = "",
+    source: object = None,
+    on_step: OnStep = lambda step: None,
+) -> Iterator[Instant]:
+    """Solve a problem in time, step by step (collective, also each step of the iterator).
+
+    Each step starts from the sets of the last one.
+
+    >>> from mpi4py import MPI
+    >>> from signorini_fenicsx.meshes.meshing import build_domain
+    >>> square = build_domain(MPI.COMM_WORLD, "square", 0.1, mesh="structured")
+    >>> falling = Problem(f="-20*t", psi=-0.1)
+    >>> for instant in evolve(square, Boundary(["bottom"]), falling, Evolution(end=0.3, steps=3)):
+    ...     print(round(instant.t, 2), instant.solution.contact()[0])
+    0.1 5
+    0.2 11
+    0.3 13
+
+    Args:
+        place: The mesh, or a solver that is set up on it with this boundary.
+        boundary: The parts that are Γ_S and Γ_N, see `solve`.
+        problem: The data; numbers and texts in x, y, z and t, or functions that do not depend on time.
+        evolution: Times, initial values, capacity and scheme.
+        options: Algorithm, backend and their parameters; None for the defaults.
+        past: Gives the step after which to go on; None for the beginning.
+        name: Name of the results.
+        title: A longer name in words.
+        source: The case from which the problem was read, see `Solution`.
+        on_step: Called on all ranks after each iteration.
+
+    Yields:
+        The solution after each step.
+
+    Raises:
+        InputError: If a problem cannot be discretised as asked.
+        NumericalFailure: If the sets of a step do not settle or a KKT residual is too large; its `solution` is the last
+            state.
+    """
+    options = options or Options()
+    solver = place if isinstance(place, Solver) else Solver(place, gamma_s(boundary, problem))
+    steps = Steps(solver.spaces, problem, evolution)
+    start = Past(0, [], None) if past is None else past(solver)
+    u, segments = [*start.u, steps.start()][:2], start.segments
+    for step in range(start.step + 1, evolution.steps + 1):
+        solution = solver.solve(
+            steps.problem(step),
+            options,
+            start=segments if options.method.starts_from_sets else None,
+            memory=steps.memory(step, u),
+            name=name,
+            title=title,
+            source=source,
+            on_step=on_step,
+        )
+        u, segments = [solution.u, *u[:1]], solution.segments()
+        yield Instant(step, evolution.time(step), solution, steps)
+        if step % COLLECT == 0:
+            collect_garbage(solver.spaces.mesh.comm)  # UFL makes cycles when it estimates the degree of a new datum

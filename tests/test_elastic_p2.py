@@ -1,0 +1,38 @@
+"""Elastic contact against a second program: conforming P2 displacements, whose energy is on the other side."""
+
+import numpy as np
+import pytest
+from elastic import box
+from mpi4py import MPI
+from p2_contact import solve_p2, stress, stress_norm
+
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.solving.elastic import solve_elastic
+
+GAP = 0.02
+
+
+@pytest.mark.parametrize(("dim", "nu"), [(2, 0.3), (2, 0.49), (3, 0.3)])
+def test_energies_bracket_the_exact_one(dim: int, nu: float):
+    """−J(v) ≤ the exact energy ≤ that of the stress; what is between them bounds both errors, and falls with h."""
+    between = []
+    f, push = [0.0] * (dim - 1) + [-0.3], [0.0] * (dim - 1) + [-0.1]
+    last = "xyz"[dim - 1]
+    boundary = ElasticBoundary([f"{last}0"], neumann=["x1", f"{last}1"] + (["y1", "y0"] if dim == 3 else []))
+    problem = ElasticProblem(1.0, nu, f=[str(x) for x in f], g_N={f"{last}1": [str(x) for x in push]}, gap=GAP)
+    for n in (2, 4) if dim == 3 else (4, 8):
+        domain = box(MPI.COMM_SELF, n, [0.0] * dim, [2.0] + [1.0] * (dim - 1))
+        solution = solve_elastic(domain, boundary, problem)
+        mesh = domain.mesh
+        other = solve_p2(mesh, 1.0, nu, f, {(dim - 1, 1.0): push}, {(0, 0.0): list(range(dim))}, GAP)
+        assert 0 < solution.contact()[0] < solution.touching.size
+        assert other.touching > 0
+        norms = solution.norms()
+        complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
+        between.append(complementary + other.energy)
+        assert between[-1] > 0
+        assert abs(stress_norm(mesh, stress(other.v, 1.0, nu), 1.0, nu) - norms["energy"]) < np.sqrt(2 * between[-1])
+        assert certify_elastic(solution).gap < between[-1]  # on the split mesh there are more displacements
+        assert between[-1] < 0.02 * complementary if n > 2 else True
+    assert between[1] < 0.5 * between[0]

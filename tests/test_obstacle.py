@@ -1,0 +1,187 @@
+"""An obstacle in the domain: exact solutions with rates and error bounds, both backends, any ranks, the dam."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+from commands import read_rows, signorini
+from mpi4py import MPI
+
+from signorini_fenicsx import Boundary, Friction, InputError, Options, Problem, Solution, certify, load_solution, solve
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.seepage import seepage
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.meshes.meshing import build_domain
+
+COMM = MPI.COMM_WORLD
+RADIUS = 0.697965148223374
+ITERATIVE = Tuning(direct_up_to=0)
+
+
+def sphere(n: int, **values: object) -> Solution:
+    """The shipped case with h = 2^-n."""
+    return solve_case(load_case("sphere").with_values({"solve.h": 2.0**-n} | values), COMM)
+
+
+def on_square(problem: Problem, boundary: Boundary | None = None, *, h: float = 0.1, **options: object) -> Solution:
+    domain = build_domain(COMM, "square", h, mesh="unstructured")
+    return solve(domain, boundary or Boundary([]), problem, Options(**options))  # type: ignore[arg-type]
+
+
+def test_sphere():
+    """σ_h has order 1, the bound is sharp, and the contact tends to the disc."""
+    found = [sphere(n) for n in (2, 3, 4)]
+    errors = [solution.errors() for solution in found]
+    sigma = np.array([error["sigma_L2"] for error in errors])
+    assert np.log2(sigma[:-1] / sigma[1:]).min() > 0.95
+    assert errors[-1]["missed_contact"] < 0.6 * errors[-2]["missed_contact"] < 0.1
+    for solution, error in zip(found[1:], sigma[1:], strict=True):
+        assert 1 <= certify(solution).sigma_bound / error <= 1.1
+        assert solution.on_obstacle()["contact_measure"] == pytest.approx(np.pi * RADIUS**2, rel=0.06)
+    assert found[-1].on_obstacle()["force"] == pytest.approx(2 * np.pi * 0.680259411891719, rel=1e-3)
+
+
+@pytest.mark.parallel([1, 3])
+def test_few_set_updates_whatever_h():
+    for n, tuning in ((2, Tuning()), (3, Tuning()), (3, ITERATIVE)):
+        outcome = solve_case(load_case("sphere").with_values({"solve.h": 2.0**-n}), COMM, tuning=tuning).outcome
+        assert len(outcome.history) + outcome.rough_steps <= 5
+
+
+def test_few_set_updates_on_a_fine_mesh():
+    outcome = sphere(5).outcome
+    assert len(outcome.history) + outcome.rough_steps <= 5
+
+
+# u = ψ + (x − 0.4)₊² with ψ = y²/2 − x, force 2(1 + x) + 5(0.4 − x) in contact, c = 2 and κ = 1 + x
+SMOOTH = Problem(
+    f="-3*(1 + x) - (2*max(x - 0.4, 0) - 1) + 2*(y^2/2 - x + max(x - 0.4, 0)^2) - 5*max(0.4 - x, 0)",
+    kappa="1 + x",
+    u_D="y^2/2 - x + max(x - 0.4, 0)^2",
+    g_N=0,
+    c=2,
+    obstacle="y^2/2 - x",
+    exact="y^2/2 - x + max(x - 0.4, 0)^2",
+)
+
+
+def test_exact_solution_with_reaction_and_neumann():
+    coarse, fine = (on_square(SMOOTH, Boundary([], ["bottom"]), h=h) for h in (1 / 8, 1 / 16))
+    errors = [solution.errors()["sigma_L2"] for solution in (coarse, fine)]
+    assert np.log(errors[0] / errors[1]) / np.log(coarse.spaces.domain.h / fine.spaces.domain.h) > 0.95
+    for solution in (coarse, fine):
+        certificate, gradient = certify(solution), energy_error(solution)
+        assert certificate.guaranteed
+        assert 1 <= certificate.sigma_bound / gradient <= 1.15
+
+
+def energy_error(solution: Solution) -> float:
+    """‖κ^-½(σ − σ_h)‖ for κ = 1 + x and the exact u above."""
+    x = ufl.SpatialCoordinate(solution.spaces.mesh)
+    past = ufl.max_value(x[0] - 0.4, 0)
+    sigma = (1 + x[0]) * ufl.as_vector([2 * past - 1, x[1]])
+    difference = solution.sigma - sigma
+    dx = ufl.dx(metadata={"quadrature_degree": 8})
+    return solution.spaces.integrate(ufl.inner(difference, difference) / (1 + x[0]) * dx) ** 0.5
+
+
+GENERAL = Problem(
+    f="-20*x",
+    kappa=[["2 + x", "y/2"], ["y/2", "1"]],
+    obstacle="-0.1 - 0.2*x*y",
+    psi="0.05*x - 0.02",
+    c="3*y",
+    laws=[Friction(["top"], g="0.1")],
+)
+
+
+@pytest.mark.parallel([1, 2])
+def test_backends_and_algorithms_agree():
+    """With laws on Γ_S and cu; the iterative backend too."""
+    boundary = Boundary(["bottom", "right"], ["left"])
+    first, *others = (
+        on_square(GENERAL, boundary, **options)
+        for options in ({}, {"backend": "mixed"}, {"algorithm": "alg2"}, {"tuning": ITERATIVE})
+    )
+    assert np.isfinite(certify(first).bound)
+    for other in others:
+        for name in ("u", "sigma"):
+            np.testing.assert_allclose(getattr(other, name).x.array, getattr(first, name).x.array, rtol=0, atol=1e-10)
+        assert other.on_obstacle() == pytest.approx(first.on_obstacle(), rel=1e-9)
+
+
+def test_quadratic_programme():
+    """An interior-point method that knows no conditions finds the same solution."""
+    problem, boundary = replace(GENERAL, laws=()), Boundary(["bottom", "right"], ["left"])
+    by_sets, other = (on_square(problem, boundary, algorithm=name) for name in ("alg1", "qp"))
+    for name in ("u", "sigma"):
+        expected = getattr(by_sets, name).x.array
+        np.testing.assert_allclose(getattr(other, name).x.array, expected, rtol=0, atol=1e-8)
+    assert other.on_obstacle() == pytest.approx(by_sets.on_obstacle(), rel=1e-6)
+
+
+@pytest.mark.parallel([1, 2])
+def test_no_dirichlet():
+    """The obstacle alone holds u: its force is the whole load."""
+    everywhere = Boundary([], ["left", "right", "bottom", "top"])
+    for options in ({}, {"backend": "mixed"}, {"tuning": ITERATIVE}):
+        solution = on_square(Problem(f="3*x - 3", obstacle="x*y - 1"), everywhere, **options)
+        assert solution.on_obstacle()["force"] == pytest.approx(1.5, rel=1e-9)
+        assert certify(solution).relative < 0.2
+    with pytest.raises(InputError, match="there is no solution"):
+        on_square(Problem(f="3*x", obstacle="x*y - 1"), everywhere)
+
+
+def test_refusals():
+    with pytest.raises(InputError, match=r"obstacle: is above u_D on Γ_D, as at \(1, .* by 0.5"):
+        on_square(Problem(f=1, obstacle="x - 0.5"))
+    with pytest.raises(InputError, match="alg3 does not take an obstacle; alg1, alg2 and qp do"):
+        on_square(Problem(f=1, obstacle=-1), algorithm="alg3")
+    with pytest.raises(InputError, match="not finite everywhere in the domain"):
+        on_square(Problem(f=1, obstacle="log(x - 0.5)"))
+    with pytest.raises(InputError, match="no laws and no obstacle"):
+        on_square(Problem(f=1))
+
+
+def test_adaptive():
+    rows: list = []
+    case = load_case("sphere").with_values({"solve.h": 0.7})
+    solution, certificate = adapt_case(case, max_cells=2500, on_row=rows.append)
+    assert certificate.bound < 0.3 * rows[0].bound
+    assert 1 <= certificate.sigma_bound / solution.errors()["sigma_L2"] <= 1.15
+    assert max(row.iterations for row in rows[1:]) <= 6
+
+
+@pytest.mark.parametrize(("L", "h", "H", "height"), [(16, 4, 24, 12.7059138062), (5, 2, 10, 6.3445505002)])
+def test_dam(L: float, h: float, H: float, height: float):
+    """The phreatic line meets the downstream face where it should, and falls towards it."""
+    case = load_case("dam_baiocchi").with_values({"dam.L": L, "dam.h": h, "dam.H": H, "solve.h": L / 32})
+    solution = solve_case(case, COMM)
+    found = seepage(solution)
+    assert found is not None
+    assert found.separation_height == pytest.approx(height, rel=0.01)
+    assert found.discharge == (H**2 - h**2) / (2 * L)
+    assert found.outflow == pytest.approx(found.discharge, rel=0.005)
+    _, y = found.phreatic_line.T
+    assert (np.diff(y) < 0.02 * H).all()
+    assert y[0] == pytest.approx(H, rel=0.01)
+    assert certify(solution).guaranteed
+
+
+def test_files(tmp_path):
+    """Tables and summary; a solution that is read has the same contact."""
+    done = signorini(tmp_path, "solve", "dam_baiocchi", "--set", "solve.h=1", "--output", "out")
+    assert "separation height" in done.stdout
+    folder = tmp_path / "out"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["obstacle"]["contact_cells"] > 100
+    assert summary["seepage"]["separation_height"] == pytest.approx(12.7059138062, rel=0.02)
+    edge = read_rows(folder / "free_boundary.csv")
+    assert 24 - 12.7 < sum(float(row["measure"]) for row in edge) < 2 * (24 - 12.7 + 16)
+    assert len(read_rows(folder / "phreatic_line.csv")) > 16
+    read = load_solution(folder, COMM)
+    assert read.plot() is not None
+    assert read.on_obstacle()["contact_cells"] == summary["obstacle"]["contact_cells"]

@@ -1,0 +1,160 @@
+"""Problems in time: rates and bounds in h and τ, the steady end, any method, ranks, cost of steps, bad input."""
+
+import doctest
+import gc
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx.backends.petsc import LinearSolver
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.evolution import Evolution
+from signorini_fenicsx.discrete.laws import Wall
+from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.solving import evolving
+from signorini_fenicsx.solving.evolving import evolve
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solver import Solver, solve
+
+COMM = MPI.COMM_WORLD
+BOTTOM = Boundary(["bottom"])
+PLUS, MINUS = "max(x - 0.3 - 0.4*t, 0)", "max(0.3 + 0.4*t - x, 0)"
+U = f"{PLUS}^3 - y*{MINUS}^3"
+MOVING = Problem(f=f"-1.2*({PLUS}^2 + y*{MINUS}^2) - 6*({PLUS} - y*{MINUS})", u_D=U, exact=U)
+"""On y = 0 contact for x < 0.3 + 0.4 t; capacity 1."""
+START = "max(x - 0.3, 0)^3 - y*max(0.3 - x, 0)^3"
+
+
+def square(h: float) -> Domain:
+    return build_domain(COMM, "square", h, mesh="structured")
+
+
+def moving(h: float, steps: int, scheme: str = "implicit-euler", **options: object) -> Solution:
+    """The moving transition at t = 1."""
+    evolution = Evolution(end=1.0, steps=steps, initial=START, scheme=scheme)
+    *_, last = evolve(square(h), BOTTOM, MOVING, evolution, Options(**options))
+    return last.solution
+
+
+def difference(one: Solution, other: Solution) -> float:
+    """‖u − u'‖ on one mesh."""
+    change = one.u.x.array - other.u.x.array
+    return float(np.sqrt(COMM.allreduce(one.spaces.cell_measures @ change**2)))
+
+
+def test_orders_in_space():
+    """Order 1 in σ, u and p with τ = 2h, and errors below their bounds; the transition within some facets."""
+    errors = []
+    for size in (1 / 8, 1 / 16, 1 / 32):
+        solution = moving(size, round(1 / (2 * size)))
+        found, h = solution.errors(), solution.spaces.domain.h
+        assert "div_sigma_L2" not in found
+        assert found["contact_hausdorff"] < 3 * h
+        errors.append([found[name] / h for name in ("sigma_L2", "u_L2", "p_L2")])
+    errors = np.array(errors)
+    assert np.all(errors < [0.315, 0.051, 0.015])
+    assert np.all(np.log2(errors[:-1] / errors[1:]) > -0.04)
+
+
+def test_orders_in_time():
+    """On one mesh, against many steps: order 1 of implicit Euler, order 2 of BDF2, and their sizes."""
+    best = moving(1 / 8, 64, "bdf2")
+    for scheme, order, bound in (("implicit-euler", 0.88, 4.5e-4), ("bdf2", 1.9, 2.7e-4)):
+        errors = [difference(moving(1 / 8, steps, scheme), best) for steps in (4, 8)]
+        assert errors[0] < bound
+        assert np.log2(errors[0] / errors[1]) > order, (scheme, errors)
+
+
+@pytest.mark.parametrize("algorithm", ["alg1", "alg4", "vi"])
+def test_the_steady_state_is_the_solution(algorithm: str):
+    """With data that settle down the end is that of `solve`, for laws, regions of c and methods of any kind."""
+    laws = [Wall(["left"], beta=2, level="0.3*(1 - exp(-9*t))")] if algorithm == "alg1" else []
+    problem = Problem(f="20*(x - 0.6)*(1 - exp(-9*t))", kappa="1 + y", c="x", psi="-0.01*x", laws=laws)
+    evolution = Evolution(end=60.0, steps=16, initial="sin(9*x)", capacity="1/2 if x > 0.5 else 1/5")
+    options, domain = Options(algorithm=algorithm, eps=1e-9), square(1 / 8)
+    *_, last = evolve(domain, BOTTOM, problem, evolution, options)
+    steady = solve(domain, BOTTOM, problem.in_time(2).at(60.0), options)
+    assert 0 < steady.contact()[0] < steady.spaces.Lambda.dofmap.index_map.size_global
+    for one, other in ((last.solution.sigma, steady.sigma), (last.solution.u, steady.u), (last.solution.p, steady.p)):
+        np.testing.assert_allclose(one.x.array, other.x.array, atol=1e-8)
+
+
+@pytest.mark.parallel(2)
+def test_ranks_do_not_matter():
+    """The steps on two ranks have the sets, solves and errors of those on one."""
+    evolution = Evolution(end=1.0, steps=4, initial=START, scheme="bdf2")
+
+    def steps(comm: MPI.Comm) -> list[tuple[int, int, dict[str, float]]]:
+        domain = build_domain(comm, "square", 1 / 8, mesh="structured")
+        for_all = [instant.solution for instant in evolve(domain, BOTTOM, MOVING, evolution)]
+        return [(each.contact()[0], len(each.outcome.history), each.errors()) for each in for_all]
+
+    for (facets, solves, errors), (same_facets, same_solves, same_errors) in zip(
+        steps(COMM), steps(MPI.COMM_SELF), strict=True
+    ):
+        assert (facets, solves) == (same_facets, same_solves)
+        assert errors == pytest.approx(same_errors, rel=1e-9, abs=1e-12)
+
+
+def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.MonkeyPatch):
+    """Soon no step factorises, and each solves one linear system; the forms and data that stay are not made again."""
+    counted = {"solves": 0}
+    solve_once = LinearSolver.solve
+
+    def count(self: LinearSolver, *args: object) -> None:
+        counted["solves"] += 1
+        solve_once(self, *args)
+
+    monkeypatch.setattr(LinearSolver, "solve", count)
+    solver = Solver(square(1 / 8), BOTTOM)
+    numbers, data = [], []
+    for instant in evolve(solver, BOTTOM, Problem(f="20*(x - 0.6)", u_D="x*(1 - exp(-t))"), Evolution(50.0, 25)):
+        numbers.append(counted["solves"])
+        data.append(instant.solution.data)
+    assert np.all(np.diff(numbers)[-10:] == 1)
+    assert data[-1].f is data[-2].f
+    assert data[-1].c_h is data[-2].c_h
+    assert data[-1].u_D is not data[-2].u_D
+
+
+def test_nothing_grows():
+    """With the collector off, as in programs, what is left after 100 steps is what is left after 50."""
+    problem, left = Problem(f="20*(x - 0.6)*sin(t)", u_D="x*sin(t)/9", psi=-0.1), []
+    gc.disable()
+    for instant in evolve(square(0.5), BOTTOM, problem, Evolution(end=9.0, steps=110)):
+        if instant.step in (52, 102):
+            left.append(len(gc.get_objects()))
+    assert left[1] - left[0] < 100
+
+
+def test_the_example():
+    failed, tried = doctest.testmod(evolving)
+    assert failed == 0
+    assert tried > 0
+
+
+def test_bad_input():
+    """Each in one sentence that says what and where."""
+    domain = square(0.5)
+    for evolution, problem, message in [
+        ({"end": 0.0, "steps": 1}, {}, r"\[time\] end: must be a time > 0"),
+        ({"end": 1.0, "steps": 0}, {}, r"\[time\] steps: must be a whole number"),
+        (
+            {"end": 1.0, "steps": 1, "scheme": "magic"},
+            {},
+            r"\[time\] scheme: unknown 'magic'; use one of implicit-euler",
+        ),
+        ({"end": 1.0, "steps": 1, "capacity": "x - 0.5"}, {}, r"\[time\] capacity: must not be negative"),
+        ({"end": 1.0, "steps": 1, "capacity": 0}, {}, r"\[time\] capacity: is 0 everywhere"),
+        ({"end": 1.0, "steps": 1, "capacity": {"clay": 1}}, {}, r"\[time\] capacity: unknown region 'clay'"),
+        ({"end": 1.0, "steps": 1, "initial": "1/(x - x)"}, {}, r"\[time\] initial: not finite everywhere"),
+        ({"end": 1.0, "steps": 1, "initial": "t"}, {}, "unknown name 't'"),
+        ({"end": 1.0, "steps": 2}, {"c": "-3*t"}, r"\[problem\] c: must not be negative"),
+        ({"end": 1.0, "steps": 2}, {"c": lambda x: x[0]}, r"\[time\]: c and capacity must be numbers or texts"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            list(evolve(domain, BOTTOM, Problem(**({"f": 1} | problem)), Evolution(**evolution)))

@@ -1,0 +1,166 @@
+"""The results of cases in time: tables, series, pictures; a restart after a kill; bounds of steps; refusals."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.inspection import check
+from signorini_fenicsx.cases.solving import evolve_case, solve_case
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.step_bounds import StepBounds
+from signorini_fenicsx.cli.evolving import solve_in_time
+from signorini_fenicsx.output.steps import StepFolder
+
+COMM = MPI.COMM_WORLD
+SMALL = {"solve.h": 1 / 4, "time.steps": 5, "time.scheme": "bdf2"}
+KILLED = """
+import os, signal
+from signorini_fenicsx.cli import main as cli
+from signorini_fenicsx.output.steps import StepFolder
+save = StepFolder.save
+def killed(steps, instant, row):
+    save(steps, instant, row)
+    steps._comm.Barrier()
+    if instant.step == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+StepFolder.save = killed
+cli.main()
+"""
+
+
+def case(**values: object) -> Case:
+    return load_case("moving_transition").with_values(SMALL | values)
+
+
+def run(about: Case, folder: Path, *, restart: bool = False, certify_steps: bool = True, plot: bool = False) -> None:
+    kept = {"restart": restart, "certify_steps": certify_steps}
+    solve_in_time(about, COMM, folder, **kept, plot=plot, quiet=True, as_json=False)
+
+
+def table(path: Path) -> list[dict[str, Any]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def series(folder: Path) -> dict[str, np.ndarray]:
+    """The last step of the fields, without what depends on the order of the cells."""
+    import adios2  # after DOLFINx, which brings its own
+
+    with adios2.FileReader(str(folder / "solution.bp")) as file:
+        steps = file.num_steps()
+        last = {name: file.read(name, step_selection=[steps - 1, 1]) for name in ("u", "sigma")}
+        times = [float(file.read("step", step_selection=[i, 1]).ravel()[0]) for i in range(steps)]
+    return {name: np.sort(values.ravel()) for name, values in last.items()} | {"times": np.array(times)}
+
+
+def assert_same_results(one: Path, other: Path) -> None:
+    for name in ("steps.csv", "facets.csv"):
+        rows, others = table(one / name), table(other / name)
+        assert len(rows) == len(others)
+        for row, same in zip(rows, others, strict=True):
+            assert list(row) == list(same)
+            for key in set(row) - {"seconds", "linear_iterations", "kkt"}:
+                if row[key] != same[key]:
+                    assert float(row[key]) == pytest.approx(float(same[key]), rel=1e-9, abs=1e-12), (name, key)
+    fields, others = series(one), series(other)
+    for name, values in fields.items():
+        np.testing.assert_allclose(values, others[name], atol=1e-12)
+
+
+def test_a_killed_run_goes_on(tmp_path: Path):
+    """After SIGKILL on two ranks one rank goes on after the last complete step; all results are as without a kill."""
+    script = tmp_path / "killed.py"
+    script.write_text(KILLED)
+    settings = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
+    command = ["solve", "moving_transition", *settings, "--certify-steps", "--output", str(tmp_path / "x")]
+    subprocess.run(["mpirun", "-n", "2", sys.executable, str(script), *command], capture_output=True, check=False)
+    assert sorted(path.name for path in (tmp_path / "x.steps").glob("0*")) == ["000001", "000002", "000003"]
+    (tmp_path / "x.steps" / "000004.part").mkdir()
+    with pytest.raises(
+        InputError, match=r"x\.steps has steps of a run that was ended; go on with --restart, or remove"
+    ):
+        run(case(), tmp_path / "x")
+    with pytest.raises(InputError, match=r"is of a case with another \[solve\]; take the same case"):
+        run(case(**{"solve.h": 1 / 3}), tmp_path / "x", restart=True)
+    run(case(), tmp_path / "x", restart=True)
+    assert not (tmp_path / "x.steps").exists()
+    run(case(), tmp_path / "whole", plot=True)
+    assert_same_results(tmp_path / "x", tmp_path / "whole")
+    check_files(tmp_path / "whole")
+
+
+def check_files(folder: Path) -> None:
+    """Each step has a row, each facet a row for each step; the series ends at the end; the summary has the largest."""
+    rows, facets = table(folder / "steps.csv"), table(folder / "facets.csv")
+    assert [float(row["t"]) for row in rows] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    number = len(facets) // 5
+    for row in rows:
+        mine = [facet for facet in facets if facet["step"] == row["step"]]
+        assert len(mine) == number
+        assert sum(facet["condition"] == "zero_trace" for facet in mine) == int(row["contact_facets"])
+        assert 0.5 * float(row["sigma_L2"]) < float(row["sigma_bound"])
+    np.testing.assert_allclose(series(folder)["times"], [0.2, 0.4, 0.6, 0.8, 1.0])
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["time"]["steps"] == 5
+    assert summary["time"]["largest"]["bound"] == max(float(row["bound"]) for row in rows)
+    assert summary["errors"]["sigma_L2"] == float(rows[-1]["sigma_L2"])
+    for name in ("contact.png", "animation.gif"):
+        assert (folder / name).stat().st_size > 1000
+
+
+def test_bounds_of_steps():
+    """Against the exact solution of one step: steady data from their own solution make u_old exact, and all bounds."""
+    steady = {"problem.f": "-6*(max(x - 0.4, 0) - y*max(0.4 - x, 0))", "solve.h": 1 / 16, "time.steps": 2}
+    steady |= dict.fromkeys(("problem.u_D", "exact.u", "time.initial"), "max(x - 0.4, 0)^3 - y*max(0.4 - x, 0)^3")
+    bounds = StepBounds()
+    for instant in evolve_case(case(**steady, **{"time.scheme": "implicit-euler"}), COMM):
+        bound, plain = bounds.certify(instant), certify(instant.solution)
+        error = instant.solution.errors()["sigma_L2"]
+        assert 1 < bound.sigma_bound / error < 1.02
+        assert bound.sigma_bound < 1.01 * plain.sigma_bound
+        assert bound.guaranteed == (instant.step > 1)
+        assert ("initial" in bound.by_quadrature) == (instant.step == 1)
+
+
+def test_a_step_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The message tells the step and how to go on; the steps before are kept, and a fresh failure leaves nothing."""
+    growing = case(**{"problem.c": "0 if t < 0.7 else -99"})
+    with pytest.raises(InputError, match=r"step 4, t = 0\.8: .*negative.*`--restart` goes on after the 3 steps in"):
+        run(growing, tmp_path / "x", certify_steps=False)
+    assert len(list((tmp_path / "x.steps").glob("0*"))) == 3
+    shutil.rmtree(tmp_path / "x.steps")
+    with pytest.raises(NumericalFailure, match=r"step 1, t = 0\.2: .* still change after 1 iterations$"):
+        run(case(**{"solve.max_iterations": 1}), tmp_path / "x", certify_steps=False)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match=r"--restart: there is no .*x\.steps with steps to go on with"):
+        run(case(), tmp_path / "x", restart=True)
+
+
+def test_refusals_and_case_files():
+    """T is known where there is [time], and only there; what takes no problem in time says so."""
+    assert StepFolder(COMM, Path("x")).path == Path("x.steps")
+    assert check(case(), COMM)["cells"] > 0
+    with pytest.raises(InputError, match=r"moving_transition: is a problem in time, by its section \[time\]"):
+        solve_case(case())
+    with pytest.raises(InputError, match=r"example1: has no \[time\]"):
+        evolve_case(load_case("example1"))
+    for values, message in [
+        ({"time.initial": "t"}, r"\[time\] initial: .*unknown name 't'"),
+        ({"time.end": 0}, r"\[time\] end: "),
+        ({"time.scheme": "euler"}, "unknown scheme 'euler'; use one of implicit-euler, bdf2"),
+        ({"time.step": 3}, r"unknown key 'step' in \[time\]; known are end, steps, .*did you mean 'steps'"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            case(**values)
+    with pytest.raises(InputError, match="unknown name 't'"):
+        load_case("example1").with_values({"problem.f": "t"})
