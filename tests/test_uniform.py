@@ -131,5 +131,21 @@ def test_structured_meshes_are_made_where_they_live():
 @pytest.mark.parametrize("shape", ["square", "lprism"])
 def test_the_diameter_of_children_is_known_without_them(shape: str):
     coarse = build_domain(MPI.COMM_SELF, shape, 0.5, mesh="gmsh")
-    points, cells = coarse.mesh.geometry.x[:, : coarse.mesh.geometry.dim], coarse.mesh.geometry.dofmap.astype(np.int64)
+    points, cells = (
+        coarse.mesh.geometry.x[:, : coarse.mesh.geometry.dim],
+        coarse.mesh.geometry.dofmaps[0].astype(np.int64),
+    )
     assert refined_diameter(points, cells) == pytest.approx(refined_uniformly(coarse).h, rel=1e-12)
+
+
+def test_large_meshes_in_space_have_few_cells_for_their_h():
+    """Of several coarse meshes that with the fewest cells is refined; Gmsh has improved its worst tetrahedra."""
+    domain = build_domain(MPI.COMM_SELF, "lprism", 0.13, mesh="unstructured")
+    assert domain.coarser is not None
+    assert 0.98 * 0.13 < domain.h <= 0.13
+    x = corners(domain)
+    assert len(x) * domain.h**3 < 165
+    volumes = np.linalg.det(x[:, 1:] - x[:, :1]) / 6
+    edges = sum(((x[:, a] - x[:, b]) ** 2).sum(axis=1) for a, b in itertools.combinations(range(4), 2))
+    quality = 12 * (3 * np.abs(volumes)) ** (2 / 3) / edges  # 1 for the regular tetrahedron
+    assert np.quantile(quality, 0.01) > 0.6

@@ -16,10 +16,6 @@ from signorini_fenicsx.discrete.sources import Sources, sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
-DEFAULTS = {"mg_coarse_pc_gamg_recompute_esteig": "0"}
-"""The largest eigenvalues for GAMG's smoothers are those of Γ_S free: conditions only lower them, and to estimate them
-anew for each set takes half of all reductions. Only cells in contact with an obstacle raise them."""
-
 
 class AuxiliarySpace:
     """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.
