@@ -63,12 +63,11 @@ def load_any_solution(
     """
     on_root(comm, lambda: repair(folder))
     found = read_checkpoint(comm, Path(folder))
-    options = options or _read_options(found)
     if found.about.physics is None:
         scalar = problem if isinstance(problem, Problem) else _read_problem(found, found.dim)
-        return _read_solution(found, comm, scalar, options)
+        return _read_solution(found, comm, scalar, options or _read_options(found))
     elastic = problem if isinstance(problem, ElasticProblem) else _read_elastic_problem(found)
-    return read_elastic_solution(found, comm, elastic, options)
+    return read_elastic_solution(found, comm, elastic, options or _read_options(found))
 
 
 def load_solution(
