@@ -168,7 +168,7 @@ def test_partition_changes_nothing(folder: Path):
     case = case.with_values({"problem.q_S": "-abs(x - 0.3)", "problem.kappa": [["2", "x/9"], ["x/9", "1"]]})
     spaces = build_spaces(mesh_case(case, MPI.COMM_WORLD), ["bottom"])
     data = project_data(spaces, case.data(2))
-    assert set(data.trees) == {"f", "kappa", "u_D", "g_N", "psi", "q_S"}
+    assert set(data.trees) == {"f", "kappa", "c", "u_D", "g_N", "psi", "q_S"}
     comm = MPI.COMM_WORLD
     for tree, vertices in [
         (data.trees["f"], cell_vertices(spaces.mesh)),

@@ -87,7 +87,7 @@ def test_gallery_and_pictures():
         assert f"### {path.stem}\n\n{title}" in page
         assert f"(static/gallery/{path.stem}.png)" in page
     for path in (ROOT / "docs" / "static").rglob("*.png"):
-        assert path.stat().st_size <= (100_000 if path.parent.name == "gallery" else 300_000), path
+        assert path.stat().st_size <= 300_000, path
 
 
 def test_readme_is_short_and_its_links_lead_somewhere():
