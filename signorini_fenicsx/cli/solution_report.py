@@ -137,7 +137,7 @@ def bounds_in_words(certificate: Certificate) -> str:
     parts = ", ".join(f"{words} {getattr(certificate, name):.1e}" for name, words in PARTS.items())
     return (
         f"≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
-        f"‖σ − σ_h‖ ≤ {certificate.sigma_bound:.4e} ({parts})"
+        f"of σ_h alone ≤ {certificate.sigma_bound:.4e} ({parts})"
     )
 
 
@@ -155,7 +155,7 @@ def proved(bounds: Proven, seconds: float) -> str:
     """The proven error bound in words; all numbers are rounded up."""
     parts = ", ".join(f"{words} {above(getattr(bounds, name), 2)}" for name, words in PARTS.items())
     return (
-        f"energy error ≤ {above(bounds.bound, 5)}; ‖σ − σ_h‖ ≤ {above(bounds.sigma_bound, 5)} "
+        f"energy error ≤ {above(bounds.bound, 5)}; of σ_h alone ≤ {above(bounds.sigma_bound, 5)} "
         f"({parts}; {seconds:.1f} s)"
     )
 
