@@ -31,6 +31,7 @@ from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, options_of
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.discrete.points import owned_cells
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
@@ -113,7 +114,7 @@ def in_cells(function: fem.Function, source: Domain, domain: Domain) -> fem.Func
         return function
     mesh = domain.mesh
     fine = fem.Function(fem.functionspace(mesh, ("DG", 0)))
-    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    cells = owned_cells(mesh)
     with of_unit_size(source, mesh, source.mesh):
         search = fem.create_interpolation_data(fine.function_space, function.function_space, cells, padding=1e-12)
         fine.interpolate_nonmatching(function, cells, search)
@@ -134,8 +135,7 @@ def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Do
     coarse = replace(coarse, parts={name: replace(part, nearest=None) for name, part in coarse.parts.items()})
     fine = coarse
     for _ in range(2):
-        number = fine.mesh.topology.index_map(fine.mesh.topology.dim).size_local
-        fine = refine(fine, np.arange(number, dtype=np.int32))
+        fine = refine(fine, owned_cells(fine.mesh))
     return case, coarse, fine, problem_of(rng, coarse, jumps, pulled=pulled)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
+from random_bounds import Row
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -24,6 +25,7 @@ from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
 from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.discrete.points import owned_cells
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
@@ -33,29 +35,16 @@ from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
 @dataclass(frozen=True)
-class Row:
+class ElasticRow(Row):
     """The result of a seed.
 
     Attributes:
-        problem: The problem in words.
         poisson: ν.
         dim: Dimension.
-        difference: ‖σ_f − σ_h‖ in the energy norm.
-        bound: The bound of ‖σ − σ_h‖.
-        wrong: Whether the bound of the finer mesh proves that the bound is too low.
     """
 
-    problem: str
     poisson: float
     dim: int
-    difference: float
-    bound: float
-    wrong: bool
-
-    @property
-    def ratio(self) -> float:
-        """The bound divided by the error."""
-        return self.bound / self.difference
 
 
 def problem_of(rng: np.random.Generator, shape: str) -> tuple[ElasticBoundary, ElasticProblem]:
@@ -85,8 +74,7 @@ def problem_of(rng: np.random.Generator, shape: str) -> tuple[ElasticBoundary, E
 
 def uniformly_refined(domain: Domain) -> Domain:
     """All cells refined."""
-    mesh = domain.mesh
-    return refine(domain, np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32))
+    return refine(domain, owned_cells(domain.mesh))
 
 
 def energy_difference(coarse: ElasticSolution, fine: ElasticSolution) -> float:
@@ -120,7 +108,7 @@ def stress_at(solution: ElasticSolution, points: Array) -> Array:
     return np.einsum("pa,paij->pij", local, solution.stresses[cells, subcells])
 
 
-def measured(seed: int) -> Row:
+def measured(seed: int) -> ElasticRow:
     """Solve and bound the problem of a seed.
 
     Raises:
@@ -141,7 +129,7 @@ def measured(seed: int) -> Row:
     friction = ", friction" if problem.laws else ""
     about = f"{shape}, contact on {', '.join(boundary.contact)}, ν = {problem.poisson}{friction}"
     assert certificate.guaranteed
-    return Row(about, float(str(problem.poisson)), dim, difference, certificate.sigma_bound, wrong)
+    return ElasticRow(about, difference, certificate.sigma_bound, wrong, float(str(problem.poisson)), dim)
 
 
 def main() -> None:
@@ -150,7 +138,7 @@ def main() -> None:
     options.add_argument("--seeds", type=int, default=60, help="number of problems that have a solution")
     options.add_argument("--first", type=int, default=0)
     asked = options.parse_args()
-    rows, seed = list[Row](), asked.first
+    rows, seed = list[ElasticRow](), asked.first
     while len(rows) < asked.seeds:
         try:
             row = measured(seed)

@@ -281,6 +281,12 @@ def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> A
     return mesh.geometry.x[mesh.geometry.dofmaps[0][cells], : mesh.topology.dim]
 
 
+def arms(mesh: dolfinx.mesh.Mesh) -> Array:
+    """Vertices of all cells of this rank less their centroids, shape (cells, dim + 1, dim)."""
+    vertices = corners(mesh)
+    return vertices - vertices.mean(axis=1, keepdims=True)
+
+
 def quadratic_nodes(cell: basix.CellType) -> Array:
     """The vertices of the reference cell or facet, then the midpoints of its edges."""
     return basix.create_element(basix.ElementFamily.P, cell, 2, basix.LagrangeVariant.gll_warped).points

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.discrete.points import arms
 from signorini_fenicsx.discrete.spaces import Spaces
 
 
@@ -77,7 +77,6 @@ def mean_moments(spaces: Spaces, data: Data) -> Array:
     With y_v = x_v − x_T for the vertices v of T the mean is Σ_v y_v·κ_h⁻¹y_v / ((d + 1)(d + 2)).
     """
     dim = spaces.mesh.geometry.dim
-    arms = corners(spaces.mesh) - corners(spaces.mesh).mean(axis=1, keepdims=True)
-    inverse = np.linalg.inv(data.matrices(spaces))
-    moments: Array = ((arms @ inverse) * arms).sum(axis=(1, 2)) / (dim**2 * (dim + 1) * (dim + 2))
+    y, inverse = arms(spaces.mesh), np.linalg.inv(data.matrices(spaces))
+    moments: Array = ((y @ inverse) * y).sum(axis=(1, 2)) / (dim**2 * (dim + 1) * (dim + 2))
     return moments

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
-from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.discrete.points import arms
 from signorini_fenicsx.meshes.domain import Domain
 
 type Names = Sequence[str]
@@ -309,8 +309,8 @@ def flux_mass_diagonal(spaces: Spaces, weight: Array) -> Array:
     − x_T, ∫ (x − x_e)·B(x − x_e) over T is |T| times y_e·By_e + Σ_v y_v·By_v / ((d + 1)(d + 2)).
     """
     dim = spaces.mesh.geometry.dim
-    arms = corners(spaces.mesh) - corners(spaces.mesh).mean(axis=1, keepdims=True)
-    squares = ((arms @ weight) * arms).sum(axis=2)
+    y = arms(spaces.mesh)
+    squares = ((y @ weight) * y).sum(axis=2)
     squares += squares.sum(axis=1, keepdims=True) / ((dim + 1) * (dim + 2))
     slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
     flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others

@@ -29,11 +29,10 @@ from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
-from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.output.checkpoint_elastic import read_elastic_solution
 from signorini_fenicsx.output.checkpoint_file import Arrays, Checkpoint, GivenInPython, read_checkpoint
-from signorini_fenicsx.output.checkpoint_parts import damage_of, made, read_domain, rows_of_facets
-from signorini_fenicsx.output.checkpoint_writing import COSTS, OUTCOME
+from signorini_fenicsx.output.checkpoint_parts import damage_of, made, outcome_of, read_domain, rows_of_facets
+from signorini_fenicsx.output.checkpoint_writing import COSTS
 from signorini_fenicsx.solving.options import OWN, Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import gamma_s
@@ -111,14 +110,8 @@ def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options:
         damage = "its facet conditions are not those of its values"
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
-    outcome = Outcome(
-        iterate=Iterate(
-            p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=touching(spaces, data, sigma, u)
-        ),
-        conditions=conditions,
-        history=about.history,
-        **{key: getattr(about, key) for key in OUTCOME},
-    )
+    contact = touching(spaces, data, sigma, u)
+    iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=contact)
     return Solution(
         name=about.name,
         title=found.title,
@@ -129,7 +122,7 @@ def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options:
         spaces=spaces,
         data=data,
         p=p,
-        outcome=outcome,
+        outcome=outcome_of(about, iterate, conditions),
         kkt=kkt,
         **{key: getattr(about, key) for key in COSTS},
     )

@@ -14,10 +14,9 @@ from signorini_fenicsx.discrete.elastic_friction import law_of_sites
 from signorini_fenicsx.discrete.elastic_kkt import elastic_kkt
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
-from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.output.checkpoint_file import Checkpoint
-from signorini_fenicsx.output.checkpoint_parts import damage_of, read_domain, rows_of_facets
-from signorini_fenicsx.output.checkpoint_writing import COSTS, OUTCOME
+from signorini_fenicsx.output.checkpoint_parts import damage_of, outcome_of, read_domain, rows_of_facets
+from signorini_fenicsx.output.checkpoint_writing import COSTS
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 
@@ -62,12 +61,6 @@ def read_elastic_solution(
     damage = damage_of(about, options.method, kkt)
     if damage is not None:
         raise InputError(f"{path}: is damaged: {damage}")
-    outcome = Outcome(
-        iterate=iterate,
-        conditions=conditions,
-        history=about.history,
-        **{key: getattr(about, key) for key in OUTCOME},
-    )
     return ElasticSolution(
         name=about.name,
         title=found.title,
@@ -77,7 +70,7 @@ def read_elastic_solution(
         options=options,
         spaces=spaces,
         data=data,
-        outcome=outcome,
+        outcome=outcome_of(about, iterate, conditions),
         kkt=kkt,
         bound_changes=tuple(about.bound_changes),
         **{key: getattr(about, key) for key in COSTS},

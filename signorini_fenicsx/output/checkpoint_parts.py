@@ -6,17 +6,21 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import find_rows
 from signorini_fenicsx.base.tolerances import KKT
+from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.kkt import Residuals
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.output.checkpoint_file import About, Checkpoint
+from signorini_fenicsx.output.checkpoint_writing import OUTCOME
 
 SAME = 1e-3
 """Allowed relative difference between the KKT residuals of what is read and those that were written."""
@@ -83,6 +87,12 @@ def damage_of(about: About, method: Method, kkt: Residuals) -> str | None:
     judged = about.converged and known and about.own_residual is None  # own_residual judges the others
     violation = kkt.violation() if judged else None
     return None if violation is None else f"it claims to be a solution, but has {violation}"
+
+
+def outcome_of(about: About, iterate: Iterate, conditions: SiteConditions) -> Outcome:
+    """The outcome with what is the same on all ranks."""
+    stored = {key: getattr(about, key) for key in OUTCOME}
+    return Outcome(iterate=iterate, conditions=conditions, history=about.history, **stored)
 
 
 def made[T](kind: type[T], values: dict[str, Any]) -> T:

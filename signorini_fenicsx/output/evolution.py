@@ -15,7 +15,7 @@ from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.points import corners
+from signorini_fenicsx.discrete.points import arms
 from signorini_fenicsx.output.field_files import check_room
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.writing import facet_columns, write_summary
@@ -122,7 +122,7 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
     comm, dim = mesh.comm, mesh.geometry.dim
     sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
     u = fem.Function(fem.functionspace(mesh, ("DG", 1)), name="u")
-    arms = corners(mesh) - corners(mesh).mean(axis=1, keepdims=True)
+    from_centroid = arms(mesh)
     cells = mesh.topology.index_map(dim).size_global
     size = cells * (dim + 1) * 8 * (len(times) * 4 + 8) + 12_000 + 3_000 * (comm.size + len(times))
     on_root(comm, lambda: check_room(folder, {"solution.bp": size}))
@@ -132,7 +132,9 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
             found = {key: steps.cells(solution.spaces, step, key) for key in ("u", "sigma", "divergence")}
             u.x.array[u.function_space.dofmap.list] = found["u"].reshape(-1, 1)
             slope = found["divergence"].reshape(-1, 1, 1) / dim
-            sigma.x.array.reshape(-1, dim)[sigma.function_space.dofmap.list] = found["sigma"][:, None] + slope * arms
+            sigma.x.array.reshape(-1, dim)[sigma.function_space.dofmap.list] = (
+                found["sigma"][:, None] + slope * from_centroid
+            )
             file.write(t)
         file.close()
     except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
