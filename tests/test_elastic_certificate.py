@@ -1,7 +1,9 @@
 """The bound of elastic contact against true errors, exact and by energies."""
 
 import itertools
+from dataclasses import replace
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from elastic import box, half_plane_contact
@@ -44,6 +46,22 @@ def test_loads_that_are_polynomials():
         assert certificate.guaranteed
         assert certificate.oscillation > 0
         assert errors["energy"] <= certificate.sigma_bound < 3.5 * errors["energy"]
+
+
+def test_a_body_of_two_materials():
+    """With numbers for each region the bound is guaranteed, and here it is 0 up to rounding, as the error is."""
+    domain = box(COMM, 4, [0.0, 0.0], [1.0, 1.0])
+    middle = dolfinx.mesh.compute_midpoints(domain.mesh, 2, np.arange(domain.mesh.topology.index_map(2).size_local))
+    domain = replace(
+        domain, regions={"soft": np.flatnonzero(middle[:, 1] < 0.5), "hard": np.flatnonzero(middle[:, 1] > 0.5)}
+    )
+    problem = ElasticProblem({"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"])
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
+    solution = solve_elastic(domain, boundary, problem)
+    certificate = certify_elastic(solution)
+    assert certificate.guaranteed
+    assert solution.norms()["contact_force"] == pytest.approx(0.15)
+    assert certificate.bound < 1e-8
 
 
 def test_constants_of_korn():

@@ -13,9 +13,9 @@ C_T ‖f − f_h‖_T |w|_T, where C_T = c_T/√min(2μ, 2μ + dλ) and c_T is t
 
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
-The bound is guaranteed if f is a polynomial that the quadrature integrates exactly, E and ν are numbers, g_N is linear,
-u_D and g are quadratic, and these are given as numbers or texts; otherwise it is said which are not. The remainder is
-what the linear solver leaves of the jumps of σ_h n.
+The bound is guaranteed if f is a polynomial that the quadrature integrates exactly, E and ν are numbers, perhaps for
+each region, g_N is linear, u_D and g are quadratic, and these are given as numbers or texts; otherwise it is said which
+are not. The remainder is what the linear solver leaves of the jumps of σ_h n.
 """
 
 from __future__ import annotations
