@@ -263,7 +263,8 @@ def test_results_of_python_are_kept(folder: Path):
         ({"kind": "friction", "g": "1 +"}, "law.0.g: "),
         ({"kind": "friction", "g": True}, "g: must be an expression"),
         ({"kind": "friction", "g": "1", "parts": ["bottm"]}, "law.0.parts: unknown part 'bottm'"),
-        ({"kind": "friction", "g": "1", "parts": ["left"]}, "'left' is listed twice"),
+        ({"kind": "friction", "g": "1", "parts": ["left"]}, "'left' is listed twice: in signorini and in law.0.parts"),
+        ({"kind": "friction", "g": "1", "parts": []}, "law.0.parts: must not be empty"),
         ({"kind": "friction", "g": "1/(x - x)"}, "law.0.g: not finite everywhere on its parts"),
     ],
 )

@@ -166,6 +166,8 @@ def test_adaptive():
 @pytest.mark.parametrize(("L", "h", "H", "height"), [(16, 4, 24, 12.7059138062), (5, 2, 10, 6.3445505002)])
 def test_dam(L: float, h: float, H: float, height: float):
     """The phreatic line meets the downstream face where it should, and falls towards it."""
+    with pytest.raises(InputError, match=r"missing key 'L' in \[dam\]"):
+        load_case("dam_baiocchi").with_values({"dam": {"h": h, "H": H}})
     case = load_case("dam_baiocchi").with_values({"dam.L": L, "dam.h": h, "dam.H": H, "solve.h": L / 32})
     solution = solve_case(case, COMM)
     found = seepage(solution)

@@ -162,5 +162,7 @@ def test_refusals_and_case_files():
     ]:
         with pytest.raises(InputError, match=message):
             case(**values)
+    with pytest.raises(InputError, match=r"\[time\] initial: its largest value, 9.*e\+199, is outside"):
+        check(case(**{"time.initial": "1e200*x"}), COMM)
     with pytest.raises(InputError, match="unknown name 't'"):
         load_case("example1").with_values({"problem.f": "t"})

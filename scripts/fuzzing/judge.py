@@ -179,7 +179,7 @@ def _has_solved(out: Path) -> bool:
 
     try:
         summary = json.loads((out / "summary.json").read_text(encoding="utf-8"), parse_constant=refuse)
-        if not (out / "checkpoint" / "about.json").is_file():
+        if not (out / "checkpoint" / "about.json").is_file() and "time" not in summary:
             return False
         if summary["converged"] is not True:
             return summary["converged"] is False

@@ -10,6 +10,7 @@ from fuzzing.checkpoints import checkpoint
 from fuzzing.expressions import expression
 from fuzzing.geometries import geometry
 from fuzzing.judge import Ending
+from fuzzing.laws import law_file
 from fuzzing.meshes import CASE, mesh_file
 from fuzzing.options import option
 from fuzzing.runner import Runner
@@ -17,6 +18,7 @@ from fuzzing.studies import study
 
 GENERATORS: dict[str, Generator] = {
     "case": case_file,
+    "law": law_file,
     "option": option,
     "expression": expression,
     "mesh": mesh_file,

@@ -7,23 +7,35 @@ from pydantic import BaseModel, ValidationError
 from signorini_fenicsx.base.text import did_you_mean
 
 
-def complaint(error: ValidationError, root: type[BaseModel]) -> str:
-    """The first error that pydantic finds in a file, as one sentence with the place in TOML's notation."""
+def complaint(error: ValidationError, root: type[BaseModel], section: str = "") -> str:
+    """The first error that pydantic finds in a file, as one sentence with the place in TOML's notation.
+
+    Args:
+        error: What pydantic found.
+        root: The model of the file, or of a section of it.
+        section: Name of this section.
+    """
     first = error.errors(include_url=False)[0]
-    *sections, last = [str(step) for step in first["loc"]] or [""]
+    above = [section] if section else []
+    *sections, last = above + [str(step) for step in first["loc"]] or [""]
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
     if any(isinstance(step, int) for step in first["loc"]):  # of a list of sections, such as [[law]]
         place = ".".join([*sections, last])
     match first["type"]:
         case "extra_forbidden":
-            return f"unknown key '{last}'{_place_of_key(sections)}; known are {_known_keys(root, sections, last)}"
+            known = _known_keys(root, sections[len(above) :], last)
+            return f"unknown key '{last}'{_place_of_key(sections)}; known are {known}"
         case "missing":
             return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
         case "model_type" | "model_attributes_type":
-            return f"'{last}' must be a section, [{last}], not {shown(first['input'])}"
+            name, header = (place, f"[[{sections[-1]}]]") if last.isdigit() else (f"'{last}'", f"[{last}]")
+            return f"{name} must be a section, {header}, not {shown(first['input'])}"
         case "value_error":
             message = str(first["ctx"]["error"])
-            return f"{place}: {message}" if last else message
+            where = f"{place}:" if sections else f"[{last}]"
+            return f"{where} {message}" if last else message
+        case "too_short":
+            return f"{place}: must not be empty"
     message = first["msg"][0].lower() + first["msg"][1:]
     return f"{place}: {message}, not {shown(first['input'])}"
 
@@ -43,6 +55,8 @@ def _place_of_key(sections: list[str]) -> str:
 
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
+        if section.isdigit():  # which one of a list of sections
+            continue
         annotation = model.model_fields[section].annotation
         kinds = (annotation, *get_args(annotation))  # a section that may be left out is a union with None
         model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))

@@ -52,7 +52,7 @@ def with_dam(tree: dict[str, Any]) -> dict[str, Any]:
     try:
         dam = Dam.model_validate(tree["dam"])
     except ValidationError as error:
-        raise ValueError(f"[dam] {complaint(error, Dam)}") from None
+        raise ValueError(complaint(error, Dam, "dam")) from None
     given = [f"[{key}]" for key in (*dam.sections, "law") if key in tree]
     given += [f"[geometry] {key}" for key in ("shape", "file") if key in geometry]
     if given:

@@ -37,7 +37,8 @@ class Parts(Section):
         """
         repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
         if repeated:
-            raise ValueError(f"'{repeated[0]}' is listed twice")
+            places = dict.fromkeys(key for key, parts in self.named.items() if repeated[0] in parts)
+            raise ValueError(f"'{repeated[0]}' is listed twice: in {' and in '.join(places)}")
 
     def check(self, known: list[str], where: str, inside: Collection[str] = ()) -> None:
         """Make sure that the named parts exist and, if parts of Γ_D are listed, that every part is named.

@@ -75,7 +75,7 @@ def facet_means(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.
 
 def _key(name: str) -> str:
     """How a case file names a datum."""
-    return name if name.startswith("law.") else f"[problem] {name}"
+    return name if name.startswith(("law.", "[")) else f"[problem] {name}"
 
 
 def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:

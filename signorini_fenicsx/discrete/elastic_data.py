@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, regional_datum
 from signorini_fenicsx.discrete.elastic_friction import FrictionBounds, friction_bounds
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticProblem, Plane
@@ -168,21 +169,21 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
 
 def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:
     """Make sure of f, E and ν in the points of the quadrature (collective)."""
-    finite, low, high, stiff, soft = True, np.inf, -np.inf, np.inf, -np.inf
+    force, low, high, stiff, soft = 0.0, np.inf, -np.inf, np.inf, -np.inf
     for cells in blocks_of_cells(spaces):
         points = data.points(spaces, cells)
         young, poisson = (np.nan_to_num(datum.values(points), nan=-np.inf) for datum in (data.young, data.poisson))
-        finite = finite and bool(np.isfinite(data.f.values(points)).all())
+        force = max(force, float(np.nan_to_num(abs(data.f.values(points)), nan=np.inf, posinf=np.inf).max(initial=0.0)))
         stiff, soft = min(stiff, float(young.min(initial=np.inf))), max(soft, float(young.max(initial=-np.inf)))
         low, high = min(low, float(poisson.min(initial=np.inf))), max(high, float(poisson.max(initial=-np.inf)))
     comm = spaces.mesh.comm
-    if not comm.allreduce(finite, MPI.LAND):
-        raise InputError("[problem] f: not finite everywhere in the domain")
+    check_means("f", "in the domain", np.array([force]), spaces.scalar)
     ends = np.array([stiff, low, -high, -soft])
     comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
     stiff, low, high, soft = ends[0], ends[1], -ends[2], -ends[3]
     if not (stiff > 0 and soft < np.inf):
         raise InputError(f"[problem] young: must be positive and finite everywhere; its smallest value is {stiff:.3g}")
+    check_means("young", "in the domain", np.array([stiff, soft]), spaces.scalar)
     if not (low > -1 and high < 0.5):
         wrong = low if not low > -1 else high
         raise InputError(f"[problem] poisson: must be between -1 and 1/2, without these; it is {wrong:.6g} somewhere")
@@ -200,13 +201,12 @@ def facet_moments(
     """∫ value φ_a over facets (collective).
 
     Raises:
-        InputError: If the values are not finite.
+        InputError: If the values are not finite, or of no usable size.
     """
     degree = DEGREE if datum.polynomial is None else datum.polynomial
     points = in_facets(spaces.mesh, facets.facets, *facet_rule(spaces.dim, degree))
     values = datum.values(points)
-    if not spaces.mesh.comm.allreduce(bool(np.isfinite(values).all()), MPI.LAND):
-        raise InputError(f"[problem] {name}: not finite everywhere {where}")
+    check_means(name, where, values, spaces.scalar)
     return facets.moments(values, points.points, points.weights)
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticBoundary
 from signorini_fenicsx.discrete.johnson_mercier import facet_normals, opposite
 from signorini_fenicsx.discrete.spaces import Spaces, build_spaces, cells_and_dofs
@@ -238,7 +239,14 @@ class ElasticSpaces:
 
 
 def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Sequence[str] = ()) -> ElasticSpaces:
-    """Create the spaces, with friction on some parts of Γ_C (collective)."""
+    """Create the spaces, with friction on some parts of Γ_C (collective).
+
+    Raises:
+        InputError: If a part does not exist, or is fixed in z in the plane.
+    """
+    flat = [part for part, components in boundary.fixed.items() if "z" in components]
+    if domain.mesh.geometry.dim == 2 and flat:
+        raise InputError(f"[boundary] fixed: part '{flat[0]}' is fixed in z, which there is only in space")
     scalar = build_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed])
     mesh = domain.mesh
     dim = mesh.topology.dim

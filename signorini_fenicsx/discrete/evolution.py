@@ -16,6 +16,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data import cell_means
+from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
 from signorini_fenicsx.discrete.given import Given, parsed
 from signorini_fenicsx.discrete.problem import Problem
@@ -100,7 +101,7 @@ class Steps:
         """The means of u_0 over the cells (collective).
 
         Raises:
-            InputError: If they are not finite.
+            InputError: If they are not finite, or of no usable size.
         """
         u = fem.Function(self._spaces.Q, name="u")
         u.x.array[:] = self._means("initial", self.initial)
@@ -130,8 +131,7 @@ class Steps:
 
     def _means(self, key: str, datum: Datum) -> Array:
         means = cell_means(self._spaces, datum)
-        if not self._spaces.mesh.comm.allreduce(bool(np.isfinite(means).all()), MPI.LAND):
-            raise InputError(f"[time] {key}: not finite everywhere in the domain")
+        check_means(f"[time] {key}", "in the domain", means, self._spaces)
         return means
 
 

@@ -55,7 +55,7 @@ class _Reader:
 
     def __init__(self, source: str, names: Collection[str]):
         self.source = source
-        self.names = names
+        self.names = [*names]  # of a text its letters, not its pieces
         self.depth = 0
 
     def enter(self, levels: int) -> None:
