@@ -3,7 +3,8 @@
 uv run python scripts/elastic_benchmark.py [--quick]
 
 A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
-one core, from the mesh to the fields. The energy error of a stress is (2(C(σ_h) − C))^½, that of a displacement
+one core, from the mesh to the fields; of ours and of the known set the better of two runs each, as the first one also
+pays for fresh memory. The energy error of a stress is (2(C(σ_h) − C))^½, that of a displacement
 (2(J(v) + C))^½: the exact C is between C(σ_h) and −J(v), and is taken as the middle of the two on the finest mesh.
 """
 
@@ -11,6 +12,8 @@ import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel
 
 import argparse
 import time
+from collections.abc import Callable
+from functools import partial
 
 import dolfinx.mesh
 import numpy as np
@@ -18,6 +21,7 @@ from mpi4py import MPI
 from p2_contact import solve_p2
 
 from signorini_fenicsx.backends.elastic import ElasticBackend
+from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
@@ -48,6 +52,22 @@ def coarser(dim: int, n: int, factor: float) -> Domain:
     return block(dim, max(round(n / factor), 1))
 
 
+def timed[T](run: Callable[[], T]) -> tuple[T, float]:
+    """What it returns, and its seconds: the better of two runs."""
+    seconds = []
+    for _ in range(2):
+        began = time.process_time()
+        found = run()
+        seconds.append(time.process_time() - began)
+    return found, min(seconds)
+
+
+def solved_with(domain: Domain, boundary: ElasticBoundary, problem: ElasticProblem, known: SiteConditions) -> None:
+    """One linear solve with the known set."""
+    spaces = build_elastic_spaces(domain, boundary)
+    ElasticBackend(spaces, elastic_data(spaces, problem)).solve(known)
+
+
 def main() -> None:
     """Print a line for each method and mesh."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -63,15 +83,9 @@ def main() -> None:
         rows = []
         for n in sizes:
             domain = block(dim, n)
-            began = time.process_time()
-            solution = solve_elastic(
-                domain, boundary, problem, remesh=lambda factor, dim=dim, n=n: coarser(dim, n, factor)
-            )
-            ours = time.process_time() - began
-            began = time.process_time()
-            spaces = build_elastic_spaces(domain, boundary)
-            ElasticBackend(spaces, elastic_data(spaces, problem)).solve(solution.outcome.conditions)
-            known = time.process_time() - began
+            coarser_mesh = partial(coarser, dim, n)
+            solution, ours = timed(partial(solve_elastic, domain, boundary, problem, remesh=coarser_mesh))
+            _, known = timed(partial(solved_with, domain, boundary, problem, solution.outcome.conditions))
             other = solve_p2(domain.mesh, YOUNG, POISSON, f, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP)
             norms = solution.norms()
             energy = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -20,6 +19,7 @@ from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.backends.elastic_coarse import DEFAULTS, ElasticCoarse
 from signorini_fenicsx.backends.elastic_system import ElasticSystem
 from signorini_fenicsx.backends.facets import FieldChange
+from signorini_fenicsx.backends.kept_factors import KeptFactors
 from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolveFailure, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -107,18 +107,16 @@ class ElasticBackend:
         if conditions.counts(self.comm)[Condition.ROBIN] > 0:
             raise InputError("elastic contact takes no penalty; use alg1 or alg2")
         contact = conditions.kind == Condition.ZERO_TRACE
-        essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
-        loose = self._loose(contact)
-        sprung = ~contact & loose
-        self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
-        self._b.array_w[:] = self.system.load
+        load = self.system.load.copy()
         if conditions.has_values:
-            self._b.array_w[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
-        self._b.array_w[essential] = 0.0
-        self._x.array_w[essential] = 0.0
-        self._solve(essential)
+            load[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
+        if loose := self._loose(contact):
+            self._factors.forget()
+        if not self._factors.solve(load, self._x, contact):
+            self._solve(load, contact, sprung=~contact & loose)
         iterate = self._recovered(conditions)
         if loose:
+            self._factors.forget()
             self._x.set(0.0)  # so far away it is no start for the next solve
         return iterate
 
@@ -134,9 +132,15 @@ class ElasticBackend:
         self._solver.ksp.setTolerances(max_it=MOST_ITERATIONS)
         make = partial(ElasticCoarse, self.spaces, self._operator.matrix)
         self._coarse = set_up(self._solver, make if multigrid else None)
+        self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, self.spaces.dim)
 
-    def _solve(self, essential: npt.NDArray[np.int32]) -> None:
+    def _solve(self, load: Array, contact: Mask, *, sprung: Mask) -> None:
         """Solve; if CG with multigrid fails, factorise now and from now on (collective)."""
+        essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
+        self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
+        self._b.array_w[:] = load
+        for vector in (self._b, self._x):
+            vector.array_w[essential] = 0.0
         if self._coarse is not None:
             with self._solver.options():
                 self._coarse.update(self._data.fixed, essential)
@@ -148,6 +152,7 @@ class ElasticBackend:
             self._remark = f" because {failure}"
             self._choose_solver(multigrid=False)
             self._solver.solve(self._b, self._x)
+        self._factors.keep(essential, contact)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:
         spaces = self.spaces

@@ -37,7 +37,7 @@ class Tuning:
     """
 
     direct_up_to: int = 60_000
-    elastic_direct_up_to: Mapping[int, int] = MappingProxyType({2: 200_000, 3: 40_000})
+    elastic_direct_up_to: Mapping[int, int] = MappingProxyType({2: 500_000, 3: 60_000})
     predict_from: int = 60_000
     elastic_predict_from: int = 15_000
     coarsening: float = 4.0

@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.backends.facets import FieldChange
+from signorini_fenicsx.backends.kept_factors import KeptFactors
 from signorini_fenicsx.backends.petsc import direct_solver
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -111,6 +112,7 @@ class BestDisplacement:
             self.chains = joined([(rows[0], self.chains), (rows[1], friction_chains(bound))], self.sites)
         self._diagonal = float(self._operator.natural.getDiagonal().norm(PETSc.NormType.INFINITY))
         self._solver = direct_solver(self._operator.matrix, "cholesky", "facet_")
+        self._factors = KeptFactors(self._solver, self._operator.natural, self._sites, dim)
 
     def _friction(self) -> tuple[Indices, Indices, Array]:
         """Owned nodes with friction, which of their directions is the tangent, and ∫ g B for the B of each node."""
@@ -153,14 +155,17 @@ class BestDisplacement:
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        essential = np.concatenate([self._given, self._sites[conditions.kind == Condition.ZERO_TRACE]])
-        none = np.empty(0, dtype=np.int32)
-        self._operator.impose(essential, none, none)
-        b, reaction = self._load.copy(), self._load.copy()
+        held = conditions.kind == Condition.ZERO_TRACE
+        b, reaction = self._load.copy(), self._load.duplicate()
         if conditions.has_values:
             b.array_w[self._sites] -= np.where(conditions.kind == Condition.NO_FLUX, conditions.value, 0.0)
-        b.array_w[essential] = 0.0
-        self._solver.solve(b, self._x)
+        if not self._factors.solve(b.array_r, self._x, held):
+            essential = np.concatenate([self._given, self._sites[held]])
+            none = np.empty(0, dtype=np.int32)
+            self._operator.impose(essential, none, none)
+            b.array_w[essential] = 0.0
+            self._solver.solve(b, self._x)
+            self._factors.keep(essential, held)
         self._operator.natural.mult(self._x, reaction)
         reaction.aypx(-1.0, self._load)
         p, flux = conditions.clean(-self._x.array_r[self._sites], reaction.array_r[self._sites], 1.0)

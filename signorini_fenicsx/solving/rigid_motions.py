@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_friction import STICKS
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
@@ -19,8 +20,12 @@ type Moved = Callable[[Array], Array]
 
 FREE = 1e-8
 """A motion of size 1 that moves what is given by less is free."""
-SLACK = 1e-10
-"""A load does no work on a motion if it does less than this share of what it could."""
+SLACK = 1e-9
+"""A motion is not into the foundation below this share of its size; loads do no work below this share of their most."""
+SMALL = 1e-6
+"""What the size of a motion costs, so that of several a short one is told."""
+MOST_CUTS = 200
+"""For each direction; far more than were ever seen."""
 
 
 def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
@@ -55,17 +60,9 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     slips, shears = along.reshape(-1, free.shape[1]), np.empty(0)
     if data.friction is not None:
         shears = np.repeat(rough.measure, 2) / 2 * data.friction.bound.ravel() / most
-    rows = gather_rows(spaces.mesh.comm, into.reshape(-1, free.shape[1]))
-    rubbed = gather_rows(spaces.mesh.comm, np.column_stack([shears, slips]))
-
-    def complain() -> None:
-        assert rows is not None
-        assert rubbed is not None
-        found = _unprevented(np.unique(np.round(rows, 9), axis=0), work, rubbed[:, 1:], rubbed[:, 0])
-        if found is not None:
-            raise InputError(f"the body can move rigidly, {_in_words(free @ found, middle, size)}: {HELD_BY}")
-
-    on_root(spaces.mesh.comm, complain)
+    limits = Limits(spaces.mesh.comm, work, into.reshape(-1, free.shape[1]), slips, shears)
+    if (motion := limits.unprevented()) is not None:
+        raise InputError(f"the body can move rigidly, {_in_words(free @ motion, middle, size)}: {HELD_BY}")
     found = np.concatenate([into, along])
     means = (found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
     return means.reshape(-1, free.shape[1])
@@ -116,37 +113,66 @@ def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> tuple[Array
     return work, most if most > 0 else 1.0
 
 
-def _unprevented(into: Array, work: Array, slips: Array, shears: Array) -> Array | None:
-    """A motion r ≠ 0 with into·r ≤ 0 and work·r ≥ Σ shears |slips·r|, by linear programmes, or None.
+@dataclass(frozen=True)
+class Limits:
+    """What a motion r ≠ 0 has to meet that nothing prevents: into·r ≤ 0 and Σ shears |slips·r| ≤ work·r.
 
-    Where nothing slips the shear is infinite.
+    Both sides are found by cutting planes: a linear programme with few rows gives a motion, and each rank adds the row
+    that this motion violates most. So only rows of as many numbers as there are motions go from rank to rank.
+
+    Attributes:
+        comm: Communicator.
+        work: What the loads do on the motions.
+        into: Rows of this rank, r_n on Γ_C.
+        slips: Rows of this rank, r_t where there is friction.
+        shears: The shear for each of them; where nothing slips it is infinite.
     """
+
+    comm: MPI.Comm
+    work: Array
+    into: Array
+    slips: Array
+    shears: Array
+
+    def unprevented(self) -> Array | None:
+        """A motion with an entry 1 or −1, or None (collective)."""
+        sticks = self.shears > STICKS / 1e100
+        stuck = self.slips[sticks]
+        sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
+        still = vectors[:, sizes > FREE**2].T
+        cuts = np.empty((0, len(self.work)))
+        for objective in np.concatenate([np.eye(len(self.work)), -np.eye(len(self.work))]):
+            for _ in range(MOST_CUTS):
+                motion = self.comm.bcast(_farthest(objective, cuts, still) if self.comm.rank == 0 else None)
+                if motion is None or objective @ motion < 0.5:
+                    break
+                more = self._violated(motion, ~sticks)
+                if len(more) == 0:
+                    return np.asarray(motion)
+                cuts = np.concatenate([cuts, more])
+        return None
+
+    def _violated(self, motion: Array, slides: Mask) -> Array:
+        """Rows c for c·r ≤ 0 that this motion does not meet: at most one of each rank, and one (collective)."""
+        off = self.into @ motion
+        worst = self.into[np.argmax(off)][None] if off.max(initial=0.0) > SLACK else self.into[:0]
+        slips, shears = self.slips[slides], self.shears[slides]
+        rubbing = (shears * np.sign(slips @ motion)) @ slips if len(slips) else np.zeros(len(motion))
+        along = self.comm.allreduce(rubbing) - self.work
+        rows = np.concatenate(self.comm.allgather(worst))
+        return np.concatenate([rows, along[None]]) if along @ motion > SLACK else rows
+
+
+def _farthest(objective: Array, cuts: Array, still: Array) -> Array | None:
+    """The motion with the largest objective, entries up to 1, or None if there is none; of several a short one."""
     from scipy.optimize import linprog  # takes a second to load
 
-    sticks, size = shears > STICKS / 1e100, len(work)
-    stuck = np.unique(np.round(slips[sticks], 9), axis=0)
-    slips, shears = slips[~sticks], shears[~sticks]
-    own = np.eye(len(shears))  # variables behind r: bounds of |slips·r|
-    rows = np.block(
-        [
-            [into, np.zeros((len(into), len(shears)))],
-            [slips, -own],
-            [-slips, -own],
-            [-work[None], shears[None]],
-        ]
-    )
-    limits = np.append(np.zeros(len(rows) - 1), SLACK)
-    equal = None if len(stuck) == 0 else np.pad(stuck, ((0, 0), (0, len(shears))))
-    bounds = [(-1, 1)] * size + [(0, None)] * len(shears)
-    for k in range(size):
-        for sign in (1.0, -1.0):
-            objective = np.zeros(size + len(shears))
-            objective[k] = -sign
-            right = None if equal is None else np.zeros(len(equal))
-            found = linprog(objective, A_ub=rows, b_ub=limits, A_eq=equal, b_eq=right, bounds=bounds)
-            if found.success and -found.fun > 1e-6:
-                return np.asarray(found.x[:size])
-    return None
+    both = np.append(-objective, objective) + SMALL  # entries above 0 and below 0 are variables of their own
+    equal = {"A_eq": np.hstack([still, -still]), "b_eq": np.zeros(len(still))} if len(still) else {}
+    rows = np.hstack([cuts, -cuts])
+    exact = {"primal_feasibility_tolerance": SLACK / 10}  # otherwise a cut may be violated again
+    found = linprog(both, A_ub=rows, b_ub=np.zeros(len(cuts)), bounds=(0, 1), options=exact, **equal)
+    return np.subtract(*np.split(found.x, 2)) if found.success else None
 
 
 def _in_words(motion: Array, middle: Array, size: float) -> str:
