@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.gather import (
     Boundary,
@@ -23,10 +24,11 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
     gather_marks,
 )
-from signorini_fenicsx.output.pictures import overview, scene_of, style, traces
+from signorini_fenicsx.output.pictures import draw_all, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_steps
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
+from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.streams import on_grid
 from signorini_fenicsx.output.pictures.water import Water
 
@@ -45,10 +47,11 @@ except SystemExit as end:
 """
 
 
-def scene(name: str, **values: object) -> Scene:
+def scene(name: str, *, certified: bool = False, **values: object) -> Scene:
     """The scene of a solved case on one rank."""
     solution = solve_case(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
-    fields, facets, boundary = gather_fields(solution), gather_facets(solution), gather_boundary(solution)
+    indicator = certify(solution).indicator if certified else None
+    fields, facets, boundary = gather_fields(solution, indicator), gather_facets(solution), gather_boundary(solution)
     assert fields is not None
     assert facets is not None
     assert boundary is not None
@@ -90,20 +93,29 @@ def test_space(tmp_path: Path):
     assert_drawn(results)
 
 
-@pytest.mark.parallel([1])
-@pytest.mark.parametrize("name", ["dam", "example1"])
-def test_nothing_overlaps_in_an_overview(name: str):
-    """Panels with their labels, the title and the legend each have a place of their own, within the figure."""
-    figure = overview(scene(name, **({} if name == "dam" else {"h": 0.25})))
-    panels = [axes.get_tightbbox() for axes in figure.axes]
-    everything = [*panels, figure.legends[0].get_window_extent(), figure._suptitle.get_window_extent()]
-    assert len(figure.legends[0].get_texts()) > 9
+def assert_apart(sheet: Sheet):
+    """Panels and bars with their labels, the title and the legend each have a place of their own, within the figure."""
+    sheet.draw_without_rendering()
+    legends = [legend.get_window_extent() for legend in sheet.legends]
+    title = [] if sheet._suptitle is None else [sheet._suptitle.get_window_extent()]
+    everything = [*(axes.get_tightbbox() for axes in sheet.axes), *legends, *title]
     for number, box in enumerate(everything):
         assert box.x0 >= 0
         assert box.y0 >= 0
-        assert box.x1 <= figure.bbox.x1
-        assert box.y1 <= figure.bbox.y1
+        assert box.x1 <= sheet.bbox.x1
+        assert box.y1 <= sheet.bbox.y1
         assert not [other for other in everything[:number] if box.overlaps(other)]
+
+
+@pytest.mark.parallel([1])
+@pytest.mark.parametrize("name", ["dam", "crack"])
+def test_nothing_overlaps(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    drawn = []
+    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append((path.name, sheet)))
+    draw_all(tmp_path, scene(name, certified=True, **({} if name == "dam" else {"h": 0.25})))
+    assert {path for path, _ in drawn} == {f"{each}.png" for each in PICTURES}
+    for _, sheet in drawn:
+        assert_apart(sheet)
 
 
 @pytest.mark.parallel([1])

@@ -5,11 +5,11 @@ import html as text
 
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields, gather_marks
-from signorini_fenicsx.output.pictures.style import Page
+from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solution import Solution
 
 
-def figure(solution: Solution, certificate: Certificate | None = None) -> Page | None:
+def figure(solution: Solution, certificate: Certificate | None = None) -> Sheet | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
     table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)

@@ -23,6 +23,7 @@ from signorini_fenicsx.output.pictures import elastic, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
 from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
 from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
@@ -111,9 +112,9 @@ def draw_all(folder: Path, scene: Scene) -> None:
 
 
 @mpl.rc_context(style.STYLE)
-def overview(scene: Scene) -> style.Page:
+def overview(scene: Scene) -> Sheet:
     """The overview as a figure, which a notebook shows (rank 0)."""
-    figure: style.Page = _files_of(scene).overview(scene)
+    figure: Sheet = _files_of(scene).overview(scene)
     figure.draw_without_rendering()  # ticks are made here, in this style
     return figure
 

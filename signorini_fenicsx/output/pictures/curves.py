@@ -5,13 +5,13 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.sheet import Sheet
 
 FEW = 25
 """Up to this many points have markers."""
@@ -54,18 +54,18 @@ def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
 @mpl.rc_context(style.STYLE)
 def draw_iterations(path: Path, history: list[Step], title: str) -> None:
     """Draw the iteration errors into a file (rank 0)."""
-    figure = Figure(figsize=(4.8, 3.8), layout="constrained")
-    axes = figure.add_subplot()
+    sheet = Sheet([3.8], [2.8], bars=False)
+    axes = sheet.panel(0, 0)
     draw_steps(axes, history, title)
-    style.legend_below(figure, axes.get_legend_handles_labels()[0])
-    style.save(figure, path)
+    sheet.legend_below(axes.get_legend_handles_labels()[0])
+    sheet.save(path)
 
 
 @mpl.rc_context(style.STYLE)
 def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> None:
     """Draw errors over h or ε on logarithmic axes, with those of the slides and lines of slopes to expect (rank 0)."""
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
-    axes = figure.add_subplot()
+    sheet = Sheet([5.6], [3.6], bars=False)
+    axes = sheet.panel(0, 0)
     base = 10 if vary is Vary.EPS else 2
     x = np.array([float(base) ** -row.level for row in rows])
     tables = [row.columns() for row in rows]
@@ -80,15 +80,15 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
         axes.loglog(x, guide, look, linewidth=0.8, label=f"slope {slope:g}")
     axes.set_xscale("log", base=base)
     axes.set(xlabel=r"$\varepsilon$" if vary is Vary.EPS else "$h$", ylabel="error", title=title)
-    figure.legend(loc="outside right center")
-    style.save(figure, path)
+    sheet.legend_below(axes.get_legend_handles_labels()[0])
+    sheet.save(path)
 
 
 @mpl.rc_context(style.STYLE)
 def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> None:
     """Draw the certified error over the unknowns, with a line of the best possible slope (rank 0)."""
-    figure = Figure(figsize=(5.6, 4.6), layout="constrained")
-    axes = figure.add_subplot()
+    sheet = Sheet([4.8], [3.6], bars=False)
+    axes = sheet.panel(0, 0)
     for refinement, look in (("adaptive", "o-"), ("uniform", "s--")):
         chosen = [row for row in rows if row.refinement == refinement]
         if chosen:
@@ -97,5 +97,5 @@ def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> No
     ends = np.array([rows[0].unknowns, max(row.unknowns for row in rows)])
     axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** best, "k:", label=f"slope ${best:.2g}$")
     axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
-    style.legend_below(figure, axes.get_legend_handles_labels()[0])
-    style.save(figure, path)
+    sheet.legend_below(axes.get_legend_handles_labels()[0])
+    sheet.save(path)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Mask
@@ -17,8 +17,9 @@ from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.output.elastic_body import Body
 from signorini_fenicsx.output.pictures import plane_files, style
-from signorini_fenicsx.output.pictures.plane import WIDE, Plane
+from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
 from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 if TYPE_CHECKING:
@@ -61,8 +62,8 @@ def draw(
     moved = replace(scene, fields=replace(body.fields, points=body.fields.points + factor * body.displacement))
     title = f"{scene.caption}\ndisplacement × {factor:g}"
     if scene.dim == 2:
-        style.save(_deformed(scene, moved, title), folder / "deformed.png")
-        style.save(_pressure(solution.contact_parts, scene, table), folder / "pressure.png")
+        _deformed(scene, moved, title).save(folder / "deformed.png")
+        _pressure(solution.contact_parts, scene, table).save(folder / "pressure.png")
         plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
         return
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
@@ -70,31 +71,33 @@ def draw(
     space_files.draw_body_files(folder, scene, moved, title)
 
 
-def _deformed(scene: Scene, moved: Scene, title: str) -> Figure:
+def _deformed(scene: Scene, moved: Scene, title: str) -> Sheet:
     """The deformed body, coloured by the equivalent stress, over its mesh before."""
-    width, height = np.ptp(scene.fields.points, axis=0)
-    across = 8.5 if width > WIDE * height else 6.4
-    down = 1.4 + 0.8 * across * min(max(height / width, 0.2), 1.6)
-    figure = Figure(figsize=(across, down), layout="constrained")
-    axes = figure.add_subplot()
+    frame = framed(np.concatenate([scene.fields.points, moved.fields.points]))
+    aspect = float(np.divide(*np.ptp(frame, axis=0)))
+    width = 7.0 if aspect > WIDE else min(5.4, 6.0 * aspect)
+    sheet = Sheet([width], [width / aspect], title=title)
+    axes = sheet.panel(0, 0, aspect=aspect)
     axes.triplot(Triangulation(*scene.fields.points.T, scene.fields.cells), color="0.85", linewidth=0.3)
     low, high, extend = style.limits(scene.sigma_norm, scene.measure)
     after = Triangulation(*moved.fields.points.T, scene.fields.cells)
     look = {"cmap": style.FLUX_MAP, "vmin": low, "vmax": high, "edgecolors": "face", "linewidth": 0.3}
     image = axes.tripcolor(after, facecolors=scene.sigma_norm, rasterized=True, **look)
-    style.colour_bar(figure, axes, image, scene.strength, extend)
-    style.shape_axes(axes, title)
-    return figure
+    sheet.bar(axes, image, scene.strength, extend)
+    style.shape_axes(axes, "", frame)
+    sheet.legend_below([])
+    return sheet
 
 
-def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Figure:
+def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Sheet:
     """−σ_nn along each part of Γ_C, linear on each facet, and the gap."""
-    figure = Figure(figsize=(6.4, 0.6 + 2.9 * len(parts)), layout="constrained")
+    sheet = Sheet([4.6], [2.0] * len(parts), title=scene.caption)
+    lines: dict[object, Line2D] = {}
     for index, name in enumerate(parts):
         mine = table.part == index
-        axes = figure.add_subplot(len(parts), 1, index + 1)
+        axes = sheet.panel(index, 0, aspect=4.6 / 2)
         axes.plot(table.along[mine], table.pressure[mine], color=style.CONTACT, label=r"pressure $-\sigma_{nn}$")
-        axes.set(xlabel=f"${scene.labels[name]}$", ylabel="pressure", title=f"{name}: {scene.caption}")
+        axes.set(xlabel=f"${scene.labels[name]}$", ylabel="pressure", title=name)
         other = axes.twinx()
         other.grid(False)
         other.plot(table.along[mine], table.gap[mine], color=style.FREE, label=r"gap $g - u_n$")
@@ -103,9 +106,9 @@ def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Figu
             axes.plot(table.along[mine], table.shear[mine], color=style.SEGMENTS[1], label=r"shear $\sigma_t$")
             axes.set_ylabel("pressure, shear")
             _mark_states(axes, table, mine)
-        lines = [*axes.lines, *other.lines]
-        axes.legend(handles=lines, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=5)
-    return figure
+        lines |= {line.get_label(): line for line in (*axes.lines, *other.lines)}
+    sheet.legend_below(list(lines.values()))
+    return sheet
 
 
 def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, to_rgb
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
@@ -18,7 +17,9 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.output.gather import FacetTable
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.plane import Plane
+from signorini_fenicsx.output.pictures.plane_files import one_map
 from signorini_fenicsx.output.pictures.scene import Group, Scene
+from signorini_fenicsx.output.pictures.sheet import Sheet
 
 MOST_FRAMES = 200
 """Most pictures of an animation; of more steps only some are shown."""
@@ -36,21 +37,21 @@ def draw_sets(path: Path, scene: Scene, tables: Sequence[FacetTable], times: Seq
     scenes = [replace(scene, facets=table) for table in tables]
     ends = [0.0, *times]
     groups = _groups(scenes)
-    figure = Figure(figsize=(6.4, 1.0 + 3.2 * (len(scene.labels) if scene.dim == 2 else 1)), layout="constrained")
+    sheet = Sheet([5.4], [2.4] * (len(scene.labels) if scene.dim == 2 else 1), bars=False)
     if scene.dim == 2:
-        panels = figure.subplots(len(scene.labels), 1, squeeze=False)[:, 0]
-        for part, (axes, name) in enumerate(zip(panels, scene.labels, strict=True)):
+        for part, name in enumerate(scene.labels):
+            axes = sheet.panel(part, 0)
             _draw_part(axes, scenes, groups, part, ends)
             axes.set(xlabel=f"arc length on {name}", ylabel="$t$", title=f"sets on {name}")
     else:
-        axes = figure.add_subplot()
+        axes = sheet.panel(0, 0)
         for name, colour in groups.items():
             sizes = [_measure(each, name) for each in scenes]
             axes.plot(times, sizes, color=colour, linewidth=1.6)
         axes.set(xlabel="$t$", ylabel="measure", title="sets")
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
-    style.legend_below(figure, handles)
-    style.save(figure, path)
+    sheet.legend_below(handles)
+    sheet.save(path)
 
 
 def _groups(scenes: Sequence[Scene]) -> dict[str, str]:
@@ -105,19 +106,15 @@ def animate(path: Path, scene: Scene, chosen: Sequence[Frame]) -> None:
     low, high = min(u.min() for _, u, _ in chosen), max(u.max() for _, u, _ in chosen)
     plane = Plane(scene)
     triangulation, rows = plane.triangulation
-    width = 8.0 if plane.wide else 5.2
-    figure = Figure(figsize=(width, 1.2 + 0.8 * width / max(plane.aspect, 0.6)), dpi=80, layout="constrained")
-    axes = figure.add_subplot()
+    sheet, axes = one_map(plane, dpi=80)
     image = axes.tripcolor(triangulation, chosen[0][1].ravel()[rows], cmap=style.U_MAP, vmin=low, vmax=high)
-    style.colour_bar(figure, axes, image, "$u_h$")
+    sheet.bar(axes, image, "$u_h$")
     segments = scene.fields.points[scene.facets.vertices]
     line = axes.add_collection(LineCollection(segments, linewidths=4, clip_on=False, zorder=5))
     groups = _groups([replace(scene, facets=table) for _, _, table in chosen])
-    style.shape_axes(axes, "")
-    style.legend_below(
-        figure, [Line2D([], [], color=colour, linewidth=4, label=name) for name, colour in groups.items()]
-    )
-    canvas, pictures = FigureCanvasAgg(figure), []
+    style.shape_axes(axes, "", plane.frame)
+    sheet.legend_below([Line2D([], [], color=colour, linewidth=4, label=name) for name, colour in groups.items()])
+    canvas, pictures = FigureCanvasAgg(sheet), []
     for t, u, table in chosen:
         image.set_array(u.ravel()[rows])
         colours = np.empty((len(table.part), 3))

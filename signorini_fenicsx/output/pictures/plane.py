@@ -8,7 +8,6 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
@@ -19,6 +18,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
+from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.streams import streamlines
 from signorini_fenicsx.output.pictures.water import Water
 
@@ -37,14 +37,15 @@ class Plane:
     scene: Scene
 
     @cached_property
-    def box(self) -> Array:
-        """Smallest and largest coordinates, shape (2, 2)."""
-        return _box(self.scene.fields.points)
+    def frame(self) -> Array:
+        """Smallest and largest coordinates of what is drawn, with some room, shape (2, 2)."""
+        pools = [] if self.water is None else self.water.pools
+        return framed(np.concatenate([self.scene.fields.points, *pools]))
 
     @property
     def aspect(self) -> float:
         """Width over height."""
-        width, height = np.ptp(self.box, axis=0)
+        width, height = np.ptp(self.frame, axis=0)
         return float(width / height)
 
     @property
@@ -84,7 +85,7 @@ class Plane:
             paths.append(Outline(loop if forwards else loop[::-1], codes))
         return Outline.make_compound_path(*paths)
 
-    def draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_u(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """u_h as a map with contour lines."""
         scene = self.scene
         triangulation, _ = self.triangulation
@@ -92,7 +93,7 @@ class Plane:
         image = axes.tripcolor(triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
         levels = MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
         lines = axes.tricontour(triangulation, values, levels, colors="white", linewidths=0.6, alpha=0.8)
-        bar = style.colour_bar(figure, axes, image, "$H = -u_h$" if self.water else "$u_h$")
+        bar = sheet.bar(axes, image, "$H = -u_h$" if self.water else "$u_h$")
         bar.add_lines(lines)
         self._surroundings(axes, title)
 
@@ -110,14 +111,14 @@ class Plane:
         facets = scene.facets.x[:, :2]
         seen = np.average(facets, axis=0, weights=scene.facets.measure) if len(facets) > 0 else points.mean(axis=0)
         side = seen - points.mean(axis=0)
-        far = np.linalg.norm(side) > 0.1 * np.ptp(self.box, axis=0).max()
+        far = np.linalg.norm(side) > 0.1 * np.ptp(points, axis=0).max()
         azimuth = np.degrees(np.arctan2(side[1], side[0])) if far else -90.0
         axes.view_init(elev=28, azim=azimuth + 30)
         axes.set(xlabel="$x$", ylabel="$y$", title=title)
-        axes.set_box_aspect((*np.ptp(self.box, axis=0) / np.ptp(self.box, axis=0).max(), 0.55), zoom=1.1)
+        axes.set_box_aspect((*np.ptp(points, axis=0) / np.ptp(points, axis=0).max(), 0.55), zoom=1.25)
         axes.locator_params(nbins=4)
 
-    def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """Streamlines of σ_h on |σ_h|."""
         scene = self.scene
         triangulation, _ = self.triangulation
@@ -126,7 +127,7 @@ class Plane:
         image = axes.tripcolor(
             triangulation, norm, cmap=style.FLUX_MAP, vmin=low, vmax=high, shading="gouraud", rasterized=True
         )
-        style.colour_bar(figure, axes, image, r"$|\sigma_h|$", extend)
+        sheet.bar(axes, image, r"$|\sigma_h|$", extend)
         lines, heads = self.streams
         clip = PathPatch(self.outline, transform=axes.transData)
         for drawn in (LineCollection(lines, colors="white", linewidths=0.7), PolyCollection(heads, facecolors="white")):
@@ -134,7 +135,7 @@ class Plane:
             drawn.set_clip_path(clip)
         self._surroundings(axes, title)
 
-    def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_certificate(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """η_T, the contribution of each cell to the certified error, on a logarithmic scale."""
         indicator = self.scene.fields.indicator
         assert indicator is not None
@@ -143,7 +144,7 @@ class Plane:
         image = axes.tripcolor(
             triangulation, np.maximum(indicator[rows], norm.vmin), norm=norm, cmap=style.ERROR_MAP, rasterized=True
         )
-        style.colour_bar(figure, axes, image, r"$\eta_T$")
+        sheet.bar(axes, image, r"$\eta_T$")
         self._surroundings(axes, title)
 
     def draw_mesh(self, axes: Axes) -> None:
@@ -198,11 +199,7 @@ class Plane:
             for _, vertices in chains(scene.facets.vertices[group.facets]):
                 line = axes.plot(*points[vertices].T, color=group.colour, linewidth=3, clip_on=False, zorder=5)[0]
                 line.set(solid_capstyle="butt", path_effects=edge)
-        style.shape_axes(axes, title)
-        pools = [] if self.water is None else self.water.pools
-        low, high = _box(np.concatenate([points, *pools]))
-        room = 0.02 * (high - low).max()
-        axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+        style.shape_axes(axes, title, self.frame)
 
 
 def log_norm(indicator: Array) -> LogNorm:
@@ -211,5 +208,8 @@ def log_norm(indicator: Array) -> LogNorm:
     return LogNorm(max(float(indicator.min()), 1e-4 * largest), largest)
 
 
-def _box(points: Array) -> Array:
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+def framed(points: Array) -> Array:
+    """Smallest and largest coordinates with some room around, shape (2, 2)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.02 * (high - low).max()
+    return np.stack([low - room, high + room])

@@ -11,7 +11,6 @@ import pyvista
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -20,6 +19,7 @@ from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.plane import log_norm
 from signorini_fenicsx.output.pictures.rendering import cropped, offscreen, screen, triad
 from signorini_fenicsx.output.pictures.scene import Scene, creases
+from signorini_fenicsx.output.pictures.sheet import Sheet
 
 PIXELS = 700
 STREAMLINES = 70
@@ -126,15 +126,15 @@ class Space:
             seeds, vectors="sigma", max_length=2 * self.extent, initial_step_length=0.5, max_steps=400
         )
 
-    def draw_half(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_half(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """u_h on half of the domain, with contour lines."""
-        self._draw_u(figure, axes, title, "half", self.half())
+        self._draw_u(sheet, axes, title, "half", self.half())
 
-    def draw_cuts(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_cuts(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """u_h on three cuts, with contour lines."""
-        self._draw_u(figure, axes, title, "cuts", self.slices())
+        self._draw_u(sheet, axes, title, "cuts", self.slices())
 
-    def _draw_u(self, figure: Figure | SubFigure, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
+    def _draw_u(self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
         low, high = float(self.scene.u.min()), float(self.scene.u.max())
         lines = surface.contour(np.linspace(low, high, 12)[1:-1], scalars="u")
 
@@ -144,28 +144,26 @@ class Space:
                 self._add_lines(plotter, lines, self.views[0], "white", 1.5)
 
         self._show(axes, title, key, build, self.views[0])
-        _bar(figure, axes, Normalize(low, high), style.U_MAP, "$u_h$")
+        _bar(sheet, axes, Normalize(low, high), style.U_MAP, "$u_h$")
 
-    def draw_sigma(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """|σ_h| on half of the domain."""
-        self._draw_strength(figure, axes, title, "sigma", self.half())
+        self._draw_strength(sheet, axes, title, "sigma", self.half())
 
-    def draw_outside(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_outside(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """|σ_h| on the surface of the domain."""
-        self._draw_strength(figure, axes, title, "outside", self.grid.extract_surface(algorithm=None))
+        self._draw_strength(sheet, axes, title, "outside", self.grid.extract_surface(algorithm=None))
 
-    def _draw_strength(
-        self, figure: Figure | SubFigure, axes: Axes, title: str, key: str, surface: pyvista.PolyData
-    ) -> None:
+    def _draw_strength(self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
 
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, surface, "sigma_norm", style.FLUX_MAP, (low, high))
 
         self._show(axes, title, key, build, self.views[0])
-        _bar(figure, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
+        _bar(sheet, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
 
-    def draw_streamlines(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_streamlines(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """Streamlines of σ_h, coloured by |σ_h|, and the contact set."""
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
         lines = self.streamlines
@@ -177,9 +175,9 @@ class Space:
                 _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
 
         self._show(axes, title, "streamlines", build, self.views[0])
-        _bar(figure, axes, Normalize(low, high), style.STREAM_MAP, r"$|\sigma_h|$", extend)
+        _bar(sheet, axes, Normalize(low, high), style.STREAM_MAP, r"$|\sigma_h|$", extend)
 
-    def draw_certificate(self, figure: Figure | SubFigure, axes: Axes, title: str) -> None:
+    def draw_certificate(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """η_T on half of the domain, on a logarithmic scale."""
         indicator = self.scene.fields.indicator
         assert indicator is not None
@@ -191,9 +189,9 @@ class Space:
             _add_colours(plotter, half, "log", style.ERROR_MAP, np.log10([norm.vmin, norm.vmax]).tolist())
 
         self._show(axes, title, "certificate", build, self.views[0])
-        _bar(figure, axes, norm, style.ERROR_MAP, r"$\eta_T$")
+        _bar(sheet, axes, norm, style.ERROR_MAP, r"$\eta_T$")
 
-    def draw_trace(self, figure: Figure | SubFigure, axes: Axes, column: str, label: str, view: Array) -> None:
+    def draw_trace(self, sheet: Sheet, axes: Axes, column: str, label: str, view: Array) -> None:
         """A column of the table of facets, as colours on Γ_S."""
         facets = self.scene.facets
         values = getattr(facets, column)
@@ -205,9 +203,9 @@ class Space:
             self._add_hull(plotter)
 
         self._show(axes, label, column, build, view)
-        _bar(figure, axes, Normalize(low, high), style.U_MAP, "", extend)
+        _bar(sheet, axes, Normalize(low, high), style.U_MAP, "", extend)
 
-    def draw_contact(self, figure: Figure | SubFigure, axes: Axes, title: str, view: Array) -> None:
+    def draw_contact(self, axes: Axes, title: str, view: Array) -> None:
         """The contact set on Γ_S."""
 
         def build(plotter: pyvista.Plotter) -> None:
@@ -216,7 +214,7 @@ class Space:
 
         self._show(axes, title, "contact", build, view)
 
-    def draw_mesh(self, figure: Figure | SubFigure, axes: Axes, view: Array) -> None:
+    def draw_mesh(self, axes: Axes, view: Array) -> None:
         """The mesh on the boundary, with the contact set."""
 
         def build(plotter: pyvista.Plotter) -> None:
@@ -288,6 +286,7 @@ class Space:
     def _render(self, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> npt.NDArray[np.uint8]:
         with offscreen():
             plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
+            plotter.suppress_rendering = True  # otherwise each of the following calls renders
             plotter.set_background("white")
             build(plotter)
             rim = self._behind(self.rim) if key in HALVES else self.rim
@@ -297,6 +296,7 @@ class Space:
             plotter.enable_parallel_projection()
             plotter.view_vector(view, (0, 0, 1))
             plotter.enable_anti_aliasing("msaa")
+            plotter.suppress_rendering = False
             image = plotter.screenshot(return_img=True)
             plotter.close()
         return cropped(image)
@@ -324,11 +324,11 @@ def _add_colours(
 
 
 def _bar(
-    figure: Figure | SubFigure,
+    sheet: Sheet,
     axes: Axes,
     norm: Normalize | LogNorm,
     cmap: str,
     label: str,
     extend: str = "neither",
 ) -> None:
-    style.colour_bar(figure, axes, ScalarMappable(norm, cmap), label, extend)
+    sheet.bar(axes, ScalarMappable(norm, cmap), label, extend)

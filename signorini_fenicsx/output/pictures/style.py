@@ -1,14 +1,9 @@
 """The common style of all pictures: fonts, colours, colour limits, numbers in mathematical type."""
 
-import io
 import math
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colorbar import Colorbar
-from matplotlib.figure import Figure, SubFigure
 
 from signorini_fenicsx.base.arrays import Array
 
@@ -23,8 +18,7 @@ STYLE = {
     "grid.alpha": 0.3,
     "axes.axisbelow": True,
     "figure.dpi": 150,
-    "figure.constrained_layout.h_pad": 0.08,
-    "figure.constrained_layout.w_pad": 0.08,
+    "axes.formatter.limits": (-3, 5),  # so numbers beside an axis are short
 }
 """Settings of Matplotlib; `mpl.rc_context(STYLE)` applies them to a function only, not to the process."""
 
@@ -34,19 +28,8 @@ OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
-NOTEBOOK_DPI = 75
-"""A figure that is as wide as a page is as wide as the column of a notebook then."""
 QUANTILE = 0.99
 """The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
-
-
-class Page(Figure):
-    """A figure that notebooks show whether pyplot is there or not."""
-
-    def _repr_png_(self) -> bytes:
-        png = io.BytesIO()
-        self.savefig(png, format="png", dpi=NOTEBOOK_DPI)
-        return png.getvalue()
 
 
 def power(value: float) -> str:
@@ -82,26 +65,9 @@ def letter(number: int) -> str:
     return f"({chr(ord('a') + number)})"
 
 
-def shape_axes(axes: Axes, title: str) -> None:
-    """Axes of a picture of the plane."""
+def shape_axes(axes: Axes, title: str, frame: Array) -> None:
+    """Axes of a picture of the plane between the smallest and largest coordinates, shape (2, 2)."""
     axes.grid(False)
-    axes.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=title)
+    axes.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=title, xlim=frame[:, 0], ylim=frame[:, 1])
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-
-
-def colour_bar(figure: Figure | SubFigure, axes: Axes, image: object, label: str, extend: str = "neither") -> Colorbar:
-    """A colour bar beside a panel, with the height of the panel."""
-    return figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.85, aspect=25, pad=0.02)
-
-
-def legend_below(figure: Figure | SubFigure, handles: list, columns: int = 4) -> None:
-    """A legend below all panels, where it hides nothing."""
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=columns)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure."""
-    # `savefig` would draw twice, once for the layout. Level 3 takes half the time; files are a few per cent larger.
-    FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 3})

@@ -1,0 +1,143 @@
+"""Figures of panels in rows and columns, placed in inches: room for labels is known beforehand, nothing is measured."""
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from PIL import Image
+
+LEFT, RIGHT, ABOVE, BELOW = 0.75, 0.2, 0.36, 0.54
+"""Room around a panel: for its numbers and label on the left, for its title, for its numbers and label below."""
+BAR = 1.05
+"""Room for a colour bar with its numbers and label on the right of a panel."""
+EDGE = 0.1
+LINE, ENTRY = 0.2, 0.21
+"""Height of a line of the title and of a row of the legend."""
+WORDS = 1.85
+"""Width of an entry of the legend."""
+LETTER = 0.082
+"""Mean width of a letter of the title."""
+NOTEBOOK_DPI = 75
+"""A figure that is as wide as a page is as wide as the column of a notebook then."""
+
+
+class Sheet(Figure):
+    """Panels in rows and columns, a title above and a legend below.
+
+    A constrained layout of Matplotlib measures each text twice before it draws, which takes longer than drawing.
+
+    Args:
+        widths: Inches for each column, without its labels.
+        heights: Inches for each row, likewise.
+        bars: Whether the columns have room for colour bars.
+        title: A title of the sheet, perhaps of several lines.
+        dpi: Points per inch, if not those of the style.
+    """
+
+    def __init__(
+        self,
+        widths: Sequence[float],
+        heights: Sequence[float],
+        *,
+        bars: bool = True,
+        title: str = "",
+        dpi: float | None = None,
+    ) -> None:
+        super().__init__(dpi=dpi)
+        self._widths, self._heights, self._bar = widths, heights, BAR if bars else RIGHT
+        self._across = EDGE + sum(LEFT + width + self._bar for width in widths)
+        self._lines = _wrapped(title, self._across - 1) if title else []
+        self._places: dict[Axes, tuple[float, float, float, float]] = {}
+        self.legend_below([])
+
+    def panel(
+        self, row: int, column: int, *, rows: int = 1, columns: int = 1, aspect: float | None = None, **options: Any
+    ) -> Axes:
+        """Axes in a cell.
+
+        Args:
+            row: Of the cell, from above.
+            column: Of the cell.
+            rows: How many rows it covers.
+            columns: How many columns it covers.
+            aspect: Width over height of a map, beside which there is room for a colour bar. Other panels fill the cell.
+            options: Those of `add_axes`.
+        """
+        left = EDGE + LEFT + sum(LEFT + width + self._bar for width in self._widths[:column])
+        top = self._top + ABOVE + sum(ABOVE + height + BELOW for height in self._heights[:row])
+        width = sum(self._widths[column : column + columns]) + (columns - 1) * (LEFT + self._bar)
+        height = sum(self._heights[row : row + rows]) + (rows - 1) * (ABOVE + BELOW)
+        axes = self.add_axes((0, 0, 1, 1), **options)
+        if aspect is None:
+            place = (left, top, width + self._bar - RIGHT, height)
+        else:
+            fitting = min(width, height * aspect)
+            place = (left + (width - fitting) / 2, top + (height - fitting / aspect) / 2, fitting, fitting / aspect)
+        self._places[axes] = place
+        return axes
+
+    def view(self, row: int, column: int) -> Axes:
+        """Axes for an image without labels, which also takes their room in its cell."""
+        axes = self.panel(row, column, aspect=self._widths[column] / self._heights[row])
+        left, top, width, height = self._places[axes]
+        self._places[axes] = left - LEFT + EDGE, top, width + LEFT - EDGE, height + BELOW - EDGE
+        return axes
+
+    def bar(self, axes: Axes, image: object, label: str, extend: str = "neither") -> Colorbar:
+        """A colour bar beside a map."""
+        left, top, width, height = self._places[axes]
+        beside = self.add_axes((0, 0, 1, 1))
+        self._places[beside] = (left + width + 0.12, top + 0.06 * height, min(0.13, 0.1 * height), 0.88 * height)
+        return self.colorbar(image, cax=beside, label=label, extend=extend)
+
+    def legend_below(self, handles: list, columns: int | None = None) -> None:
+        """Place all panels, and a legend below them, where it hides nothing."""
+        columns = columns or max(1, min(len(handles), int(self._across / WORDS)))
+        legend = EDGE + ENTRY * -(-len(handles) // columns)
+        down = self._top + sum(ABOVE + height + BELOW for height in self._heights) + legend
+        self.set_size_inches(self._across, down)
+        for axes, (left, top, width, height) in self._places.items():
+            axes.set_position((left / self._across, 1 - (top + height) / down, width / self._across, height / down))
+        if self._lines:
+            self.suptitle("\n".join(self._lines), fontsize=11, y=1 - EDGE / down)
+        if handles:
+            self.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0), ncols=columns, borderpad=0.3)
+
+    @property
+    def _top(self) -> float:
+        return EDGE + LINE * len(self._lines)
+
+    def save(self, path: Path) -> None:
+        """Write a PNG."""
+        canvas = FigureCanvasAgg(self)
+        canvas.draw()
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        picture.save(path, dpi=(self.dpi, self.dpi), compress_type=3)  # run lengths: half the time, no larger
+
+    def _repr_png_(self) -> bytes:
+        """For notebooks, whether pyplot is there or not."""
+        png = io.BytesIO()
+        self.savefig(png, format="png", dpi=NOTEBOOK_DPI)
+        return png.getvalue()
+
+
+def _wrapped(title: str, width: float) -> list[str]:
+    """The lines of a title, broken after commas where they are too long."""
+    lines = []
+    for text in title.split("\n"):
+        line = ""
+        for piece in text.split(", "):
+            longer = f"{line}, {piece}" if line else piece
+            if line and LETTER * len(re.sub(r"\\[a-z]+|[{}$^_]", "", longer)) > width:
+                lines.append(line + ",")
+                longer = piece
+            line = longer
+        lines.append(line)
+    return lines
