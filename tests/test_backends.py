@@ -1,6 +1,7 @@
 """The hybrid backend against the mixed one, iterate by iterate, with both of its linear solvers."""
 
 import itertools
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
@@ -20,7 +22,7 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.spaces import flux_mass_diagonal
+from signorini_fenicsx.discrete.spaces import build_spaces, flux_mass_diagonal
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1
@@ -89,6 +91,58 @@ def test_multigrid_iterations_do_not_grow():
         assert solution.outcome.linear_solver == "cg+mg"
         assert max(step.linear_iterations for step in solution.outcome.history) <= 20
         assert max(vars(solution.kkt).values()) < 1e-9
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("name", ["regulator", "crack"])
+def test_traces_are_those_of_the_recovered_flux(name: str):
+    """For any x, any conditions, with cu and with jumps: rows of the matrix and the recovered flux give the same."""
+    case = load_case(name).with_values({"solve.h": 0.3})
+    spaces = solve_case(case, COMM).spaces
+    system = FacetSystem(spaces, project_data(spaces, case.data(2)), Tuning())
+    rng = np.random.default_rng(COMM.rank)
+    conditions = SiteConditions(rng.integers(0, 2, len(spaces.facets)).astype(np.int8))
+    system.apply(conditions)
+    system.x.array_w[:] = rng.uniform(-1, 1, system.x.getLocalSize())
+    p, flux = system.traces(system.x, conditions)
+    expected = system.recover(conditions, 0)
+    np.testing.assert_array_equal(p, expected.p)
+    np.testing.assert_allclose(flux, expected.flux, atol=1e-11)
+
+
+def test_smoothers_are_safe_without_estimates(folder: Path):
+    """No eigenvalue is above 1, where the interval of Chebyshev ends, on any level, for flat cells and any set."""
+    case = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="1", h=0.45)
+    case = case.with_values({"problem.kappa": "1 + 1e4*exp(-100*(x - y)**2)"})
+    domain = mesh_case(case, COMM)
+    domain.mesh.geometry.x[:, 2] *= 0.05
+    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
+    backend = HybridBackend(spaces, project_data(spaces, case.data(3)), multigrid=True)
+    rng = np.random.default_rng(1)
+    for _ in range(2):
+        backend.solve(SiteConditions(rng.integers(0, 2, len(spaces.facets)).astype(np.int8)))
+        levels = backend._ksp.getPC()
+        coarse = levels.getMGCoarseSolve().getPC()
+        smoothers = [levels.getMGSmoother(1), *(coarse.getMGSmoother(i) for i in range(1, coarse.getMGLevels()))]
+        for smoother in smoothers:
+            matrix, into = smoother.getOperators()[0], smoother.getPC()
+            ones, scale = matrix.createVecs()
+            ones.set(1.0)
+            into.apply(ones, scale)
+            root = np.sqrt(scale.array_r)
+            dense = matrix.convert("dense", PETSc.Mat()).getDenseArray()
+            assert np.linalg.eigvalsh(root[:, None] * dense * root).max() <= 1 + 1e-12
+            assert "min 0.1, max 1." in view(smoother)
+
+
+def view(solver: PETSc.KSP) -> str:
+    """What PETSc prints of a solver."""
+    with tempfile.NamedTemporaryFile("r") as file:
+        viewer = PETSc.Viewer().createASCII(file.name)
+        solver.view(viewer)
+        viewer.flush()
+        viewer.destroy()
+        return file.read()
 
 
 @pytest.mark.parallel([1, 2])

@@ -16,6 +16,15 @@ from signorini_fenicsx.discrete.sources import Sources, sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
+DEFAULTS = {
+    f"{level}_{name}": value
+    for level in ("mg_levels", "mg_coarse_mg_levels")
+    for name, value in (("pc_jacobi_type", "rowl1"), ("ksp_chebyshev_eigenvalues", "0.1,1.0"))
+}
+"""Where Jacobi divides by the sum of the absolute values of a row, no eigenvalue is above 1 for any sets, so none is
+estimated. Estimates would cost ten products and twenty reductions on each level for each set, and are too small at
+times: then the preconditioner is indefinite."""
+
 
 class AuxiliarySpace:
     """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.

@@ -16,7 +16,6 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.kept_forms import Coefficient
 from signorini_fenicsx.discrete.sources import sources
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, recovered_flux, recovered_scalar, stiffness
@@ -72,6 +71,7 @@ class FacetSystem:
         self.x, self.b = create_vector(self.space), create_vector(self.space)
         self.x.set(0.0)
         self._flux = fem.Function(spaces.V)  # only this one is interpolated: DOLFINx makes a cycle with it each time
+        self._rows: PETSc.Mat | None = None
         self._take(data)
 
     def _form(self, data: Data) -> fem.Form:
@@ -94,6 +94,11 @@ class FacetSystem:
         given = (data.q_Sh * self.spaces.facet_measure)[self.spaces.inner.rows]
         self._load[self._across] += self._load[self._named] - given  # what flows out of one side flows into the other
 
+    def _assemble_again(self, data: Data) -> None:
+        """Assemble the matrix with another κ, or other sources (collective)."""
+        self._operator.renew(self._form(data))
+        self._rows = None
+
     def renew(self, data: Data) -> bool:
         """Go on with other data, and from the last solution if the load is nearly the same (collective).
 
@@ -104,7 +109,7 @@ class FacetSystem:
         kept = same and data.obstacle is None
         self.sources = self.sources.renewed(data) if kept else sources(self.spaces, data)
         if not kept:
-            self._operator.renew(self._form(data))
+            self._assemble_again(data)
             self._imposed = None
         before, owned = self._load, slice(self.x.getLocalSize())
         self._take(data)
@@ -140,7 +145,7 @@ class FacetSystem:
         """Let u_T be ψ_T on the cells in contact with the obstacle (collective)."""
         if self._data.obstacle is not None:
             self.sources = sources(self.spaces, self._data).held(contact, self._data.obstacle.means)
-            self._operator.renew(self._form(self._data))
+            self._assemble_again(self._data)
             self._assemble_load()
 
     def load(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
@@ -182,13 +187,14 @@ class FacetSystem:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
         spaces = self.spaces
         sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
-        recovery = self._recovery(self.x)
+        u_cr = self._with_lift(self.x)
+        recovery = self._data.kappa_h, self.sources.at(u_cr), u_cr, spaces.centroids
         self._flux.interpolate(spaces.kept_expression(_recovered_flux, spaces.V, *recovery))
         sigma.x.array[:] = self._flux.x.array
         sigma.x.scatter_forward()
         u.x.array[:] = assembled(spaces.kept(_recovered_scalar, *recovery)) / spaces.cell_measures
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
-        p, flux = self._pairs(self.x.array_r[self.trace_dofs], flux, conditions, recovery[2])
+        p, flux = self._pairs(self.x, flux, conditions)
         on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
         sigma.x.array[spaces.flux_dofs] = on_facets / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
@@ -203,22 +209,23 @@ class FacetSystem:
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective).
 
-        σ·n of a facet is what its equation lacks where nothing is imposed.
+        A facet of Γ_S has one cell, so its row of the system without conditions is |e|(σ·n − q_S).
         """
-        image = self.matrix.createVecLeft()
-        self._operator.natural.mult(x, image)
-        flux = (image.array_r - self._load[: x.getLocalSize()])[self.trace_dofs] / self.spaces.facet_measure
-        image.destroy()
-        u_cr = None if self._data.obstacle is None else self._recovery(x)[2]
-        return self._pairs(x.array_r[self.trace_dofs], flux, conditions, u_cr)
+        if self._rows is None:
+            first, end = self._operator.natural.getOwnershipRange()
+            rows = PETSc.IS().createGeneral(first + self.trace_dofs, comm=self.x.getComm())
+            own = PETSc.IS().createStride(end - first, first, comm=self.x.getComm())
+            self._rows = self._operator.natural.createSubMatrix(rows, own)
+        loads = self._rows.createVecLeft()
+        self._rows.mult(x, loads)
+        flux: Array = (loads.array_r - self._load[self.trace_dofs]) / self.spaces.facet_measure
+        return self._pairs(x, flux, conditions)
 
-    def _pairs(
-        self, trace: Array, flux: Array, conditions: SiteConditions, u_cr: fem.Function | None
-    ) -> tuple[Array, Array]:
+    def _pairs(self, x: PETSc.Vec, flux: Array, conditions: SiteConditions) -> tuple[Array, Array]:
         """P − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
-        data = self._data
+        data, trace = self._data, x.array_r[self.trace_dofs]
         if data.obstacle is not None:
-            assert u_cr is not None
+            u_cr = self._with_lift(x)
             trace = np.append(trace, self.sources.scalars(u_cr) - data.obstacle.means)
             force = self.sources.at(u_cr).x.array - data.f_h.x.array
             if data.c_h is not None:
@@ -226,15 +233,15 @@ class FacetSystem:
             flux = np.append(flux, force)
         return conditions.clean(trace, flux, data.conductance)
 
-    def _recovery(self, x: PETSc.Vec) -> tuple[Coefficient, fem.Function, fem.Function, fem.Function]:
-        """κ_h, the source, u_CR and the centroids, from which σ_h and u_h are recovered (collective)."""
+    def _with_lift(self, x: PETSc.Vec) -> fem.Function:
+        """u_CR (collective)."""
         owned: Array = x.array_r
         u_cr = fem.Function(self.space)
         u_cr.x.array[: len(owned)] = owned
         u_cr.x.array[self._named] += owned[self._across]
         u_cr.x.scatter_forward()
         u_cr.x.array[:] += self._data.u_lift.x.array
-        return self._data.kappa_h, self.sources.at(u_cr), u_cr, self.spaces.centroids
+        return u_cr
 
 
 def _stiffness(spaces: Spaces, kappa: Expr) -> Form:

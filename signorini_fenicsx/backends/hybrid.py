@@ -6,14 +6,14 @@ from functools import partial
 
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.auxiliary_space import AuxiliarySpace
+from signorini_fenicsx.backends.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.backends.condensed import Condensed
 from signorini_fenicsx.backends.contract import Inexact, Iterate
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import LinearSolver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
@@ -63,7 +63,7 @@ class HybridBackend(FacetBackend):
         self._condensed: Condensed | None = None
         self._regret = math.inf
         self.dofs = self._system.dofs
-        self._solver = LinearSolver(self._system.matrix, prefix)
+        self._solver = LinearSolver(self._system.matrix, prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
         self._ksp = self._solver.ksp
         iterative = multigrid or self._system.large
         self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
