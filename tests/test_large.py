@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pyarrow.parquet
 import pytest
-from commands import read_rows, signorini
+from commands import read_rows
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -24,14 +24,13 @@ COMM = MPI.COMM_WORLD
 
 @pytest.mark.parallel([1, 3])
 def test_tables_of_the_ranks_are_the_table(folder: Path):
-    """A solution without pictures, and with a table per rank; together they have the rows of the one table."""
+    """With a table per rank they have together the rows of the one table."""
     case = load_case("example1").with_values({"solve.h": 0.1})
     write_solution(solve_case(case, COMM), folder, fields=False)
     (folder / "by_rank").mkdir(exist_ok=True)
-    small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=10, on_one_rank_up_to=10))
-    write_solution(small, folder / "by_rank", fields=False, plot=True)
+    small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=10))
+    write_solution(small, folder / "by_rank", fields=False)
     COMM.Barrier()
-    assert not list((folder / "by_rank").glob("*.png"))
     assert not (folder / "by_rank" / "facets.csv").exists()
     names = sorted(path.name for path in (folder / "by_rank" / "facets").iterdir())
     assert names == [f"{rank:05}.parquet" for rank in range(COMM.size)]
@@ -43,19 +42,12 @@ def test_tables_of_the_ranks_are_the_table(folder: Path):
     assert found == wanted
 
 
-def test_methods_and_pictures_of_one_rank_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_methods_of_one_rank_are_refused():
     case = load_case("example1").with_values({"solve.h": 0.25})
     small = Tuning(on_one_rank_up_to=10, dense_up_to=5)
     for algorithm, most in (("psor", "10 cells"), ("qp", "10 cells"), ("mixed-uzawa-h12", "5 facets of Γ_S")):
         with pytest.raises(InputError, match=f"{algorithm} works on one rank, with at most {most}"):
             solve_case(case.with_values({"solve.algorithm": algorithm}), COMM, tuning=small)
-    for arguments in (
-        ["solve", "example1", "--h", "2^-11", "--plot"],
-        ["adapt", "example1", "--max-cells", "9000000", "--html"],
-    ):
-        done = signorini(tmp_path, *arguments)
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-        assert "at most 2000000 cells are drawn" in done.stderr
 
 
 def checkpoints() -> tuple[Solution, Solution]:

@@ -1,5 +1,6 @@
 """Pictures: they are made and not blank; what they import; their geometry."""
 
+import math
 import re
 import sys
 from dataclasses import replace
@@ -16,13 +17,14 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.output import sample
 from signorini_fenicsx.output.gather import (
     Boundary,
     FacetTable,
+    Fields,
     gather_boundary,
     gather_facets,
     gather_fields,
-    gather_marks,
 )
 from signorini_fenicsx.output.pictures import draw_all, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_steps
@@ -55,7 +57,7 @@ def scene(name: str, *, certified: bool = False, **values: object) -> Scene:
     assert fields is not None
     assert facets is not None
     assert boundary is not None
-    return scene_of(solution, fields, facets, boundary, gather_marks(solution.spaces.domain).cells)
+    return scene_of(solution, fields, facets, boundary)
 
 
 def draw(folder: Path, *arguments: str) -> tuple[Path, list[str]]:
@@ -154,6 +156,39 @@ def _by_x(facets: FacetTable) -> FacetTable:
     order = np.argsort(facets.x[:, 0], kind="stable")
     columns = {key: values[order] for key, values in vars(facets).items()}
     return FacetTable(**columns | {"along": columns["x"][:, 0]})
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize(("name", "h", "most"), [("example2", 0.1, 300), ("cube", 0.25, 800)])
+def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeypatch: pytest.MonkeyPatch):
+    """It covers the domain, has all vertices of the boundary, and the values of the whole mesh in its points."""
+    case = load_case(name).with_values({"solve.h": h})
+    alone = solve_case(case, MPI.COMM_SELF)
+    whole = gather_fields(alone)
+    assert whole is not None
+    assert whole.count == f"{len(whole.cells)} cells"
+    monkeypatch.setattr(sample, "MOST_CELLS", {2: most, 3: most})
+    together, few = gather_fields(solve_case(case, COMM)), gather_fields(alone)
+    assert (together is None) == (COMM.rank > 0)
+    assert few is not None
+    if together is None:
+        return
+    for each in ("points", "cells", "u", "sigma"):
+        np.testing.assert_allclose(vars(together)[each], vars(few)[each], atol=1e-9)
+    assert most / 3 < len(few.cells) < 1.5 * most < few.of / 2
+    assert few.count == f"{few.of} cells, a sample of {len(few.cells)} drawn"
+    rows = np.searchsorted(whole.ids, few.ids)
+    np.testing.assert_array_equal(few.points, whole.points[rows])
+    np.testing.assert_allclose(few.u, whole.u[rows], atol=1e-12)
+    boundary = gather_boundary(alone)
+    assert boundary is not None
+    assert np.isin(boundary.vertices, few.ids).all()
+    assert _volume(few) == pytest.approx(_volume(whole), rel=0.05 if few.points.shape[1] == 2 else 0.25)
+
+
+def _volume(fields: Fields) -> float:
+    corners = fields.points[fields.cells]
+    return float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / math.factorial(corners.shape[2]))
 
 
 @pytest.mark.parallel([1, 3])

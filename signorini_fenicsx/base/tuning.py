@@ -30,7 +30,7 @@ class Tuning:
         patch_steps: Largest number of set updates on a patch; sets that change for longer leave the patch.
         condense_up_to: Largest number of facets of Γ_S for which repeated solves with the same κ share a factorisation.
         one_table_up_to: Largest number of facets of Γ_S whose table is one text file; of more each rank writes its own.
-        on_one_rank_up_to: Largest number of cells for what one rank does with the whole mesh: pictures, and the methods
+        on_one_rank_up_to: Largest number of cells for what one rank does with the whole mesh: the methods
             psor and qp. More are refused.
         dense_up_to: Largest number of facets of Γ_S for dense matrices on one rank, which the H^{1/2} norm needs; their
             square root takes a minute. More are refused.

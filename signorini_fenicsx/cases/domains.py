@@ -1,7 +1,5 @@
 """From a case to its domain."""
 
-from collections.abc import Callable
-
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import CaseFile
@@ -21,20 +19,6 @@ def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
     domain = own_domain(comm, geometry.file or "", case.file_h, case.parts.named, case.sides)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
-
-
-def coarser_meshes(case: CaseFile, fine: Domain) -> Callable[[float], Domain]:
-    """Makes meshes that are coarser by a factor: one from which the mesh was refined, or one with a larger h.
-
-    Args:
-        case: The case.
-        fine: Its mesh.
-    """
-
-    def coarser(factor: float) -> Domain:
-        return fine.ancestor(factor) or mesh_case(case.with_values({"solve.h": factor * case.solve.h}), fine.mesh.comm)
-
-    return coarser
 
 
 def rough_cells(case: CaseFile) -> float:

@@ -1,6 +1,7 @@
 """Solving the problem of a case file."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import overload
 
 from mpi4py import MPI
@@ -9,11 +10,12 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, CaseFile
-from signorini_fenicsx.cases.domains import coarser_meshes, mesh_case
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.methods.history import OnStep
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -79,7 +81,7 @@ def solve_case(
     with watch.phase("mesh"):
         place = domain or mesh_case(case, comm)
     mesh = place.spaces.domain if isinstance(place, Solver) else place
-    remesh = coarser_meshes(case, mesh) if domain is None else None
+    remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh.mesh.comm))
     options = options_of(case, tuning)
     if isinstance(case, ElasticCase):
         return solve_elastic(
@@ -108,6 +110,11 @@ def solve_case(
         watch=watch,
         on_step=on_step,
     )
+
+
+def _remade(case: AnyCase, comm: MPI.Comm, factor: float) -> Domain:
+    """A mesh of a case whose h is larger by a factor (collective)."""
+    return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
 
 
 def evolve_case(

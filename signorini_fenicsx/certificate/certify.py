@@ -228,7 +228,7 @@ def _under_laws(
     trace = law_trace(solution, metric, y, on, forces)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.above(at.points)
-    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_of_piece(at, v))
+    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v))
     contact = found.per_cell(len(metric.volume))
     if data.obstacle is not None and forces is not None:
         contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)

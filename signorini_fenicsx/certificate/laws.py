@@ -16,8 +16,9 @@ the mean is y·n,
 
     η = b + c, but at least s_lo and at most s_hi.
 
-For the Signorini law, s_lo = q_S and s_hi = ∞, this is the water-filling of `oscillation`. θ = 1/(1 + βC_e²) with C_e
-of `local_fluxes` makes the sum of 2 gap and osc² least.
+On a vertical segment s_lo and s_hi are its ends, if y·n is between their means: beyond an end the gap would grow with
+the length of the next segment. For the Signorini law, s_lo = q_S and s_hi = ∞, this is the water-filling of
+`oscillation`. θ = 1/(1 + βC_e²) with C_e of `local_fluxes` makes the sum of 2 gap and osc² least.
 """
 
 from __future__ import annotations
@@ -80,8 +81,15 @@ class LawPoints:
 
     def trace_at(self, corner: Kinds) -> Array:
         """U at a corner of each facet's law, shape (facets, points)."""
+        return self._at(self.law.p, corner)
+
+    def flux_at(self, corner: Kinds) -> Array:
+        """σ·n there."""
+        return self._at(self.law.flux, corner)
+
+    def _at(self, values: Array, corner: Kinds) -> Array:
         column = np.repeat(corner.astype(np.int64), self.points.shape[1])[:, None]
-        return np.take_along_axis(self.law.p, column, axis=1).reshape(self.points.shape)
+        return np.take_along_axis(values, column, axis=1).reshape(self.points.shape)
 
 
 @dataclass(frozen=True)
@@ -213,6 +221,7 @@ class LawGap:
         at: LawPoints,
         v: Array,
         flux: Array,
+        ends: tuple[Array, Array],
         piece: tuple[Array, Array],
     ) -> LawGap:
         """Choose η.
@@ -223,14 +232,14 @@ class LawGap:
             at: Points of a quadrature in all facets of Γ_S.
             v: v there, shape (facets, points).
             flux: y·n per facet.
+            ends: The least and the largest η in the points.
             piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
         """
         points = at.points
         constant = facet_constants(metric, points.cells, spaces.facet_measure)
         slope, wanted = piece
         theta = 1 / (1 + slope.mean(axis=1) * constant**2)
-        low, high = at.extent()[2:]
-        eta = with_mean(theta[:, None] * wanted, low, high, flux, points.weights)
+        eta = with_mean(theta[:, None] * wanted, *ends, flux, points.weights)
         density = gap(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
         return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(points.shape[0])))
 

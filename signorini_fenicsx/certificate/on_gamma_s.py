@@ -71,6 +71,18 @@ class OnGammaS:
         slope = np.where(rigid, 0.0, self.slope(at))
         return slope, np.where(rigid, 0.0, at.on(self.piece)[1] - slope * v)
 
+    def flux_ends(self, at: LawPoints) -> tuple[Array, Array]:
+        """The least and the largest σ·n in points: those of the law, or of a rigid segment if y·n is between them."""
+        low, high = at.extent()[2:]
+        segment, last = self.segment, self.goal.chains.corners - 1
+        first, beyond = (segment == 0)[:, None], (segment == self.goal.chains.count)[:, None]
+        least = np.where(beyond, low, at.flux_at(np.minimum(segment, last)))
+        largest = np.where(first, high, at.flux_at(np.maximum(segment - 1, 0)))
+        weights = at.points.weights / at.points.weights.sum()
+        between = (least @ weights <= self.flux) & (self.flux <= largest @ weights)
+        own = (self.rigid[np.arange(len(segment)), segment] & between)[:, None]
+        return np.where(own, least, low), np.where(own, largest, high)
+
     def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
         rows = np.arange(len(self.segment))

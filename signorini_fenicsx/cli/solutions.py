@@ -13,7 +13,6 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cli.common import any_case, failure_kept, results_place
 from signorini_fenicsx.cli.options import (
     AlgorithmName,
@@ -102,7 +101,8 @@ def solve(
         kept = {"restart": restart, "certify_steps": certify_steps}
         solve_in_time(problem, comm, output, **kept, plot=plot, quiet=quiet, as_json=as_json)
         return
-    on_root(comm, lambda: _check(problem, rigorous=rigorous, drawn=plot or html))
+    if rigorous:
+        on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.heading(problem, comm)
         report.columns(problem)
@@ -161,20 +161,14 @@ def _proof(solution: "AnySolution", certificate: "Certificate") -> "Proof":
     return proof_of(solution, certificate.v)
 
 
-def _check(case: "AnyCase", *, rigorous: bool, drawn: bool) -> None:
-    """Refuse a case whose bound cannot be proved or whose mesh cannot be drawn (rank 0).
+def _check_provable(case: "AnyCase") -> None:
+    """Refuse a case whose bound cannot be proved (rank 0).
 
     Raises:
-        InputError: If its mesh is too large, or, for a proof, it has other laws than Signorini's, or c.
+        InputError: If its mesh is too large, or if it has other laws than Signorini's, or c.
     """
     from signorini_fenicsx.cases.case import Case
     from signorini_fenicsx.cases.domains import rough_cells
-    from signorini_fenicsx.output.gather import check_drawable
-
-    if drawn and case.geometry.shape is not None:
-        check_drawable(rough_cells(case), Tuning())
-    if not rigorous:
-        return
     from signorini_fenicsx.rigorous.proof import check_size
 
     check_size(rough_cells(case))
@@ -217,7 +211,7 @@ def adapt(
     from signorini_fenicsx.output.writing import write_adapt, write_solution
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
-    wanted, part = _checked(target, max_cells, theta, drawn=plot or html)
+    wanted, part = _checked(target, max_cells, theta)
     most = max_cells or DEFAULT_MAX_CELLS
     values = overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
@@ -253,15 +247,12 @@ def adapt(
         report.summary(folder.target)
 
 
-def _checked(target: str | None, max_cells: int | None, theta: str, *, drawn: bool) -> tuple[float | None, float]:
+def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[float | None, float]:
     """The relative error to reach and the share of the error to refine.
 
     Raises:
-        InputError: If one of the options of `adapt` is not valid, or none of them defines the end; or if so many cells
-            cannot be drawn.
+        InputError: If one of the options of `adapt` is not valid, or none of them defines the end.
     """
-    from signorini_fenicsx.output.gather import check_drawable
-
     if target is None and max_cells is None:
         raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
     wanted = None if target is None else positive("--target", target)
@@ -270,8 +261,6 @@ def _checked(target: str | None, max_cells: int | None, theta: str, *, drawn: bo
         raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
-    if drawn and max_cells is not None:
-        check_drawable(max_cells, Tuning())
     return wanted, part
 
 
@@ -304,15 +293,11 @@ def export(
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.case_report import CaseReport
     from signorini_fenicsx.output.checkpoint import load_any_solution
-    from signorini_fenicsx.output.gather import check_drawable
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
     solution = load_any_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
-    if plot or html:
-        topology = solution.spaces.mesh.topology
-        check_drawable(topology.index_map(topology.dim).size_global, Tuning())
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
         certificate = certificate_of(solution, for_signorini=for_signorini) if solution.converged else None

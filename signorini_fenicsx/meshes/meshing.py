@@ -91,24 +91,24 @@ def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagon
     return domain
 
 
-def coarser_domains(fine: Domain) -> Callable[[float], Domain]:
-    """Makes meshes that are coarser by a factor: one from which the mesh was refined, or one of the same named shape.
+def coarser_domains(fine: Domain, made: Callable[[float], Domain] | None = None) -> Callable[[float], Domain]:
+    """Makes meshes that are coarser by a factor: one from which the mesh was refined, or a new one.
 
     Args:
         fine: The mesh.
+        made: Makes a mesh whose h is larger by a factor; None for meshes of the same named shape.
 
     Returns:
         A function that raises InputError if there is no such mesh (collective).
     """
-    mesh = "structured" if fine.made == "structured" else "gmsh"
 
-    def coarser(factor: float) -> Domain:
-        ancestor = fine.ancestor(factor)
-        if ancestor is None and not fine.is_shape:
+    def of_shape(factor: float) -> Domain:
+        if not fine.is_shape:
             raise InputError("a mesh of a file that was not refined has no coarser mesh")
-        return ancestor or build_domain(fine.mesh.comm, fine.name, factor * fine.h, mesh=mesh)
+        mesh = "structured" if fine.made == "structured" else "gmsh"
+        return build_domain(fine.mesh.comm, fine.name, factor * fine.h, mesh=mesh)
 
-    return coarser
+    return lambda factor: fine.ancestor(factor) or (made or of_shape)(factor)
 
 
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:

@@ -11,6 +11,7 @@ from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
+from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
@@ -19,7 +20,7 @@ class Body:
     """What pictures show of an elastic solution, in the form that scalar solutions have (rank 0).
 
     Attributes:
-        fields: Mesh and cell values: for σ the largest von Mises stress, shape (cells, 1), and for u the mean of |u|.
+        fields: Mesh and cell values: for σ the largest von Mises stress, shape (cells, 1), and for u |u|.
         facets: Γ_C: for p the mean gap, for σ·n the mean pressure.
         boundary: The whole boundary.
         displacement: u at the vertices, the mean over the cells around, shape (points, d).
@@ -34,42 +35,31 @@ class Body:
 def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None) -> Body | None:
     """Collect an elastic solution on rank 0; None elsewhere (collective)."""
     spaces = solution.spaces
-    mesh, dim, size = spaces.mesh, spaces.dim, len(spaces.order)
-    ids = np.take_along_axis(mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0][:size]], spaces.order, axis=1)
-    u = spaces.displacement_values(solution.u)
-    columns = [
-        ids,
-        spaces.vertices.reshape(size, -1),
-        u.reshape(size, -1),
-        von_mises(in_space(solution)).max(axis=(1, 2)),
-        np.linalg.norm(u, axis=2).mean(axis=1),
-        np.full(size, np.nan) if indicator is None else indicator.x.array[:size],
-        mesh.topology.original_cell_index[:size],
-    ]
-    rows = gather_rows(mesh.comm, np.column_stack(columns))
+    scalar, dim = spaces.scalar, spaces.dim
+    sample = Sample(scalar.mesh, np.concatenate([scalar.facets, scalar.dirichlet_facets, scalar.neumann_facets]))
+    stress = von_mises(in_space(solution)).max(axis=(1, 2))
+    by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
+    u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
+    at_points = sample.at_points(np.concatenate([u, np.repeat(stress[:, None, None], dim + 1, axis=1)], axis=2))
+    in_cells = sample.in_cells(stress)
+    eta = None if indicator is None else sample.in_cells(indicator.x.array)
     facets, boundary = _facets(solution), _boundary(solution)
-    if rows is None or facets is None or boundary is None:
+    if at_points is None or in_cells is None or facets is None or boundary is None:
         return None
-    rows = rows[np.argsort(rows[:, -1])]
-    corners = dim + 1
-    used, first, cells = np.unique(rows[:, :corners].ravel(), return_index=True, return_inverse=True)
-    places, moved = (
-        rows[:, corners + k * corners * dim : corners + (k + 1) * corners * dim].reshape(-1, dim) for k in (0, 1)
-    )
-    count = np.bincount(cells.ravel())
-    displacement = np.column_stack([np.bincount(cells.ravel(), component) / count for component in moved.T])
-    stress, length, eta = rows[:, -4:-1].T
     fields = Fields(
-        points=places[first],
-        cells=cells.reshape(-1, corners),
-        u=length,
-        sigma=stress[:, None],
-        divergence=np.zeros(len(rows)),
-        indicator=None if indicator is None else eta,
+        ids=sample.ids,
+        points=sample.points,
+        cells=sample.cells,
+        u=np.linalg.norm(at_points[:, :dim], axis=1),
+        sigma_at_points=at_points[:, dim:],
+        sigma=in_cells[:, None],
+        divergence=np.zeros(len(in_cells)),
+        of=sample.of,
+        indicator=eta,
     )
-    facets.vertices[:] = np.searchsorted(used, facets.vertices)
-    boundary.vertices[:] = np.searchsorted(used, boundary.vertices)
-    return Body(fields, facets, boundary, displacement)
+    facets.vertices[:] = sample.rows_of(facets.vertices)
+    boundary.vertices[:] = sample.rows_of(boundary.vertices)
+    return Body(fields, facets, boundary, at_points[:, :dim])
 
 
 def in_space(solution: ElasticSolution) -> Array:

@@ -11,12 +11,13 @@ import numpy as np
 from dolfinx import fem, io
 
 from signorini_fenicsx.base.errors import WriteFailure
-from signorini_fenicsx.base.parallel import gather_rows, on_root
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.points import arms
 from signorini_fenicsx.output.field_files import check_room
+from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.writing import facet_columns, write_summary
 from signorini_fenicsx.solving.evolving import Instant
@@ -146,13 +147,12 @@ def _draw(folder: Path, steps: StepFolder, times: Sequence[float], solution: Sol
     from signorini_fenicsx.output import pictures  # takes a second to import
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
-    scene = pictures.gathered_scene(solution)
-    order = gather_rows(comm, spaces.mesh.topology.original_cell_index)
+    scene, sample = pictures.gathered_scene(solution), sample_of(solution)
     frames = []
     for step in pictures.shown(len(times)) if spaces.mesh.topology.dim == 2 else []:
-        u = gather_rows(comm, steps.cells(spaces, step, "u"))
-        if u is not None and order is not None:
-            frames.append((times[step - 1], u[np.argsort(order)], steps.facets(step)))
+        u = sample.in_cells(steps.cells(spaces, step, "u").ravel())
+        if u is not None:
+            frames.append((times[step - 1], u, steps.facets(step)))
 
     def write() -> None:
         if scene is not None:

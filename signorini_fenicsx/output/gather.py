@@ -1,6 +1,7 @@
 """Distributed solutions as plain arrays on rank 0, for tables and pictures."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -9,11 +10,10 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
-from signorini_fenicsx.meshes.domain import Domain, Marks, cells_behind, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
+from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.solution import Solution
 
 TINY = np.finfo(np.float64).tiny
@@ -35,7 +35,7 @@ class FacetTable:
         q_S: Mean of q_S.
         condition: Final condition.
         segment: Final segment, a row of `BoundaryLaws.names`.
-        vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
+        vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
     """
 
     part: Indices
@@ -59,7 +59,7 @@ class Boundary:
     Attributes:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
         u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
-        vertices: Rows of `Fields.points`, ascending, shape (facets, dim).
+        vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
     """
 
     kind: npt.NDArray[np.int64]
@@ -69,25 +69,38 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Fields:
-    """Mesh and cell values of all ranks.
+    """Mesh and values for pictures, of all cells or of a sample of them, see `Sample`.
 
     Attributes:
+        ids: For each point its number in the mesh, ascending.
         points: Shape (points, dim).
         cells: Shape (cells, dim + 1).
-        u: Shape (cells,).
+        u: u_h at the points, the mean over the cells around.
+        sigma_at_points: σ_h likewise, shape (points, dim).
         sigma: σ_h at the centroids, shape (cells, dim).
         divergence: ∇·σ_h, shape (cells,).
+        of: Number of cells of the mesh.
         indicator: η_T of the certificate, shape (cells,); None without a certificate.
         contact: Whether a cell is in contact with the obstacle, shape (cells,); None without an obstacle.
+        regions: Mask of the cells in each region, shape (cells, regions); None without regions.
     """
 
+    ids: Indices
     points: Array
     cells: Indices
     u: Array
+    sigma_at_points: Array
     sigma: Array
     divergence: Array
+    of: int
     indicator: Array | None = None
     contact: Mask | None = None
+    regions: Mask | None = None
+
+    @property
+    def count(self) -> str:
+        """How many cells there are, and in the picture."""
+        return f"{self.of} cells" + (f", a sample of {len(self.cells)} drawn" if len(self.cells) < self.of else "")
 
 
 def facet_table(solution: Solution) -> FacetTable:
@@ -155,27 +168,6 @@ def gather_boundary(solution: Solution) -> Boundary | None:
     return Boundary(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2:].astype(np.int64))
 
 
-def gather_marks(domain: Domain) -> Marks:
-    """Collect parts and regions on rank 0; empty on other ranks (collective)."""
-    comm = domain.mesh.comm
-    facets = {}
-    for name, local in domain.facets.items():
-        vertices = gather_rows(comm, facet_vertices(domain.mesh, local))
-        facets[name] = (
-            np.empty((0, domain.mesh.topology.dim), dtype=np.int64) if vertices is None else _sorted(vertices)
-        )
-    cells = None
-    if domain.regions:
-        inside = gather_rows(comm, membership(domain))
-        order = gather_rows(comm, domain.mesh.topology.original_cell_index)
-        cells = None if inside is None or order is None else inside[np.argsort(order)]
-    return Marks(facets, cells, tuple(domain.regions))
-
-
-def _sorted(rows: Indices) -> Indices:
-    return rows[np.lexsort(rows.T[::-1])]
-
-
 def gather_free_boundary(solution: Solution) -> Array | None:
     """Midpoint and measure of each facet between a cell in contact and another, on rank 0, shape (facets, 4)."""
     spaces, space = solution.spaces, solution.spaces.crouzeix_raviart
@@ -188,19 +180,6 @@ def gather_free_boundary(solution: Solution) -> Array | None:
     measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
     rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
     return None if rows is None else rows[np.lexsort(np.round(rows.T[::-1], 12))]
-
-
-def check_drawable(cells: float, tuning: Tuning) -> None:
-    """Refuse pictures of a mesh that is too large for the rank that draws.
-
-    Raises:
-        InputError: If it is.
-    """
-    if cells > tuning.on_one_rank_up_to:
-        raise InputError(
-            f"--plot, --html: at most {tuning.on_one_rank_up_to} cells are drawn, and there are about {cells:.2g}; "
-            "ParaView shows solution.bp of any size"
-        )
 
 
 def centroid_flux(solution: Solution) -> fem.Function:
@@ -224,21 +203,33 @@ def cell_values(solution: Solution) -> dict[str, Array]:
     }
 
 
+def sample_of(solution: Solution) -> Sample:
+    """The mesh for pictures of a solution (collective)."""
+    spaces = solution.spaces
+    return Sample(spaces.mesh, np.concatenate([spaces.facets, spaces.dirichlet_facets, spaces.neumann_facets]))
+
+
 def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> Fields | None:
-    """Collect mesh and cell values on rank 0; None on other ranks (collective)."""
-    mesh = solution.spaces.mesh
-    comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
-    size = mesh.topology.index_map(mesh.topology.dim).size_local
-    others = {"contact": solution.outcome.iterate.contact, "indicator": indicator and indicator.x.array[:size]}
-    values = cell_values(solution) | {key: rows for key, rows in others.items() if rows is not None}
-    ids = gather_rows(comm, geometry.input_global_indices)
-    points = gather_rows(comm, geometry.x[:, :dim])
-    cells = gather_rows(comm, geometry.input_global_indices[geometry.dofmaps[0][:size]])
-    order = gather_rows(comm, mesh.topology.original_cell_index[:size])
-    found = {key: gather_rows(comm, rows) for key, rows in values.items()}
-    if ids is None or points is None or cells is None or order is None:
+    """Collect mesh and values for pictures on rank 0; None on other ranks (collective)."""
+    domain, sample, inside = solution.spaces.domain, sample_of(solution), solution.outcome.iterate.contact
+    in_cells, dim = cell_values(solution), solution.spaces.mesh.topology.dim
+    both = np.column_stack([in_cells["u"], in_cells["sigma"]])
+    at_points = sample.at_points(np.repeat(both[:, None], dim + 1, axis=1))
+    found: dict[str, Any] = {key: sample.in_cells(in_cells[key]) for key in ("sigma", "divergence")}
+    if indicator is not None:
+        found["indicator"] = sample.in_cells(indicator.x.array)
+    if inside is not None:
+        found["contact"] = sample.in_cells(inside)
+    if domain.regions:
+        found["regions"] = sample.in_cells(membership(domain))
+    if at_points is None:
         return None
-    used, first = np.unique(ids, return_index=True)
-    rows = np.argsort(order)
-    in_rows = {key: each[rows] for key, each in found.items() if each is not None}
-    return Fields(points[first], np.searchsorted(used, cells)[rows], **in_rows)
+    return Fields(
+        ids=sample.ids,
+        points=sample.points,
+        cells=sample.cells,
+        u=at_points[:, 0],
+        sigma_at_points=at_points[:, 1:],
+        of=sample.of,
+        **found,
+    )

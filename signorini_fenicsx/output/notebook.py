@@ -4,20 +4,20 @@ import base64
 import html as text
 
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields, gather_marks
+from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solution import Solution
 
 
 def figure(solution: Solution, certificate: Certificate | None = None) -> Sheet | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
-    table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
+    table, boundary = gather_facets(solution), gather_boundary(solution)
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)
     if table is None or cells is None or boundary is None:
         return None
     from signorini_fenicsx.output import pictures  # takes a second to import
 
-    return pictures.overview(pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate))
+    return pictures.overview(pictures.scene_of(solution, cells, table, boundary, certificate))
 
 
 def html(solution: Solution) -> str | None:

@@ -40,7 +40,6 @@ from signorini_fenicsx.output.gather import (
     gather_facets,
     gather_fields,
     gather_free_boundary,
-    gather_marks,
     in_order,
 )
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -77,7 +76,7 @@ def write_solution(
         folder: The folder; files with the same names are overwritten.
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
-        plot: Also draw PNGs, if one rank can draw the mesh, see `is_drawable`.
+        plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
         html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
 
@@ -88,9 +87,8 @@ def write_solution(
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
         write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
-        drawn = is_drawable(solution)
         if isinstance(solution, ElasticSolution):
-            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot and drawn))
+            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot))
         else:
             write_table_of_facets(folder, solution)
             if solution.data.obstacle is not None:
@@ -99,7 +97,7 @@ def write_solution(
             if water is not None:
                 rows = [{"x": x, "y": y} for x, y in water.phreatic_line.tolist()]
                 on_root(comm, lambda: write_rows(folder / "phreatic_line.csv", ("x", "y"), rows))
-            if (plot or html) and drawn:
+            if plot or html:
                 with doing("drawing"):
                     draw(folder, solution, certificate, plot=plot, html=html)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
@@ -117,16 +115,10 @@ def write_solution(
     on_root(comm, lambda: write_summary(folder, summary))
 
 
-def is_drawable(solution: AnySolution) -> bool:
-    """Whether one rank can draw the mesh."""
-    topology = solution.spaces.mesh.topology
-    return bool(topology.index_map(topology.dim).size_global <= solution.options.tuning.on_one_rank_up_to)
-
-
 def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
     """Draw a solution on rank 0 (collective)."""
     cells = gather_fields(solution, None if certificate is None else certificate.indicator)
-    table, boundary, marks = gather_facets(solution), gather_boundary(solution), gather_marks(solution.spaces.domain)
+    table, boundary = gather_facets(solution), gather_boundary(solution)
     water = seepage(solution)
     line = None if water is None else water.phreatic_line
 
@@ -134,7 +126,7 @@ def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, p
         if table is not None and cells is not None and boundary is not None:
             from signorini_fenicsx.output import pictures  # takes a second to import
 
-            scene = pictures.scene_of(solution, cells, table, boundary, marks.cells, certificate, line)
+            scene = pictures.scene_of(solution, cells, table, boundary, certificate, line)
             if plot:
                 pictures.draw_all(folder, scene)
             if html:
@@ -173,13 +165,10 @@ def write_convergence(
 
 
 def write_adapt(solution: AnySolution, rows: list[AdaptRow], folder: Path) -> None:
-    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective).
-
-    There is no `mesh.png` if one rank cannot draw the mesh.
-    """
+    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
 
-    scene = pictures.gathered_scene(solution) if is_drawable(solution) else None
+    scene = pictures.gathered_scene(solution)
 
     def write() -> None:
         write_table(folder / "adapt.csv", AdaptRow, rows)

@@ -1,12 +1,14 @@
 """Pictures of a solution, from gathered arrays on rank 0. Only pictures in 3D need VTK."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import matplotlib as mpl
+import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
@@ -47,7 +49,6 @@ def scene_of(
     fields: Fields,
     facets: FacetTable,
     boundary: Boundary,
-    regions: Mask | None = None,
     certificate: Certificate | None = None,
     phreatic_line: Array | None = None,
 ) -> Scene:
@@ -55,11 +56,10 @@ def scene_of(
     spaces = solution.spaces
     return Scene(
         title=solution.title or solution.name,
-        caption=caption(solution, len(fields.cells), certificate),
+        caption=caption(solution, fields, certificate),
         fields=fields,
-        facets=facets,
-        boundary=boundary,
-        regions=regions,
+        facets=replace(facets, vertices=np.searchsorted(fields.ids, facets.vertices)),
+        boundary=replace(boundary, vertices=np.searchsorted(fields.ids, boundary.vertices)),
         labels={name: spaces.domain.parts[name].label for name in spaces.part_names},
         contact=solution.method.contact,
         segments=solution.data.laws.names() if solution.data.laws.listed else [],
@@ -80,14 +80,14 @@ def gathered_scene(solution: AnySolution) -> Scene | None:
     return scene_of(solution, cells, facets, boundary)
 
 
-def caption(solution: Solution, cells: int, certificate: Certificate | None) -> str:
+def caption(solution: Solution, fields: Fields, certificate: Certificate | None) -> str:
     """Algorithm, h, ε, cells and the certified error, in Matplotlib's mathematical type."""
     h = solution.spaces.domain.h
     asked = solution.source.solve.h if isinstance(solution.source, Case) and solution.spaces.domain.is_shape else h
     words = [method(solution), rf"$h = {style.power(asked if asked / 2 < h <= asked * (1 + 1e-12) else h)}$"]
     if solution.method.has_eps:
         words.append(rf"$\varepsilon = {style.power(solution.options.eps)}$")
-    words.append(f"{cells} cells")
+    words.append(fields.count)
     if certificate is not None and math.isfinite(certificate.bound):
         words.append(
             rf"certified energy error $\leq {style.power(certificate.bound)}$ "

@@ -31,7 +31,7 @@ SHARE = 0.1
 
 def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | None = None) -> Scene:
     """The body as it was, with Γ_C for Γ_S (rank 0)."""
-    caption = f"{solution.title or solution.name}, {len(body.fields.cells)} cells"
+    caption = f"{solution.title or solution.name}, {body.fields.count}"
     if certificate is not None and np.isfinite(certificate.bound):
         caption += rf", energy error $\leq$ {100 * certificate.relative:.3g} %"
     return Scene(
@@ -40,7 +40,6 @@ def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | N
         fields=body.fields,
         facets=body.facets,
         boundary=body.boundary,
-        regions=None,
         labels={name: solution.spaces.domain.parts[name].label for name in solution.contact_parts},
         contact=Condition.ZERO_TRACE,
         segments=[],

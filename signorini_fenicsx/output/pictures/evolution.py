@@ -28,7 +28,7 @@ SECONDS = 8.0
 SLOW = 0.4
 
 type Frame = tuple[float, Array, FacetTable]
-"""The time, u_h in the cells, and Γ_S."""
+"""The time, u_h in the cells of the scene, and Γ_S."""
 
 
 @mpl.rc_context(style.STYLE)
@@ -105,9 +105,8 @@ def animate(path: Path, scene: Scene, chosen: Sequence[Frame]) -> None:
     """
     low, high = min(u.min() for _, u, _ in chosen), max(u.max() for _, u, _ in chosen)
     plane = Plane(scene)
-    triangulation, rows = plane.triangulation
     sheet, axes = one_map(plane, dpi=80)
-    image = axes.tripcolor(triangulation, chosen[0][1].ravel()[rows], cmap=style.U_MAP, vmin=low, vmax=high)
+    image = axes.tripcolor(plane.triangulation, chosen[0][1], cmap=style.U_MAP, vmin=low, vmax=high)
     sheet.bar(axes, image, "$u_h$")
     segments = scene.fields.points[scene.facets.vertices]
     line = axes.add_collection(LineCollection(segments, linewidths=4, clip_on=False, zorder=5))
@@ -116,7 +115,7 @@ def animate(path: Path, scene: Scene, chosen: Sequence[Frame]) -> None:
     sheet.legend_below([Line2D([], [], color=colour, linewidth=4, label=name) for name, colour in groups.items()])
     canvas, pictures = FigureCanvasAgg(sheet), []
     for t, u, table in chosen:
-        image.set_array(u.ravel()[rows])
+        image.set_array(u)
         colours = np.empty((len(table.part), 3))
         for group in replace(scene, facets=table).groups:
             colours[group.facets] = to_rgb(group.colour)

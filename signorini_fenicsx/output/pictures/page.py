@@ -102,7 +102,7 @@ def _plane(scene: Scene) -> tuple[list, list[Sheet]]:
     points = np.column_stack([fields.points, scene.u])
     triangles, _ = thinned(fields.points, fields.cells, MOST_TRIANGLES)
     low, high, _ = style.limits(scene.sigma_norm, scene.measure)
-    norm = np.linalg.norm(scene.sigma, axis=1)
+    norm = np.linalg.norm(scene.fields.sigma_at_points, axis=1)
     coloured = {
         "u<sub>h</sub>": _surface(points, triangles, scene.u, style.U_MAP),
         "|σ<sub>h</sub>|": _surface(points, triangles, norm, style.FLUX_MAP, (low, high)),

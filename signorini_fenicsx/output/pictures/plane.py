@@ -14,7 +14,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
@@ -22,8 +22,6 @@ from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.streams import streamlines
 from signorini_fenicsx.output.pictures.water import Water
 
-MOST_TRIANGLES = 30_000
-"""Most triangles of a map; each is then a few pixels large."""
 MOST_FACES = 4_000
 """Most faces of a surface in perspective, which Matplotlib sorts and paints one by one."""
 WIDE = 1.8
@@ -59,11 +57,9 @@ class Plane:
         return Water.of(self.scene)
 
     @cached_property
-    def triangulation(self) -> tuple[Triangulation, Indices]:
-        """The painted triangles, and the cell of each."""
-        fields = self.scene.fields
-        triangles, rows = thinned(fields.points, fields.cells, MOST_TRIANGLES)
-        return Triangulation(*fields.points.T, triangles), rows
+    def triangulation(self) -> Triangulation:
+        """The painted triangles."""
+        return Triangulation(*self.scene.fields.points.T, self.scene.fields.cells)
 
     @cached_property
     def streams(self) -> tuple[list[Array], Array]:
@@ -88,11 +84,10 @@ class Plane:
     def draw_u(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """u_h as a map with contour lines."""
         scene = self.scene
-        triangulation, _ = self.triangulation
         values = -scene.u if self.water else scene.u
-        image = axes.tripcolor(triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
+        image = axes.tripcolor(self.triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
         levels = MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
-        lines = axes.tricontour(triangulation, values, levels, colors="white", linewidths=0.6, alpha=0.8)
+        lines = axes.tricontour(self.triangulation, values, levels, colors="white", linewidths=0.6, alpha=0.8)
         bar = sheet.bar(axes, image, "$H = -u_h$" if self.water else "$u_h$")
         bar.add_lines(lines)
         self._surroundings(axes, title)
@@ -121,11 +116,10 @@ class Plane:
     def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """Streamlines of σ_h on |σ_h|."""
         scene = self.scene
-        triangulation, _ = self.triangulation
         low, high, extend = style.limits(scene.sigma_norm, scene.measure)
-        norm = np.linalg.norm(scene.sigma, axis=1)
+        norm = np.linalg.norm(scene.fields.sigma_at_points, axis=1)
         image = axes.tripcolor(
-            triangulation, norm, cmap=style.FLUX_MAP, vmin=low, vmax=high, shading="gouraud", rasterized=True
+            self.triangulation, norm, cmap=style.FLUX_MAP, vmin=low, vmax=high, shading="gouraud", rasterized=True
         )
         sheet.bar(axes, image, r"$|\sigma_h|$", extend)
         lines, heads = self.streams
@@ -139,19 +133,17 @@ class Plane:
         """η_T, the contribution of each cell to the certified error, on a logarithmic scale."""
         indicator = self.scene.fields.indicator
         assert indicator is not None
-        triangulation, rows = self.triangulation
         norm = log_norm(indicator)
         image = axes.tripcolor(
-            triangulation, np.maximum(indicator[rows], norm.vmin), norm=norm, cmap=style.ERROR_MAP, rasterized=True
+            self.triangulation, np.maximum(indicator, norm.vmin), norm=norm, cmap=style.ERROR_MAP, rasterized=True
         )
         sheet.bar(axes, image, r"$\eta_T$")
         self._surroundings(axes, title)
 
     def draw_mesh(self, axes: Axes) -> None:
         """The mesh."""
-        fields = self.scene.fields
-        axes.triplot(Triangulation(*fields.points.T, fields.cells), color="0.55", linewidth=0.3)
-        self._surroundings(axes, f"{len(fields.cells)} cells")
+        axes.triplot(self.triangulation, color="0.55", linewidth=0.3)
+        self._surroundings(axes, self.scene.fields.count)
 
     def handles(self) -> list:
         """The entries of the legend of a map."""

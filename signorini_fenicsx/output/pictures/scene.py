@@ -39,7 +39,6 @@ class Scene:
         fields: Mesh and cell values.
         facets: Γ_S.
         boundary: The whole boundary.
-        regions: Mask of the cells in each region, shape (cells, regions), or None.
         labels: For each part of Γ_S the name of the coordinate along it.
         contact: Condition on the facets in contact.
         segments: Names of the segments of all laws, if there are others than the Signorini law.
@@ -55,7 +54,6 @@ class Scene:
     fields: Fields
     facets: FacetTable
     boundary: Boundary
-    regions: Mask | None
     labels: dict[str, str]
     contact: Condition
     segments: list[str]
@@ -98,7 +96,7 @@ class Scene:
     @cached_property
     def u(self) -> Array:
         """u_h at the vertices: p_h on Γ_S, u_D on Γ_D, elsewhere the mean over the cells around."""
-        inner = self.at_vertices(self.fields.u)
+        inner = self.fields.u
         known = np.isfinite(self.boundary.u)
         vertices = self.boundary.vertices[known].ravel()
         count = np.bincount(vertices, minlength=len(inner))
@@ -106,25 +104,14 @@ class Scene:
         return np.where(count > 0, total / np.maximum(count, 1), inner)
 
     @cached_property
-    def sigma(self) -> Array:
-        """σ_h at the vertices, the mean over the cells around, shape (points, dim)."""
-        return np.column_stack([self.at_vertices(component) for component in self.fields.sigma.T])
-
-    @cached_property
     def sigma_norm(self) -> Array:
         """|σ_h| per cell, at its centroid."""
         return np.linalg.norm(self.fields.sigma, axis=1)
 
-    def at_vertices(self, values: Array) -> Array:
-        """The mean of cell values over the cells around each vertex."""
-        vertices = self.fields.cells.ravel()
-        count = np.bincount(vertices, minlength=len(self.fields.points))
-        total = np.bincount(vertices, np.repeat(values, self.dim + 1), minlength=len(self.fields.points))
-        return total / np.maximum(count, 1)
-
     def interfaces(self) -> Indices:
         """Edges between cells of different regions, in the plane: shape (edges, 2)."""
-        return self._facets_between(self.regions if self.regions is not None and self.regions.shape[1] > 1 else None)
+        regions = self.fields.regions
+        return self._facets_between(regions if regions is not None and regions.shape[1] > 1 else None)
 
     def free_boundary(self) -> Indices:
         """Facets between cells in contact with the obstacle and others, shape (facets, dim)."""

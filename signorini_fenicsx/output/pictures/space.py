@@ -57,8 +57,8 @@ class Space:
         grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: scene.fields.cells}, scene.fields.points)
         grid.cell_data["cell"] = np.arange(len(scene.fields.cells))
         grid.point_data["u"] = scene.u
-        grid.point_data["sigma"] = scene.sigma
-        grid.point_data["sigma_norm"] = np.linalg.norm(scene.sigma, axis=1)
+        grid.point_data["sigma"] = scene.fields.sigma_at_points
+        grid.point_data["sigma_norm"] = np.linalg.norm(scene.fields.sigma_at_points, axis=1)
         return grid
 
     @cached_property
@@ -221,7 +221,7 @@ class Space:
             plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
             self._add_contact(plotter)
 
-        self._show(axes, f"{len(self.scene.fields.cells)} cells", "mesh", build, view)
+        self._show(axes, self.scene.fields.count, "mesh", build, view)
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S and of the contact with an obstacle."""
