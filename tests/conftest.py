@@ -26,9 +26,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests for several numbers of ranks as slow, except with the largest number up to USUAL_RANKS."""
+    """Plan which tests run, and which of them in one process.
+
+    Tests for several numbers of ranks are slow, except with the largest number up to USUAL_RANKS. The tests of one file
+    share fixtures, so one worker runs them all. One worker runs the parallel tests: those with the same number of ranks
+    share an mpirun, and two of these at once would have too few cores.
+    """
     for item in items:
         marker = item.get_closest_marker("parallel")
+        item.add_marker(pytest.mark.xdist_group(item.path.stem if marker is None else "parallel"))
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
             ranks = item.callspec.params.get("_nprocs")
             if ranks is not None and ranks != max(number for number in marker.args[0] if number <= USUAL_RANKS):

@@ -25,6 +25,11 @@ def number_of_ranks(item: pytest.Item) -> int:
     return next(int(marker.name[9:-1]) for marker in item.iter_markers() if marker.name.startswith("parallel["))
 
 
+def name(item: pytest.Item) -> str:
+    """The name by which a test can be called: a worker of pytest-xdist adds @ and the group of the test."""
+    return item.nodeid.removesuffix(f"@{item.get_closest_marker('xdist_group').args[0]}")
+
+
 class Launches:
     """The launches of a run; each starts when the first of its tests is due."""
 
@@ -37,18 +42,18 @@ class Launches:
         """Fail if the test did not pass on all ranks."""
         ranks = number_of_ranks(item)
         if ranks not in self._ended:
-            tests = [other.nodeid for other in self._items if number_of_ranks(other) == ranks]
+            tests = [name(other) for other in self._items if number_of_ranks(other) == ranks]
             self._ended[ranks] = launch(item.config.rootpath, ranks, tests)
         passed, output = self._ended[ranks]
-        if item.nodeid not in passed:
-            pytest.fail(f"{item.nodeid} did not pass in this mpirun -n {ranks}:\n{output}", pytrace=False)
+        if name(item) not in passed:
+            pytest.fail(f"{name(item)} did not pass in this mpirun -n {ranks}:\n{output}", pytrace=False)
 
 
 def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
     """Run tests under mpirun; return those that passed and the end of the output."""
     with tempfile.NamedTemporaryFile("r", encoding="utf-8") as file:
         done = subprocess.run(
-            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-q", "-s", *tests],
+            ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-n", "0", "-q", "-s", *tests],
             cwd=folder,
             env=os.environ | {CHILD_PROCESS_FLAG: "1", PASSED: file.name} | YIELD,
             stdout=subprocess.PIPE,
