@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from mpi4py import MPI
-from under_mpirun import IS_CHILD, Launches, number_of_ranks, tell_parent
+from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell_parent
 
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case, load_case
@@ -20,21 +20,16 @@ LAUNCHES = pytest.StashKey[Launches]()
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let the processes of a launch run the tests that their parent has chosen, slow or not."""
+    share_folder(config)
     if IS_CHILD:
         config.option.markexpr = ""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Plan which tests run, and which of them in one process.
-
-    Tests for several numbers of ranks are slow, except with the largest number up to USUAL_RANKS. The tests of one file
-    share fixtures, so one worker runs them all. One worker runs the parallel tests: those with the same number of ranks
-    share an mpirun, and two of these at once would have too few cores.
-    """
+    """Mark tests for several numbers of ranks as slow, except with the largest number up to USUAL_RANKS."""
     for item in items:
         marker = item.get_closest_marker("parallel")
-        item.add_marker(pytest.mark.xdist_group(item.path.stem if marker is None else "parallel"))
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
             ranks = item.callspec.params.get("_nprocs")
             if ranks is not None and ranks != max(number for number in marker.args[0] if number <= USUAL_RANKS):

@@ -1,10 +1,14 @@
 """Runs all parallel tests in one mpirun for each number of ranks, because a launch costs as much as a test."""
 
+import fcntl
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,6 +19,8 @@ from signorini_fenicsx.base.parallel import FORWARDING
 
 PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
+SHARED = "SIGNORINI_LAUNCHES"
+"""Folder with the results of launches: the first process of pytest-xdist that needs one starts it for all."""
 YIELD = {"MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1"}
 """Settings with which waiting ranks of MPICH leave the core to others; there may be more ranks than cores."""
 IS_CHILD = CHILD_PROCESS_FLAG in os.environ
@@ -23,11 +29,6 @@ IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 def number_of_ranks(item: pytest.Item) -> int:
     """The number of ranks of a test, by the marker `parallel[N]` that mpi-pytest gives to each."""
     return next(int(marker.name[9:-1]) for marker in item.iter_markers() if marker.name.startswith("parallel["))
-
-
-def name(item: pytest.Item) -> str:
-    """The name by which a test can be called: a worker of pytest-xdist adds @ and the group of the test."""
-    return item.nodeid.removesuffix(f"@{item.get_closest_marker('xdist_group').args[0]}")
 
 
 class Launches:
@@ -42,14 +43,35 @@ class Launches:
         """Fail if the test did not pass on all ranks."""
         ranks = number_of_ranks(item)
         if ranks not in self._ended:
-            tests = [name(other) for other in self._items if number_of_ranks(other) == ranks]
-            self._ended[ranks] = launch(item.config.rootpath, ranks, tests)
+            tests = [other.nodeid for other in self._items if number_of_ranks(other) == ranks]
+            with in_turn(f"{ranks}.json") as file:
+                if file.stat().st_size == 0:
+                    file.write_text(json.dumps(launch(item.config.rootpath, ranks, tests)), encoding="utf-8")
+                passed, output = json.loads(file.read_text(encoding="utf-8"))
+            self._ended[ranks] = set(passed), output
         passed, output = self._ended[ranks]
-        if name(item) not in passed:
-            pytest.fail(f"{name(item)} did not pass in this mpirun -n {ranks}:\n{output}", pytrace=False)
+        if item.nodeid not in passed:
+            pytest.fail(f"{item.nodeid} did not pass in this mpirun -n {ranks}:\n{output}", pytrace=False)
 
 
-def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
+@contextmanager
+def in_turn(name: str) -> Iterator[Path]:
+    """A file that the processes of one run of pytest share, for one of them at a time."""
+    path = Path(os.environ[SHARED], name)
+    with path.open("a", encoding="utf-8") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield path
+
+
+def share_folder(config: pytest.Config) -> None:
+    """Make a folder that all processes of this run of pytest find, until it ends."""
+    if SHARED not in os.environ:
+        folder = tempfile.TemporaryDirectory()
+        config.add_cleanup(folder.cleanup)
+        os.environ[SHARED] = folder.name
+
+
+def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[list[str], str]:
     """Run tests under mpirun; return those that passed and the end of the output."""
     with tempfile.NamedTemporaryFile("r", encoding="utf-8") as file:
         done = subprocess.run(
@@ -61,7 +83,7 @@ def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[set[str], str]:
             text=True,
             check=False,
         )
-        return set(file.read().splitlines()), done.stdout[-5000:]
+        return file.read().splitlines(), done.stdout[-5000:]
 
 
 def tell_parent(report: pytest.TestReport) -> None:
