@@ -99,6 +99,22 @@ def test_a_killed_run_goes_on(tmp_path: Path):
     check_files(tmp_path / "whole")
 
 
+def test_all_steps_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A run that ends while it writes its results goes on too, also twice."""
+
+    def full(*given: object, **more: object) -> None:
+        raise OSError("disk full")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("signorini_fenicsx.output.evolution.write_evolution", full)
+        for restart in (False, True):
+            with pytest.raises((OSError, NumericalFailure), match="disk full"):
+                run(case(), tmp_path / "x", restart=restart, certify_steps=False)
+    run(case(), tmp_path / "x", restart=True, certify_steps=False)
+    assert len(table(tmp_path / "x" / "steps.csv")) == 5
+    assert not (tmp_path / "x.steps").exists()
+
+
 def check_files(folder: Path) -> None:
     """Each step has a row, each facet a row for each step; the series ends at the end; the summary has the largest."""
     rows, facets = table(folder / "steps.csv"), table(folder / "facets.csv")

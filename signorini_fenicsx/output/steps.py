@@ -85,13 +85,14 @@ class StepFolder:
         Raises:
             OSError: On all ranks, if the disk is full.
         """
-        solution, comm = instant.solution, self._comm
+        solution, comm, place = instant.solution, self._comm, self._place(instant.step)
+        on_root(comm, lambda: delete(place) if place.exists() else None)  # the last step is done again, by other ranks
         if self._saved is None:
             self._saved = solution.spaces
-            place = self.path / f"{MESH}{instant.step:06}"
-            on_root(comm, lambda: place.mkdir(exist_ok=True))
-            write_arrays(comm, place, _places(solution.spaces))
-        part = self._place(instant.step).with_suffix(".part")
+            mesh = self.path / f"{MESH}{instant.step:06}"
+            on_root(comm, lambda: mesh.mkdir(exist_ok=True))
+            write_arrays(comm, mesh, _places(solution.spaces))
+        part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
         arrays = cell_values(solution) | {f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()}
         arrays["facet_own"] = solution.segments().segment
@@ -99,7 +100,7 @@ class StepFolder:
 
         def end() -> None:
             (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
-            part.rename(self._place(instant.step))
+            part.rename(place)
 
         on_root(comm, end)
 
