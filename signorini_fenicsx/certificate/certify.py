@@ -87,6 +87,7 @@ class Certificate:
         of_penalty: Whether u is the solution of a penalty's own problem.
         v: The continuous v in P2, with interpolated u_D and ψ.
         seconds: Wall time of the certificate, the longest over all ranks.
+        if_none: Why the bound is infinite; empty if it is not.
     """
 
     bound: float
@@ -103,8 +104,7 @@ class Certificate:
     v: fem.Function
     of_penalty: bool = False
     seconds: float = 0.0
-    if_none: ClassVar[str] = "u_D is beyond a bound where Γ_D meets Γ_S, data are not bounded, or a linear solve failed"
-    """Reasons for an infinite bound."""
+    if_none: str = ""
     if_by_quadrature: ClassVar[str] = "by quadrature"
     """What is missing for the data in `by_quadrature`."""
 
@@ -177,7 +177,6 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
         resolution.overlooked(beside)
     left = resolution.load_left(lambda load: load_left(spaces, data, metric, load))
     oscillation = _with_more(oscillation, left, metric, comm)
-
     indicator = fem.Function(spaces.Q, name="indicator")
     squares = mismatch + contact + oscillation**2
     indicator.x.array[:] = np.sqrt(np.maximum(squares, 0.0))  # no ghost cells; < 0: no bound
@@ -207,7 +206,22 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
         indicator=indicator,
         v=trace.v,
         of_penalty=goal.of_penalty,
+        if_none="" if np.isfinite(bound) else _why_none(spaces, trace, remainder),
     )
+
+
+def _why_none(spaces: Spaces, trace: Trace, remainder: float) -> str:
+    """Why a bound is infinite."""
+    if not trace.feasible:
+        if not spaces.inner.present:
+            return "u_D is beyond a bound of u where Γ_D meets Γ_S, or the bounds there leave no room"
+        return (
+            "u_D is beyond a bound where Γ_D meets Γ_S, or a part inside the domain forbids the jump 0 where it ends "
+            "or meets another part"
+        )
+    if not np.isfinite(remainder):
+        return "a linear solve failed, by which the flux would be balanced"
+    return "data or the gradients of u_D and ψ are not bounded"
 
 
 def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Comm) -> Array:

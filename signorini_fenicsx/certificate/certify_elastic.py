@@ -53,7 +53,7 @@ class ElasticCertificate(Certificate):
     """
 
     of_last_bound: bool = False
-    if_none = "what is given of u passes the foundation"
+    if_none: str = "what is given of u passes the foundation"
     if_by_quadrature = "not in the discrete spaces"
 
     @property

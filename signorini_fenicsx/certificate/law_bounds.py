@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import SAMPLES
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.points import Points, cut_off, facet_lattice, larger, quadratic_nodes
+from signorini_fenicsx.discrete.points import FacetPoints, Points, cut_off, facet_lattice, larger, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
 ROUNDING = 1e-12
@@ -83,13 +83,12 @@ class LawTrace:
             found = bound.apply(points, found, gradient=gradient)
         return found
 
-    def on_gamma_s(self, spaces: Spaces, jump: fem.Function | None, points: Points) -> Array:
-        """Its values in points of all facets of Γ_S; inside the domain its jump, from that of v_2 (collective)."""
+    def on_gamma_s(self, spaces: Spaces, points: FacetPoints) -> Array:
+        """Its values in points of all facets of Γ_S; inside the domain its jump (collective)."""
         found = self.jet(points)[:, :, 0]
-        if jump is not None:  # what belongs to u_D is the same on both sides, what belongs to levels on the named side
-            away = 1 - points.linear(self.near_dirichlet)
-            total = points.quadratic(jump) + away * self._kept(points)
-            found[spaces.inner.rows] = total[spaces.inner.rows, :, 0]
+        if spaces.inner.present:
+            across, order = points.across(spaces.inner.rows, spaces.inner.facets)
+            found[spaces.inner.rows] -= np.take_along_axis(self.jet(across)[:, :, 0], order, axis=1)
         return found
 
     def _kept(self, points: Points, *, gradient: bool = False) -> Array:
@@ -120,13 +119,14 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
     return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)
 
 
-def jumps_obey(trace: LawTrace, jump: fem.Function, parts: Sequence[PartLaw], spaces: Spaces) -> bool:
+def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> bool:
     """Whether jumps are between their bounds in sampled points (collective).
 
-    They are so in all points if the bounds are quadratic, by their coefficients.
+    They are so in all points if the bounds are quadratic, by their coefficients: the box has them in middle nodes, and
+    the vertices are among the points.
     """
     mesh, inner = spaces.mesh, spaces.inner.rows
-    found = trace.on_gamma_s(spaces, jump, facet_lattice(mesh, spaces.facets, SAMPLES))
+    found = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
     short, size = 0.0, np.abs(found).max(initial=0.0)
     for part in parts:
         rows = np.intersect1d(part.rows, inner)

@@ -23,10 +23,11 @@ from functools import partial
 
 import basix
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem, la
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import (
     ROOM,
     SAMPLES,
@@ -44,6 +45,7 @@ from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.nodes import Jumps, extreme_around, facet_nodes, largest_around, set_means
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 
@@ -65,48 +67,82 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
-    tips = np.empty(0, dtype=np.intp) if jumps is None else jumps.tips
-    fixed = np.union1d(on_dirichlet, tips)
+    tips, meets = (np.empty(0, dtype=np.intp),) * 2 if jumps is None else (jumps.tips, jumps.meets)
+    fixed, inside = np.union1d(on_dirichlet, tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
+    at_meeting = inside[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
     if jumps is not None:
         jumps.taken(v)
     given = v.x.array[fixed]
-    for some in (nearly, fully):
-        set_means(v, nodes[some], values[some])
-    v.x.array[fixed] = given
+    for facets, kept in ((inside, np.union1d(fixed, meets)), (~inside, fixed)):
+        before = v.x.array[kept]
+        for some in (nearly & facets, fully & facets):
+            set_means(v, nodes[some], values[some])
+        v.x.array[kept] = before
     ends = on.ends(at_nodes)
+    limits = [end[spaces.inner.rows] for end in ends[:2]]
+    bounds = _without([_coefficients(end, facet) for end in ends], at_meeting)
+    ends = _without(ends, at_meeting)
     feasible = _allows(v, nodes, ends[:2], fixed, np.where(np.isin(fixed, tips), 0.0, given))
-    (low, high), (soft_low, soft_high) = ([_coefficients(end, facet) for end in some] for some in (ends[:2], ends[2:]))
-    hard = extreme_around(space, nodes, low, largest=True), extreme_around(space, nodes, high, largest=False)
-    soft = extreme_around(space, nodes, soft_low, largest=True), extreme_around(space, nodes, soft_high, largest=False)
+    low, high, soft_low, soft_high = (
+        extreme_around(space, nodes, end, largest=number % 2 == 0) for number, end in enumerate(bounds)
+    )
     if jumps is not None:
         jumps.undone(v)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
+    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
     if jumps is not None:
         jumps.taken(v)
-    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
-    over = [(np.maximum(low, floor), high) for low, high in (hard, soft)]
-    box = Box.of(over[0], over[1], fixed)
+        floor = np.where(jumps.jump, -np.inf, floor)  # the maximum with ψ takes care of the named side
+    box = Box.of((np.maximum(low, floor), high), (np.maximum(soft_low, floor), soft_high), fixed)
     box.project(v.x.array)
+    if jumps is not None:
+        named, across = jumps.pairs
+        jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
+        beyond[named[at_meeting[spaces.inner.rows] & ((jump < limits[0]) | (jump > limits[1]))]] = True
+        jumps.join(v, beyond, on_dirichlet)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
-    excess = fem.Function(space)
-    np.add.at(excess.x.array, nodes.ravel(), on.loads(at_points).ravel())
-    if forces is not None:
-        add_load(excess, spaces, forces)
-    excess.x.scatter_reverse(la.InsertMode.add)
-    slope = spaces.multiplier(on.slope(at_points).mean(axis=1), "beta")
-    load = np.asarray(excess.x.array, dtype=np.float64)
-    load[tips] = 0.0
-    relax(v, fem.Function(space), y, data.kappa_h, load, on_dirichlet, box, (spaces, slope), jumps)
+    apart = ~at_meeting.any(axis=1)
+    load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, None if forces is None else (spaces, forces))
+    slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
+    still = np.union1d(on_dirichlet, meets)
+    relax(v, fem.Function(space), y, data.kappa_h, load, still, box, (spaces, slope), jumps)
+    if jumps is not None:
+        jumps.undone(v)
     if obstacle is not None:
         lower_inside(v, floor, obstacle, edges)
-    jump = None
-    if jumps is not None:
-        jump = v.copy()
-        jump.x.array[tips] = 0.0
-        jumps.undone(v)
-        feasible = feasible and jumps.alone
-    return _with_exact_data(on, data, v, u_D, jump, feasible=feasible)
+    return _with_exact_data(on, data, v, u_D, feasible=feasible)
+
+
+def _without(ends: list[Array], where: Mask) -> list[Array]:
+    """Lower and upper bounds in turn, none in some nodes of facets."""
+    return [np.where(where, np.inf if number % 2 else -np.inf, end) for number, end in enumerate(ends)]
+
+
+def _load(
+    v: fem.Function,
+    nodes: Indices,
+    loads: Array,
+    tips: npt.NDArray[np.intp],
+    jumps: Jumps | None,
+    obstacle: tuple[Spaces, Array] | None,
+) -> Array:
+    """The slope of the gap on Γ_S, and of an obstacle with its forces, per node of this rank (collective).
+
+    On facets inside the domain, for the jumps.
+    """
+    on_facets, in_cells = fem.Function(v.function_space), fem.Function(v.function_space)
+    np.add.at(on_facets.x.array, nodes.ravel(), loads.ravel())
+    on_facets.x.scatter_reverse(la.InsertMode.add)
+    load = np.asarray(on_facets.x.array, dtype=np.float64)
+    load[tips] = 0.0
+    if obstacle is not None:
+        add_load(in_cells, *obstacle)
+        in_cells.x.scatter_reverse(la.InsertMode.add)
+        size = v.function_space.dofmap.index_map.size_local
+        own = np.asarray(in_cells.x.array[:size], dtype=np.float64)
+        load[:size] += own if jumps is None else jumps.transposed(own)
+    return load
 
 
 def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
@@ -128,9 +164,7 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
     return np.hstack([values[:, :corners], middle])
 
 
-def _with_exact_data(
-    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, jump: fem.Function | None, *, feasible: bool
-) -> Trace:
+def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
     mesh, linear = spaces.mesh, fem.functionspace(spaces.mesh, ("Lagrange", 1))
@@ -170,12 +204,12 @@ def _with_exact_data(
     cells, at_dirichlet = (
         np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
     )
-    if jump is not None:
-        feasible = jumps_obey(trace, jump, on.goal.parts, spaces) and feasible
+    if spaces.inner.present:
+        feasible = jumps_obey(trace, on.goal.parts, spaces) and feasible
     return Trace(
         v=v,
         exact=trace if trace.bounds or changed else None,
-        above=partial(trace.on_gamma_s, spaces, jump),
+        above=partial(trace.on_gamma_s, spaces),
         cells=cells,
         at_dirichlet=at_dirichlet,
         touching=np.empty(0, dtype=np.int32),

@@ -247,11 +247,9 @@ class LawGap:
         """The load, and the opposite one on the other sides of facets inside the domain (collective)."""
         if not spaces.inner.present:
             return [self.load]
-        points, rows = self.points, spaces.inner.rows
-        across = in_facets(spaces.mesh, spaces.inner.facets, points.points, points.weights)
-        apart = np.linalg.norm(points.x[rows][:, :, None] - across.x[:, None], axis=3)
-        values = -np.take_along_axis(self.load.values[rows], np.argmin(apart, axis=1), axis=1)
-        return [self.load, FacetLoad(across, values, np.zeros(len(rows)))]
+        across, order = self.points.across(spaces.inner.rows, spaces.inner.facets)
+        values = -np.take_along_axis(self.load.values[spaces.inner.rows], np.argsort(order, axis=1), axis=1)
+        return [self.load, FacetLoad(across, values, np.zeros(len(values)))]
 
     def per_cell(self, number: int) -> Array:
         """Twice its integral, per owned cell of so many."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -67,16 +68,19 @@ class Jumps:
     Attributes:
         jump: Mask of the nodes of this rank that have the jump; no other part of Γ_S has these nodes.
         tips: Nodes of this rank at the edge of the cut.
+        meets: Nodes of this rank in places where inner parts meet each other or other parts of Γ_S, or Γ_D on one side
+            only. They keep the values of the function.
         basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes.
         inverse: Its inverse.
-        alone: Whether inner parts meet neither each other nor other parts of Γ_S, nor Γ_D on one side only.
+        pairs: Nodes of the inner facets, and those in the same places of the other side, shape (facets, nodes) each.
     """
 
     jump: Mask
     tips: npt.NDArray[np.intp]
+    meets: npt.NDArray[np.intp]
     basis: PETSc.Mat
     inverse: PETSc.Mat
-    alone: bool
+    pairs: tuple[Entities, Entities]
 
     @classmethod
     def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps | None:
@@ -84,7 +88,7 @@ class Jumps:
         if not spaces.inner.present:
             return None
         numbers, inner = space.dofmap.index_map, spaces.inner
-        named, across = _in_pairs(space, spaces.facets[inner.rows], inner.facets)
+        pairs = named, across = _in_pairs(space, spaces.facets[inner.rows], inner.facets)
         tip = named == across
         named, across, tips = (nodes.ravel()[:, None] for nodes in (named[~tip], across[~tip], named[tip]))
         other = largest_around(space, named, 1.0 + numbers.local_to_global(across.ravel()))
@@ -92,17 +96,34 @@ class Jumps:
             largest_around(space, nodes, np.ones(len(nodes))) > 0
             for nodes in (across, tips, facet_nodes(space, spaces.facets[spaces.outer_rows]))
         )
-        jump = (other > 0) & ~below
         wall = np.zeros(len(other), dtype=bool)
         wall[fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, spaces.dirichlet_facets)] = True
         meets = (other > 0) & below | beside & (below | at_edge | (other > 0))
-        shared = meets.any() or np.any(wall[named] != wall[across])
+        half = wall[named] != wall[across]
+        meets[named[half]] = meets[across[half]] = True
+        meets = _over_places(space, pairs, meets.astype(np.float64)) > 0
+        jump = (other > 0) & ~meets
         own = np.flatnonzero(jump[: numbers.size_local])
         more = numbers.local_range[0] + own, other[own].astype(np.int64) - 1
         basis, inverse = (
             identity_with(space.mesh.comm, numbers.size_local, *more, np.full(len(own), sign)) for sign in (1.0, -1.0)
         )
-        return cls(jump, np.flatnonzero(at_edge), basis, inverse, not max(space.mesh.comm.allgather(bool(shared))))
+        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), basis, inverse, pairs)
+
+    def join(self, v: fem.Function, at: Mask, given: Entities) -> None:
+        """Let v be continuous in the places of some nodes, in place: of `given` values, else the largest (collective).
+
+        Args:
+            v: A function by the values in its nodes, ghosts updated.
+            at: Mask of nodes of this rank.
+            given: Nodes of this rank that keep their values.
+        """
+        space, known, value = v.function_space, np.zeros(len(at)), v.x.array.copy()
+        known[given] = 1.0
+        somewhere = _over_places(space, self.pairs, known) > 0
+        value[somewhere & (known == 0)] = -np.inf
+        there = _over_places(space, self.pairs, at.astype(np.float64)) > 0
+        v.x.array[there] = _over_places(space, self.pairs, value)[there]
 
     def taken(self, v: fem.Function) -> None:
         """Put the jumps of a function in the place of its values, ghosts updated (collective)."""
@@ -126,6 +147,17 @@ def _apply(matrix: PETSc.Mat, v: fem.Function) -> None:
     matrix.mult(right, left)
     v.x.array[: left.getLocalSize()] = left.array_r
     v.x.scatter_forward()
+
+
+def _over_places(space: fem.FunctionSpace, pairs: tuple[Entities, Entities], values: Array) -> Array:
+    """In each node the largest value of the nodes in its place, which pairs connect (collective)."""
+    nodes = np.vstack(pairs)
+    while True:
+        larger = np.maximum(*(values[side] for side in pairs))
+        found = np.maximum(values, extreme_around(space, nodes, np.vstack([larger, larger]), largest=True))
+        if not space.mesh.comm.allreduce(bool((found > values).any()), MPI.LOR):
+            return found
+        values = found
 
 
 def _in_pairs(space: fem.FunctionSpace, named: Entities, across: Entities) -> tuple[Entities, Entities]:

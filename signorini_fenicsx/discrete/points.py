@@ -208,6 +208,12 @@ class FacetPoints(Points):
         chosen = cells[self.cells]
         return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
+    def across(self, rows: npt.NDArray[np.intp], facets: Entities) -> tuple[FacetPoints, npt.NDArray[np.intp]]:
+        """The points of some rows in facets of the other side that lie on them, and the number of each there."""
+        other = in_facets(self.mesh, facets, self.points, self.weights)
+        apart = np.linalg.norm(self.x[rows][:, :, None] - other.x[:, None], axis=3)
+        return other, np.argmin(apart, axis=2)
+
     def per_cell(self, values: Array, number: int) -> Array:
         """Sums of values per facet over the facets of each owned cell; `number` is that of the cells."""
         return np.bincount(self.cells, values, number)[:number]

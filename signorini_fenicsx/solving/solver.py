@@ -277,10 +277,6 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
     if spaces.inner.present and not method.takes_inner:
         usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
         raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
-    if spaces.inner.present and data.obstacle is not None:
-        raise InputError(
-            "[problem] obstacle: there may be no parts inside the domain as well, leave out [boundary] inner"
-        )
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"

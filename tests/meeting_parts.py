@@ -1,0 +1,43 @@
+"""Squares that are cut by several lines, as mesh files."""
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.meshes.checks import faces
+from signorini_fenicsx.meshes.grids import Share, square_grid
+
+type Lines = dict[str, tuple[int, float, float]]
+
+LINES: Lines = {"fault": (1, 0, 1), "cross": (0, 0, 1)}
+"""Inner parts: the axis whose coordinate is 1/2, and from where to where."""
+
+
+def crossed_square(folder: Path, n: int, text: str, lines: Lines | None = None) -> Case:
+    """A case on a square of n × n squares cut in halves, by the text of its file without geometry and sides."""
+    points, cells = square_grid(2**0.5 / n, "right", Share())
+    edges = np.unique(faces(cells), axis=0)
+    x = points[edges]
+    names = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, 0.0), "top": (1, 1.0)}
+    parts = {name: edges[(x[:, :, axis] == at).all(axis=1)] for name, (axis, at) in names.items()}
+    below = parts["bottom"]
+    parts["floor"] = below[points[below].mean(axis=1)[:, 0] > 0.5]  # half of the bottom
+    parts["bottom"] = below[points[below].mean(axis=1)[:, 0] < 0.5]
+    lines = LINES if lines is None else lines
+    for name, (axis, begin, end) in lines.items():
+        along = x[:, :, 1 - axis]
+        on = (x[:, :, axis] == 0.5) & (along > begin - 1e-9) & (along < end + 1e-9)
+        parts[name] = edges[on.all(axis=1)]
+    tags = [np.full(len(part), 2 + number) for number, part in enumerate(parts.values())]
+    blocks = [("triangle", cells), *(("line", part) for part in parts.values())]
+    physical = [np.ones(len(cells), dtype=np.int32), *(tag.astype(np.int32) for tag in tags)]
+    known = {name: np.array([2 + number, 1]) for number, name in enumerate(parts)} | {"body": np.array([1, 2])}
+    data = {"gmsh:physical": physical, "gmsh:geometrical": physical}
+    mesh = meshio.Mesh(points, blocks, cell_data=data, field_data=known)
+    meshio.write(folder / f"{n}.msh", mesh, file_format="gmsh22", binary=False)
+    sides = ", ".join(f"{name} = [{1 - axis}, {axis}]" for name, (axis, *_) in lines.items())
+    path = folder / f"{n}.toml"
+    path.write_text(f'[geometry]\nfile = "{n}.msh"\n' + text.replace("SIDES", f"sides = {{{sides}}}"))
+    return load_case(str(path))
