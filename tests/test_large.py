@@ -12,6 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.output import checkpoint_writing
 from signorini_fenicsx.output.checkpoint import load_solution
@@ -23,21 +24,22 @@ COMM = MPI.COMM_WORLD
 
 
 @pytest.mark.parallel([1, 3])
-def test_tables_of_the_ranks_are_the_table(folder: Path):
+@pytest.mark.parametrize(("name", "table", "column"), [("example1", "facets", "p"), ("hertz", "contact", "gap")])
+def test_tables_of_the_ranks_are_the_table(folder: Path, name: str, table: str, column: str):
     """With a table per rank they have together the rows of the one table."""
-    case = load_case("example1").with_values({"solve.h": 0.1})
+    case = load_any_case(name).with_values({"solve.h": {"facets": 0.1, "contact": 0.125}[table]})
     write_solution(solve_case(case, COMM), folder, fields=False)
     (folder / "by_rank").mkdir(exist_ok=True)
-    small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=10))
+    small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=3))
     write_solution(small, folder / "by_rank", fields=False)
     COMM.Barrier()
-    assert not (folder / "by_rank" / "facets.csv").exists()
-    names = sorted(path.name for path in (folder / "by_rank" / "facets").iterdir())
+    assert not (folder / "by_rank" / f"{table}.csv").exists()
+    names = sorted(path.name for path in (folder / "by_rank" / table).iterdir())
     assert names == [f"{rank:05}.parquet" for rank in range(COMM.size)]
-    tables = [pyarrow.parquet.read_table(folder / "by_rank" / "facets" / name).to_pylist() for name in names]
+    tables = [pyarrow.parquet.read_table(folder / "by_rank" / table / name).to_pylist() for name in names]
     found, wanted = (
-        sorted((row["part"], round(float(row["x"]), 9), round(float(row["p"]), 9), row["condition"]) for row in rows)
-        for rows in (itertools.chain(*tables), read_rows(folder / "facets.csv"))
+        sorted((row["part"], round(float(row["x"]), 9), round(float(row[column]), 9), row["condition"]) for row in rows)
+        for rows in (itertools.chain(*tables), read_rows(folder / f"{table}.csv"))
     )
     assert found == wanted
 

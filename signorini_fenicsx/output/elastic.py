@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,13 +11,13 @@ import numpy.typing as npt
 from dolfinx import fem, io
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.base.progress import doing
+from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.elastic_kkt import imbalance
 from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
 from signorini_fenicsx.output.field_files import write_vtx
+from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 DIGITS = 10
@@ -27,7 +26,7 @@ DIGITS = 10
 
 @dataclass(frozen=True)
 class ContactTable:
-    """One row per vertex of each facet of Γ_C, of all ranks, by part and along it (rank 0).
+    """One row per vertex of each facet of Γ_C, by part and along it.
 
     Attributes:
         part: Index into the parts of Γ_C.
@@ -54,51 +53,63 @@ class ContactTable:
     state: npt.NDArray[np.int64]
 
 
-def tables_and_pictures(
-    solution: ElasticSolution, folder: Path, certificate: Certificate | None, *, plot: bool
-) -> Callable[[], None]:
-    """Gather what tables and pictures show of an elastic solution (collective).
+def write_table_of_contact(folder: Path, solution: ElasticSolution) -> None:
+    """Write `contact.csv`; for a large Γ_C `contact/<rank>.parquet` with the facets of each rank instead (collective).
 
-    Args:
-        solution: What to write.
-        folder: Where; files of the same names are overwritten.
-        certificate: Its error bound, if it has one.
-        plot: Also draw PNGs.
-
-    Returns:
-        What writes them on rank 0.
+    Raises:
+        OSError: On all ranks, if the disk is full.
     """
+    comm, parts = solution.spaces.mesh.comm, solution.contact_parts
+    friction = solution.data.friction is not None
+    if solution.spaces.scalar.Lambda.dofmap.index_map.size_global <= solution.options.tuning.one_table_up_to:
+        table = contact_table(solution)
+        columns = {} if table is None else contact_columns(parts, table, friction=friction)
+        on_root(comm, lambda: write_columns(folder / "contact.csv", columns))
+        return
+    own = _in_order(_contact_rows(solution))
+    write_by_rank(comm, folder / "contact", lambda: contact_columns(parts, own, friction=friction))
+
+
+def draw(folder: Path, solution: ElasticSolution, certificate: Certificate | None) -> None:
+    """Draw an elastic solution on rank 0 (collective)."""
     table = contact_table(solution)
-    body = gather_body(solution, None if certificate is None else certificate.indicator) if plot else None
+    body = gather_body(solution, None if certificate is None else certificate.indicator)
 
     def write() -> None:
-        if table is not None:
-            write_contact(folder / "contact.csv", solution.boundary.contact, table)
         if table is not None and body is not None:
             from signorini_fenicsx.output.pictures import elastic  # costs a second, only where it is needed
 
-            with doing("drawing"):
-                elastic.draw(folder, solution, table, body, certificate)
+            elastic.draw(folder, solution, table, body, certificate)
 
-    return write
+    on_root(solution.spaces.mesh.comm, write)
 
 
-def write_contact(path: Path, parts: Sequence[str], table: ContactTable) -> None:
-    """Write one row per facet vertex of Γ_C (rank 0)."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        friction = ["shear", "slip", "friction"] if (table.state >= 0).any() else []
-        writer.writerow(["part", "x", "y", "z", "pressure", "gap", "condition", *friction])
-        columns = table.pressure, table.gap, table.touching, table.shear, table.slip, table.state
-        for part, x, pressure, gap, touching, shear, slip, state in zip(
-            table.part, table.x.tolist(), *columns, strict=True
-        ):
-            tangential = [shear, slip, Friction.segments[state]] if state >= 0 else [None] * len(friction)
-            writer.writerow([parts[part], *x, pressure, gap, "contact" if touching else "open", *tangential])
+def contact_columns(parts: Sequence[str], table: ContactTable, *, friction: bool) -> dict[str, npt.NDArray]:
+    """The columns of the table of Γ_C that is written."""
+    columns: dict[str, npt.NDArray] = {
+        "part": np.array(parts)[table.part],
+        **dict(zip("xyz", table.x.T, strict=True)),
+        "pressure": table.pressure,
+        "gap": table.gap,
+        "condition": np.where(table.touching, "contact", "open"),
+    }
+    if not friction:
+        return columns
+    states = np.array(Friction.segments)[table.state]
+    for name, values in {"shear": table.shear, "slip": table.slip, "friction": states}.items():
+        columns[name] = values.astype(object)
+        columns[name][table.state < 0] = None
+    return columns
 
 
 def contact_table(solution: ElasticSolution) -> ContactTable | None:
     """Collect the vertices of the facets of Γ_C on rank 0; None elsewhere (collective)."""
+    rows = gather_rows(solution.spaces.mesh.comm, _contact_rows(solution))
+    return None if rows is None else _in_order(rows)
+
+
+def _contact_rows(solution: ElasticSolution) -> Array:
+    """The columns of a `ContactTable` for the facets of this rank, shape (rows, 14)."""
     spaces = solution.spaces
     contact, dim = spaces.contact, spaces.dim
     x = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim)))
@@ -110,9 +121,10 @@ def contact_table(solution: ElasticSolution) -> ContactTable | None:
     middle = np.broadcast_to(np.sort(x, axis=1).mean(axis=1, keepdims=True), x.shape).reshape(-1, 3)
     values = [solution.pressure.ravel(), solution.linear_gap.ravel(), solution.touching.ravel()]
     values += [values.ravel() for values in solution.on_all_contact()]
-    rows = gather_rows(spaces.mesh.comm, np.column_stack([part, along, flat, middle, *values]))
-    if rows is None:
-        return None
+    return np.column_stack([part, along, flat, middle, *values])
+
+
+def _in_order(rows: Array) -> ContactTable:
     scale = 2.0 ** np.ceil(np.log2(max(float(np.abs(rows[:, 1:8]).max(initial=0.0)), 1e-300)))
     along, *places = np.round(rows[:, 1:8].T / scale, DIGITS)
     rows = rows[np.lexsort((*places[::-1], along, rows[:, 0]))]

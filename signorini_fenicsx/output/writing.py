@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import errno
 import shlex
 import sys
 from collections.abc import Sequence
@@ -42,6 +40,7 @@ from signorini_fenicsx.output.gather import (
     gather_free_boundary,
     in_order,
 )
+from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
@@ -88,7 +87,10 @@ def write_solution(
     with watch.phase("output"):
         write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
         if isinstance(solution, ElasticSolution):
-            on_root(comm, elastic.tables_and_pictures(solution, folder, certificate, plot=plot))
+            elastic.write_table_of_contact(folder, solution)
+            if plot:
+                with doing("drawing"):
+                    elastic.draw(folder, solution, certificate)
         else:
             write_table_of_facets(folder, solution)
             if solution.data.obstacle is not None:
@@ -197,18 +199,8 @@ def write_table_of_facets(folder: Path, solution: Solution) -> None:
         table = gather_facets(solution)
         on_root(comm, lambda: write_facets(folder / "facets.csv", spaces.part_names, table, segments))
         return
-    import pyarrow.parquet  # takes a second to import
-
-    on_root(comm, lambda: (folder / "facets").mkdir(exist_ok=True))
-    columns = facet_columns(spaces.part_names, in_order(facet_table(solution)), segments)
-    failure = ""
-    try:
-        pyarrow.parquet.write_table(pyarrow.table(columns), folder / "facets" / f"{comm.rank:05}.parquet")
-    except OSError as error:
-        failure = error.strerror or str(error)
-    failure = comm.allreduce(failure, MPI.MAX)
-    if failure:
-        raise OSError(errno.EIO, failure, str(folder))
+    parts = spaces.part_names
+    write_by_rank(comm, folder / "facets", lambda: facet_columns(parts, in_order(facet_table(solution)), segments))
 
 
 def write_free_boundary(path: Path, solution: Solution) -> None:
@@ -235,11 +227,7 @@ def write_facets(
 ) -> None:
     """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
     assert table is not None
-    columns = facet_columns(part_names, table, segments)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    write_columns(path, facet_columns(part_names, table, segments))
 
 
 def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None = None) -> None:

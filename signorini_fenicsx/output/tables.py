@@ -1,0 +1,45 @@
+"""Tables of a part of the boundary: one text file, or of large parts a Parquet file of each rank."""
+
+import csv
+import errno
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.parallel import on_root
+
+type Columns = Mapping[str, npt.NDArray]
+
+
+def write_columns(path: Path, columns: Columns) -> None:
+    """Write columns of one length as CSV (rank 0)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def write_by_rank(comm: MPI.Comm, folder: Path, columns: Callable[[], Columns]) -> None:
+    """Write the rows of each rank as `<rank>.parquet` in a folder, which is made (collective).
+
+    Args:
+        comm: Communicator.
+        folder: The folder.
+        columns: Gives the columns of the rows of this rank.
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+    """
+    import pyarrow.parquet  # takes a second to import
+
+    on_root(comm, lambda: folder.mkdir(exist_ok=True))
+    failure, mine = "", columns()
+    try:
+        pyarrow.parquet.write_table(pyarrow.table(dict(mine)), folder / f"{comm.rank:05}.parquet")
+    except OSError as error:
+        failure = error.strerror or str(error)
+    failure = comm.allreduce(failure, MPI.MAX)
+    if failure:
+        raise OSError(errno.EIO, failure, str(folder))
