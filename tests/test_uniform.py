@@ -14,7 +14,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import build_domain, own_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
+from signorini_fenicsx.meshes.uniform import parents, refined_diameter, refined_uniformly
 
 COMM = MPI.COMM_WORLD
 SQUARE = """h = 0.3;
@@ -102,6 +102,20 @@ def test_geometries_from_files(tmp_path: Path):
     points = dolfinx.mesh.compute_midpoints(domain.mesh, 1, domain.facets["bottom"])
     np.testing.assert_allclose(points[:, 1], 0, atol=1e-14)
     assert len(points) >= 1 / h
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("shape", ["lshape", "cube"])
+def test_parents(shape: str):
+    """Each node is in the middle between its parents, or is the only one of them."""
+    fine = refined_uniformly(build_domain(COMM, shape, 0.4, mesh="unstructured"))
+    assert fine.coarser is not None
+    pairs, coarse = parents(fine), fine.coarser.mesh.geometry
+    assert pairs.shape == (len(fine.mesh.geometry.x), 2)
+    np.testing.assert_allclose(fine.mesh.geometry.x, coarse.x[pairs].mean(axis=1), atol=1e-14)
+    own = fine.mesh.geometry.index_map().size_local
+    kept = COMM.allreduce(int((pairs[:own, 0] == pairs[:own, 1]).sum()))
+    assert kept == coarse.index_map().size_global
 
 
 @pytest.mark.parallel([1, 3])

@@ -1,4 +1,4 @@
-"""Auxiliary-space multigrid for the Crouzeix-Raviart system: a smoother on facets, GAMG on conforming P1."""
+"""Auxiliary-space multigrid for the Crouzeix-Raviart system: a smoother on facets, multigrid on conforming P1."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,6 +6,7 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.coarser_levels import use_coarser_meshes
 from signorini_fenicsx.backends.jumps import jumps_of_facets
 from signorini_fenicsx.backends.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
@@ -16,14 +17,16 @@ from signorini_fenicsx.discrete.sources import Sources, sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
-DEFAULTS = {
+SMOOTHERS = {
     f"{level}_{name}": value
-    for level in ("mg_levels", "mg_coarse_mg_levels")
+    for level in ("mg_levels", "mg_coarse_mg_levels", "mg_coarse_mg_coarse_mg_levels")
     for name, value in (("pc_jacobi_type", "rowl1"), ("ksp_chebyshev_eigenvalues", "0.1,1.0"))
 }
 """Where Jacobi divides by the sum of the absolute values of a row, no eigenvalue is above 1 for any sets, so none is
 estimated. Estimates would cost ten products and twenty reductions on each level for each set, and are too small at
 times: then the preconditioner is indefinite."""
+DEFAULTS = SMOOTHERS | {"mg_coarse_pc_mg_galerkin": "both", "mg_coarse_mg_coarse_pc_gamg_aggressive_coarsening": "0"}
+"""The last two matter on refined meshes only, see `coarser_levels`."""
 
 
 class AuxiliarySpace:
@@ -58,6 +61,8 @@ class AuxiliarySpace:
             interpolation = to_jumps.matMult(interpolation.matMult(basis))
         self._levels = TwoLevel(pc, interpolation, "jacobi")
         self._levels.coarse.setOperators(self._operator.matrix)
+        if self._jumps is None:
+            use_coarser_meshes(self._levels.coarse.getPC(), self._space, spaces.domain)
 
     def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32], present: Sources) -> None:
         """Take over new facet conditions (collective).
@@ -80,9 +85,9 @@ class AuxiliarySpace:
         self._levels.leave_out(essential, fixed)
 
     def _build_hierarchy(self) -> None:
-        """Build GAMG's interpolations once; later only its operators are renewed.
+        """Build the interpolations once; later only the operators are renewed.
 
-        The interpolations come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
+        Those of GAMG come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
         errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
         """
         if self._by_cells and self._s is not None and not self._spaces.has_dirichlet:

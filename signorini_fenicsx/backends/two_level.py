@@ -1,4 +1,4 @@
-"""CG with a two-level multigrid: a smoother on the facets, GAMG on conforming P1. The facet systems share it."""
+"""CG with a two-level multigrid: a smoother on the facets, a solver on conforming P1. The facet systems share it."""
 
 from collections.abc import Callable
 

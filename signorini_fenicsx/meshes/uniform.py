@@ -95,6 +95,25 @@ def _numbers(comm: MPI.Comm, *maps: IndexMap) -> list[Indices]:
     return numbers
 
 
+def parents(fine: Domain) -> Indices:
+    """The nodes of the coarser mesh between which the nodes on this rank were put, shape (nodes, 2) (collective).
+
+    Twice the same one if it was there before. Both are on this rank, because children stay where their parents are.
+    """
+    assert fine.coarser is not None
+    coarse = fine.coarser.mesh
+    nodes, edges = coarse.geometry.index_map(), coarse.topology.index_map(1)
+    of_node = np.arange(nodes.size_local + nodes.num_ghosts)
+    of_edge = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32)
+    between = np.concatenate(
+        [np.stack([of_node, of_node], axis=1), dolfinx.mesh.entities_to_geometry(coarse, 1, of_edge)]
+    )
+    numbers = np.concatenate(_numbers(coarse.comm, nodes, edges))
+    order = np.argsort(numbers)
+    pairs: Indices = between[order[np.searchsorted(numbers, fine.mesh.geometry.input_global_indices, sorter=order)]]
+    return pairs
+
+
 def refined_diameter(points: Array, cells: Indices) -> float:
     """Largest diameter of the children of these cells (not collective)."""
     half = float(diameters(points, cells).max()) / 2
