@@ -10,6 +10,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
@@ -218,7 +219,7 @@ def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.F
     owned = residual[:size]
     M = spaces.mass_diagonal[:size]
     kappa = data.kappa.number
-    W = flux_mass_diagonal(spaces, np.linalg.inv(data.matrices(spaces)))[:size] if kappa is None else M / kappa
+    W = flux_mass_diagonal(spaces, inverses(data.matrices(spaces)))[:size] if kappa is None else M / kappa
     return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
 
 

@@ -17,9 +17,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
+from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.discrete.cell_shapes import arms
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
-from signorini_fenicsx.discrete.points import arms
 from signorini_fenicsx.meshes.domain import Domain
 
 type Names = Sequence[str]
@@ -310,8 +311,8 @@ def flux_mass_diagonal(spaces: Spaces, weight: Array) -> Array:
     """
     dim = spaces.mesh.geometry.dim
     y = arms(spaces.mesh)
-    squares = ((y @ weight) * y).sum(axis=2)
-    squares += squares.sum(axis=1, keepdims=True) / ((dim + 1) * (dim + 2))
+    squares = squares_of(y, weight)
+    squares += np.einsum("cv->c", squares)[:, None] / ((dim + 1) * (dim + 2))
     slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
     flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others
     squares *= flux**2 / (dim**2 * spaces.cell_measures)[:, None]
