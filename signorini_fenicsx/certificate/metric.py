@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import combinations
 
 import dolfinx.mesh
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import determinants, inverses, squares_of
 from signorini_fenicsx.discrete.cell_flux import CellFlux
-from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments
+from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import in_cells, owned_cells, quadratic_nodes
@@ -52,13 +51,13 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
     mesh = spaces.mesh
     dim = mesh.topology.dim
     number = mesh.topology.index_map(dim).size_local
-    x = corners(mesh, slice(number))
-    jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+    jacobian, longest, first, second = np.empty((number, dim, dim)), np.empty(number), *np.triu_indices(dim + 1, 1)
     kappa_h = data.matrices(spaces)
     inverse = np.broadcast_to(inverses(kappa_h), (number, dim, dim))
-    longest = np.zeros(number)
-    for first, second in combinations(range(dim + 1), 2):
-        np.maximum(longest, squares_of((x[:, first] - x[:, second])[:, None], inverse)[:, 0], out=longest)
+    for some in some_at_a_time(mesh):
+        x = corners(mesh, some)
+        jacobian[some] = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+        longest[some] = squares_of(x[:, first] - x[:, second], inverse[some]).max(axis=1)
     low = _lowest_ratio(mesh, data.kappa, inverse)
     return CellMetric(
         jacobian=jacobian,

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import determinants, squares_of
-from signorini_fenicsx.discrete.cell_shapes import arms, corners, mean_moments
+from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a_time
 from signorini_fenicsx.discrete.points import Points
 
 
@@ -42,11 +42,14 @@ class CellFlux:
         mesh.topology.create_entity_permutations()
         space.element.Tt_apply(slopes.reshape(-1), mesh.topology.get_cell_permutation_info(), 1)
         derivatives = space.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0]
-        x = corners(mesh)
         slopes *= np.einsum("iei->e", derivatives) / dim
-        slopes /= determinants(x[:, 1:] - x[:, :1])[:, None]
-        centroid = -(slopes[:, None] @ arms(mesh))[:, 0]
-        return cls(mesh, centroid, np.einsum("ce->c", slopes))
+        centroid, slope = np.empty((len(slopes), dim)), np.empty(len(slopes))
+        for some in some_at_a_time(mesh):
+            x = arms(mesh, some)
+            of_basis = slopes[some] / determinants(x[:, 1:] - x[:, :1])[:, None]
+            centroid[some] = -(of_basis[:, None] @ x)[:, 0]
+            slope[some] = np.einsum("ce->c", of_basis)
+        return cls(mesh, centroid, slope)
 
     @property
     def divergence(self) -> Array:

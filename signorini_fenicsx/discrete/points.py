@@ -71,7 +71,7 @@ class Points(ABC):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        x: Array = self.vertices[:, :1] + self.points @ (self.vertices[:, 1:] - self.vertices[:, :1])
+        x: Array = _barycentric(self.points) @ self.vertices
         return x
 
     @cached_property

@@ -17,8 +17,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
-from signorini_fenicsx.base.small_matrices import squares_of
-from signorini_fenicsx.discrete.cell_shapes import arms
+from signorini_fenicsx.discrete.cell_shapes import squared_arms
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.meshes.domain import Domain
@@ -310,8 +309,7 @@ def flux_mass_diagonal(spaces: Spaces, weight: Array) -> Array:
     − x_T, ∫ (x − x_e)·B(x − x_e) over T is |T| times y_e·By_e + Σ_v y_v·By_v / ((d + 1)(d + 2)).
     """
     dim = spaces.mesh.geometry.dim
-    y = arms(spaces.mesh)
-    squares = squares_of(y, weight)
+    squares = squared_arms(spaces.mesh, weight)
     squares += np.einsum("cv->c", squares)[:, None] / ((dim + 1) * (dim + 2))
     slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
     flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others
