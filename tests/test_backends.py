@@ -5,10 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ufl
 from conftest import make_case
-from dolfinx import fem
-from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -20,8 +17,6 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.spaces import flux_mass_diagonal
-from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1
 
@@ -180,23 +175,6 @@ def test_an_option_with_a_prefix_is_for_some_solvers_and_nothing_stays():
         for name in chosen:
             options.delValue(name)
     assert not {name for name in options.getAll() if name.startswith(("mat_mumps", "snes_vi"))}
-
-
-@pytest.mark.parallel([1, 2])
-@pytest.mark.parametrize("shape", ["lshape", "cube"])
-def test_mass_diagonal(folder: Path, shape: str):
-    """By its formula it is the diagonal of the assembled matrix, with a matrix κ that varies."""
-    solution = solve_case(make_case(folder, shape=shape, parts=["bottom"], f="1", h=0.5), COMM)
-    spaces = solution.spaces
-    kappa = fem.Function(spaces.Q_matrix)
-    dim = spaces.mesh.geometry.dim
-    kappa.interpolate(lambda x: (np.eye(dim).reshape(-1, 1) * (1 + x[0]) + 0.2 * x[1]).reshape(dim * dim, -1))
-    form = flux_product(ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), ufl.dx, kappa)
-    matrix = assemble_matrix(fem.form(form))
-    matrix.assemble()
-    found = flux_mass_diagonal(spaces, np.linalg.inv(kappa.x.array.reshape(-1, dim, dim)))
-    expected = matrix.getDiagonal().array_r
-    np.testing.assert_allclose(found[: len(expected)], expected, rtol=1e-12)
 
 
 @pytest.mark.parallel([1, 3])

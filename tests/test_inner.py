@@ -14,7 +14,6 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.cell_flux import CellFlux
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.cut import Side, opened
@@ -31,7 +30,7 @@ COMM = MPI.COMM_WORLD
 
 def energy_error(solution: Solution) -> float:
     """‖κ^-½(σ − σ_h)‖ where u is known."""
-    data, flux, square = solution.data, CellFlux.of(solution.sigma), 0.0
+    data, flux, square = solution.data, solution.cell_flux, 0.0
     assert data.exact is not None
     mesh = solution.spaces.mesh
     for points in cell_quadrature(mesh, owned_cells(mesh), 8):

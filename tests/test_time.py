@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.backends.petsc import LinearSolver
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.evolution import Evolution
 from signorini_fenicsx.discrete.laws import Wall
 from signorini_fenicsx.discrete.problem import Problem
@@ -119,6 +120,17 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
     assert data[-1].f is data[-2].f
     assert data[-1].c_h is data[-2].c_h
     assert data[-1].u_D is not data[-2].u_D
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_step_starts_from_the_last_solution():
+    """With an iterative solver a small change of the load takes fewer iterations, with the same result."""
+    options, solver = Options(tuning=Tuning(direct_up_to=0)), Solver(square(1 / 8), BOTTOM)
+    first, changed = solver.solve(Problem(f="x - 0.6"), options), Problem(f="1.001*(x - 0.6)")
+    near, anew = (each.solve(changed, options, start=first) for each in (solver, Solver(square(1 / 8), BOTTOM)))
+    taken = [sum(step.linear_iterations for step in each.outcome.history) for each in (near, anew)]
+    assert taken[0] < 0.85 * taken[1]
+    np.testing.assert_allclose(near.u.x.array, anew.u.x.array, atol=1e-11)
 
 
 def test_nothing_grows():

@@ -63,7 +63,7 @@ def admissible_flux(
     limits = tuple(data.q_Sh + end for end in goal.chains.extent()[2:])
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     y = _within(spaces, limits, sigma)
-    flux = solution.cell_flux if y is solution.sigma else CellFlux.of(y)
+    flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
     rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(flux).sum()))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
@@ -72,7 +72,7 @@ def admissible_flux(
             imbalance.x.array[:] = np.maximum(imbalance.x.array, 0.0)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
-            return y, flux, u, float(left + _distance(metric, y, solution.sigma))
+            return y, flux, u, float(left + _distance(spaces, metric, y, solution.sigma))
         try:
             correction = _balancing_flux(spaces, data, y, imbalance, limits)
         except LinearSolveFailure:
@@ -80,18 +80,17 @@ def admissible_flux(
         correction.sigma.x.array[:] += y.x.array
         correction.u.x.array[:] += u.x.array
         y, u = _within(spaces, limits, correction.sigma), correction.u
-        flux = CellFlux.of(y)
+        flux = CellFlux.of(spaces, y)
     return y, flux, u, np.inf
 
 
-def _distance(metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
+def _distance(spaces: Spaces, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
     """The bound ‖(low κ_h)^-½ (y − σ_h)‖ of ‖y − σ_h‖ (collective)."""
     if y is sigma:
         return 0.0
     difference = y.copy()
     difference.x.array[:] -= sigma.x.array
-    comm = y.function_space.mesh.comm
-    return math.sqrt(comm.allreduce((metric.squares(CellFlux.of(difference)) / metric.low).sum()))
+    return math.sqrt(spaces.mesh.comm.allreduce((metric.squares(CellFlux.of(spaces, difference)) / metric.low).sum()))
 
 
 def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
@@ -175,19 +174,19 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
     one.x.array[:] = 1.0
     data = replace(data, c_h=None)
     try:
-        constant = _load_constant(metric, _balancing_flux(spaces, data, nothing, one, NONE).sigma)
+        constant = _load_constant(spaces, metric, _balancing_flux(spaces, data, nothing, one, NONE).sigma)
         if left > WORTH * whole:
             return constant * whole
         z = _balancing_flux(spaces, data, nothing, middle, NONE).sigma
     except LinearSolveFailure:
         return np.inf
-    return min(constant * whole, constant * left + _distance(metric, z, nothing))
+    return min(constant * whole, constant * left + _distance(spaces, metric, z, nothing))
 
 
-def _load_constant(metric: CellMetric, z: fem.Function) -> float:
+def _load_constant(spaces: Spaces, metric: CellMetric, z: fem.Function) -> float:
     """C with ‖w‖ ≤ C|w| for all w = 0 on Γ_D, from the flux z for the load 1; see `resolution` (collective)."""
-    mesh, flux = z.function_space.mesh, CellFlux.of(z)
+    comm, flux = spaces.mesh.comm, CellFlux.of(spaces, z)
     squares = squares_of(flux.in_vertices(), metric.inverse).max(axis=1, initial=0.0) / metric.low
-    s = mesh.comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
-    m = mesh.comm.allreduce((-flux.divergence).min(initial=np.inf), MPI.MIN)
+    s = comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
+    m = comm.allreduce((-flux.divergence).min(initial=np.inf), MPI.MIN)
     return float(2 * s / m) if m > 0 else np.inf

@@ -1,55 +1,56 @@
-"""Fluxes of RT0 cell by cell, as NumPy arrays."""
+"""A flux of RT0 cell by cell, without quadrature.
+
+On a cell T with vertices x_i and centroid x_T let ξ = x − x_T and y_i = x_i − x_T. The basis function of the facet
+opposite to x_i is (a_i / d|T|) (ξ − y_i), where a_i = ∫_T ∇·φ_i is its flux out of T. So
+
+    σ = c + sξ,   s = Σ_i a_i σ_i / d|T| = ∇·σ/d,   c = −Σ_i a_i σ_i y_i / d|T| = σ(x_T),
+
+and as ∫_T ξ = 0, for a symmetric matrix B, with m = (1/|T|) ∫_T ξ·Bξ = Σ_i y_i·By_i / ((d + 1)(d + 2)),
+
+    (Bσ, σ)_T = |T| (c·Bc + s²m),   (Bσ, φ_i)_T = a_i (sm − c·By_i) / d,   (Bφ_i, φ_i)_T = a_i² (y_i·By_i + m) / d²|T|.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Self
 
-import dolfinx.mesh
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import determinants, squares_of
-from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a_time
+from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import Points
+from signorini_fenicsx.discrete.spaces import Spaces
 
 
 @dataclass(frozen=True)
 class CellFlux:
-    """A flux of RT0 on the cells of this rank: σ(x) = σ(x_T) + s (x − x_T) with x_T the centroid of T.
+    """A flux of RT0 on the owned cells. Matrices B are one per cell, or one for all: an array of shape (…, dim, dim).
 
     Attributes:
-        mesh: The mesh.
+        spaces: The discrete spaces.
         centroid: σ(x_T), shape (cells, dim).
         slope: s = ∇·σ/d, shape (cells,).
     """
 
-    mesh: dolfinx.mesh.Mesh
+    spaces: Spaces
     centroid: Array
     slope: Array
 
     @classmethod
-    def of(cls, sigma: fem.Function) -> Self:
-        """Read a function of RT0, with ghost values.
-
-        The basis function of the facet opposite to the vertex x_e has the slope D/(d det J), where D is its divergence
-        on the reference cell and J the Jacobian of T, and is 0 in x_e.
-        """
-        space, mesh = sigma.function_space, sigma.function_space.mesh
-        dim = mesh.topology.dim
-        slopes = sigma.x.array[space.dofmap.list]
-        mesh.topology.create_entity_permutations()
-        space.element.Tt_apply(slopes.reshape(-1), mesh.topology.get_cell_permutation_info(), 1)
-        derivatives = space.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0]
-        slopes *= np.einsum("iei->e", derivatives) / dim
-        centroid, slope = np.empty((len(slopes), dim)), np.empty(len(slopes))
+    def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
+        """That of a function with up-to-date ghost values."""
+        mesh, dofs = spaces.mesh, spaces.V.dofmap.list
+        dim, cells = mesh.topology.dim, len(dofs)
+        centroid, slope = np.empty((cells, dim)), np.empty(cells)
         for some in some_at_a_time(mesh):
-            x = arms(mesh, some)
-            of_basis = slopes[some] / determinants(x[:, 1:] - x[:, :1])[:, None]
-            centroid[some] = -(of_basis[:, None] @ x)[:, 0]
-            slope[some] = np.einsum("ce->c", of_basis)
-        return cls(mesh, centroid, slope)
+            through = spaces.outflow[some] * sigma.x.array[dofs[some]]
+            through /= dim * spaces.cell_measures[some, None]
+            slope[some] = np.einsum("ce->c", through)
+            centroid[some] = -(through[:, None] @ arms(mesh, some))[:, 0]
+        return cls(spaces, centroid, slope)
 
     @property
     def divergence(self) -> Array:
@@ -57,26 +58,9 @@ class CellFlux:
         divergence: Array = self.centroid.shape[1] * self.slope
         return divergence
 
-    def squares(self, matrix: Array | None = None, moments: Array | None = None) -> Array:
-        """Mean of σ·Bσ over each cell, shape (cells,).
-
-        It is that of σ(x_T) plus that of s (x − x_T), which is orthogonal to constants.
-
-        Args:
-            matrix: B of each cell, or one for all; None for the identity.
-            moments: `mean_moments` of B, if they are known.
-        """
-        if matrix is None:
-            matrix = np.eye(self.centroid.shape[1])
-        if moments is None:
-            moments = mean_moments(self.mesh, matrix)
-        squares = squares_of(self.centroid[:, None], matrix)[:, 0]
-        squares += moments * self.slope**2
-        return squares
-
     def in_vertices(self) -> Array:
         """σ in the vertices of each cell, shape (cells, dim + 1, dim)."""
-        values = arms(self.mesh)
+        values = arms(self.spaces.mesh)
         values *= self.slope[:, None, None]
         values += self.centroid[:, None]
         return values
@@ -87,3 +71,48 @@ class CellFlux:
         values: Array = self.slope[cells, None, None] * points.arms
         values += self.centroid[cells, None]
         return values
+
+    def squares(self, matrix: Array, moments: Array | None = None) -> Array:
+        """(Bσ, σ)_T of each cell.
+
+        Args:
+            matrix: B.
+            moments: m, if it is known.
+        """
+        if moments is None:
+            moments = mean_moments(self.spaces.mesh, matrix)
+        squares: Array = squares_of(self.centroid[:, None], matrix)[:, 0]
+        squares += moments * self.slope**2
+        squares *= self.spaces.cell_measures
+        return squares
+
+    def tested(self, matrix: Array) -> Array:
+        """(Bσ, φ_i)_T / a_i of each cell, shape (cells, dim + 1)."""
+        mesh, dim = self.spaces.mesh, self.centroid.shape[1]
+        tested, images = np.empty(self.spaces.outflow.shape), self.centroid[:, None] @ matrix
+        for some in some_at_a_time(mesh):
+            tested[some] = -(images[some] @ arms(mesh, some).transpose(0, 2, 1))[:, 0]
+        tested += (mean_moments(mesh, matrix) * self.slope)[:, None]
+        tested /= dim
+        return tested
+
+
+def mass_diagonal(spaces: Spaces, matrix: Array) -> Array:
+    """(Bφ, φ) for each basis function φ of RT0; complete for owned entries (collective)."""
+    dim = spaces.mesh.topology.dim
+    squares = squared_arms(spaces.mesh, matrix)
+    squares += np.einsum("cv->c", squares)[:, None] / ((dim + 1) * (dim + 2))
+    squares *= spaces.outflow**2
+    squares /= dim**2 * spaces.cell_measures[:, None]
+    return joined(spaces, squares)
+
+
+def joined(spaces: Spaces, of_cells: Array) -> Array:
+    """The sum over the cells, of shape (cells, dim + 1), for each basis function of RT0; complete for owned entries.
+
+    Collective.
+    """
+    total = fem.Function(spaces.V)
+    total.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), of_cells.ravel(), len(total.x.array))
+    total.x.scatter_reverse(la.InsertMode.add)
+    return np.asarray(total.x.array, dtype=np.float64)

@@ -154,6 +154,8 @@ class Data:
 
     def less(self, spaces: Spaces, constant: float) -> Data:
         """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
+        if constant == 0:
+            return self
         u_lift, psi_h, outer, f_h = self.u_lift.copy(), self.psi_h.copy(), spaces.outer_rows, self.f_h
         if self.c_h is not None:
             f_h = f_h.copy()

@@ -34,7 +34,7 @@ def exact_errors(
     In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
     """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
-    flux, squares = CellFlux.of(sigma), np.zeros(4)
+    flux, squares = CellFlux.of(spaces, sigma), np.zeros(4)
     for points in cell_quadrature(mesh, owned_cells(mesh), degree):
         jet, kappa = exact.jet(points, gradient=True), data.kappa.values(points)
         slope = jet[:, :, 1:, None]

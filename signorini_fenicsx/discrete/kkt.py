@@ -3,21 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
-import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from ufl import Form
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
+from signorini_fenicsx.discrete.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.obstacle import Obstacle
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, flux_mass_diagonal
-from signorini_fenicsx.forms.mixed import flux_equation, flux_product, trace_term
-from signorini_fenicsx.forms.norms import l2
+from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 
 CONSTANT = 1e-10
 """If the energy of u is below this share of ‖√k u‖/L, u counts as constant, and its σ as an error of linear solvers."""
@@ -101,7 +97,8 @@ def kkt_residuals(
     p.x.scatter_forward()
     u.x.array[:] -= constant
     length = spaces.length
-    scales = _scales(spaces, sigma, u, data)
+    in_cells = CellFlux.of(spaces, sigma)
+    scales = _scales(spaces, in_cells, u, data)
     if scales[1] == 0:
         return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -111,14 +108,14 @@ def kkt_residuals(
         trace, flux = penalty.shift(trace, flux, eps)
     low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
-    squares = length * np.array(sums) + _over_obstacle(spaces, data, sigma, u)
+    squares = length * np.array(sums) + _over_obstacle(spaces, data, in_cells, u)
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares)) / scales
     return KKTResiduals(
         primal=float(primal.max()),
         dual=float(dual.max()),
         complementarity=float(complementarity.max()),
-        stationarity=float((_stationarity(spaces, sigma, u, p, data) / scales).max()),
-        mass_balance=float((_imbalance(spaces, sigma, u, data) / scales).max()),
+        stationarity=float((_stationarity(spaces, in_cells, u, p, data) / scales).max()),
+        mass_balance=float((_imbalance(spaces, in_cells, sigma, u, data) / scales).max()),
     )
 
 
@@ -126,20 +123,20 @@ def touching(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -
     """Mask of the owned cells in contact with the obstacle, None without one (collective)."""
     if data.obstacle is None:
         return None
-    above, force = _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    above, force = _obstacle_pairs(spaces, data, data.obstacle, CellFlux.of(spaces, sigma), u)
     return np.asarray(np.abs(above) <= force)
 
 
 def _obstacle_pairs(
-    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: fem.Function, u: fem.Function
+    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: CellFlux, u: fem.Function
 ) -> tuple[Array, Array]:
-    """(k/L)(u − ψ) and h_T λ per owned cell (collective)."""
+    """(k/L)(u − ψ) and h_T λ per owned cell."""
     above = data.conductivities(spaces) / spaces.length * (u.x.array - obstacle.means)
-    return above, -assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+    return above, -_missing_mass(spaces, data, sigma, u)
 
 
-def _over_obstacle(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Array:
-    """Squares of what the cells of this rank add to primal, dual and complementarity (collective)."""
+def _over_obstacle(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
+    """Squares of what the cells of this rank add to primal, dual and complementarity."""
     if data.obstacle is None:
         return np.zeros((3, 2))
     k, (above, force) = data.conductivities(spaces), _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
@@ -147,33 +144,22 @@ def _over_obstacle(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Funct
     return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
 
 
-def _scales(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
+def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    flux = np.sqrt(spaces.integrate(spaces.kept(_flux_square, sigma)))
+    comm, identity, inverse = spaces.mesh.comm, np.eye(spaces.mesh.geometry.dim), inverses(data.matrices(spaces))
     if data.kappa.number is not None:
+        flux = np.sqrt(comm.allreduce(sigma.squares(identity).sum()))
         energy, gradient = flux / np.sqrt(data.kappa.number), flux / data.kappa.number
     else:
-        forms = (_energy, _gradient_square)
-        energy, gradient = (np.sqrt(spaces.integrate(spaces.kept(form, sigma, data.kappa_h))) for form in forms)
+        of_flux = np.array([sigma.squares(matrix).sum() for matrix in (identity, inverse, inverse @ inverse)])
+        flux, energy, gradient = np.sqrt(comm.allreduce(of_flux))
     k, measures = data.conductivities(spaces), spaces.cell_measures
     values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
     squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
-    of_u, of_given = np.sqrt(spaces.mesh.comm.allreduce(squares)) / spaces.length
+    of_u, of_given = np.sqrt(comm.allreduce(squares)) / spaces.length
     if energy <= max(CONSTANT * of_u[0], ROUNDING * of_given[0]) and not _is_driven(spaces, u, data):
         return np.maximum(of_u, of_given)[1:]
     return np.array([gradient, flux])
-
-
-def _energy(_: Spaces, sigma: Expr, kappa: Expr) -> Form:
-    return flux_product(sigma, sigma, ufl.dx, kappa)
-
-
-def _gradient_square(_: Spaces, sigma: Expr, kappa: Expr) -> Form:
-    return l2(ufl.inv(kappa) * sigma, ufl.dx)
-
-
-def _flux_square(_: Spaces, sigma: Expr) -> Form:
-    return l2(sigma, ufl.dx)
 
 
 def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
@@ -190,12 +176,10 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
     return bool(highest - lowest > ROUNDING * max(highest, -lowest) or source > ROUNDING * f_h or flux > 0)
 
 
-def _imbalance(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
+def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = np.zeros(len(k))
-    if data.obstacle is None:
-        missing = assembled(spaces.kept(_missing_mass, sigma, data.source(u))) / spaces.cell_measures
+    missing = np.zeros(len(k)) if data.obstacle is not None else _missing_mass(spaces, data, in_cells, u)
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [
@@ -205,25 +189,20 @@ def _imbalance(spaces: Spaces, sigma: fem.Function, u: fem.Function, data: Data)
     return np.sqrt(spaces.mesh.comm.allreduce(np.array(squares)))
 
 
-def _missing_mass(spaces: Spaces, sigma: Expr, source: Expr) -> Form:
-    """h_T (∇·σ + source), integrated over each cell."""
-    return ufl.CellDiameter(spaces.mesh) * (ufl.div(sigma) + source) * ufl.TestFunction(spaces.Q) * ufl.dx
+def _missing_mass(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
+    """h_T (∇·σ + s) on each owned cell."""
+    return spaces.cell_diameters * (sigma.divergence + data.source(u).x.array)
 
 
-def _stationarity(spaces: Spaces, sigma: fem.Function, u: fem.Function, p: fem.Function, data: Data) -> Array:
+def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Function, data: Data) -> Array:
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
-    residual = assembled(spaces.kept(_flux_residual, data.kappa_h, sigma, u, p, data.u_lift))
+    trace, inverse = data.u_lift.copy(), inverses(data.matrices(spaces))  # p on Γ_S, u_D on Γ_D, 0 on all other facets
+    trace.x.array[cells_and_dofs(trace.function_space, spaces.facets)[1]] = p.x.array[: len(spaces.facets)]
+    jump = u.x.array[:, None] - trace.x.array[trace.function_space.dofmap.list]
+    residual = joined(spaces, spaces.outflow * (sigma.tested(inverse) + jump))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     spaces.join_across(residual)
     size = spaces.V.dofmap.index_map.size_local
-    owned = residual[:size]
-    M = spaces.mass_diagonal[:size]
-    kappa = data.kappa.number
-    W = flux_mass_diagonal(spaces, inverses(data.matrices(spaces)))[:size] if kappa is None else M / kappa
+    owned, M, kappa = residual[:size], mass_diagonal(spaces, np.eye(spaces.mesh.geometry.dim))[:size], data.kappa.number
+    W = mass_diagonal(spaces, inverse)[:size] if kappa is None else M / kappa
     return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
-
-
-def _flux_residual(spaces: Spaces, kappa: Expr, sigma: Expr, u: Expr, p: Expr, u_lift: Expr) -> Form:
-    tau, n = ufl.TestFunction(spaces.V), spaces.n
-    found = flux_equation(sigma, u, tau, ufl.dx, kappa) - trace_term(p, tau, n, spaces.ds)
-    return found - trace_term(u_lift, tau, n, spaces.ds_dirichlet)

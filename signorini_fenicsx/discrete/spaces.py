@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +16,6 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
-from signorini_fenicsx.discrete.cell_shapes import squared_arms
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.meshes.domain import Domain
@@ -141,14 +139,23 @@ class Spaces:
         return assembled(fem.Constant(self.mesh, 1.0) * ufl.TestFunction(self.Q) * ufl.dx)
 
     @cached_property
+    def cell_diameters(self) -> Array:
+        """The longest edge of each owned cell."""
+        dim = self.mesh.topology.dim
+        return self.mesh.h(dim, np.arange(self.mesh.topology.index_map(dim).size_local, dtype=np.int32))
+
+    @cached_property
+    def outflow(self) -> Array:
+        """∫_T ∇·φ for each owned cell T and each basis function φ of RT0 there, shape (cells, dim + 1)."""
+        point = np.zeros((1, self.mesh.topology.dim))  # ∇·φ is constant
+        divergence = fem.Expression(ufl.div(ufl.TestFunction(self.V)), point)
+        cells = np.arange(len(self.cell_measures), dtype=np.int32)
+        return divergence.eval(self.mesh, cells)[:, 0] * self.cell_measures[:, None]
+
+    @cached_property
     def length(self) -> float:
         """L = |Ω|^(1/d) (collective when first used)."""
         return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
-
-    @cached_property
-    def mass_diagonal(self) -> Array:
-        """The diagonal of (σ, τ) (collective when first used)."""
-        return flux_mass_diagonal(self, np.eye(self.mesh.geometry.dim))
 
     @cached_property
     def centroids(self) -> fem.Function:
@@ -300,21 +307,3 @@ def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.Enti
     vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array
-
-
-def flux_mass_diagonal(spaces: Spaces, weight: Array) -> Array:
-    """The diagonal of (Bσ, τ) for a matrix B per cell, or one for all; complete for owned entries (collective).
-
-    The basis function of a facet is c (x − x_e)/(d|T|) on T with x_e the opposite vertex and c its flux. With y_e = x_e
-    − x_T, ∫ (x − x_e)·B(x − x_e) over T is |T| times y_e·By_e + Σ_v y_v·By_v / ((d + 1)(d + 2)).
-    """
-    dim = spaces.mesh.geometry.dim
-    squares = squared_arms(spaces.mesh, weight)
-    squares += np.einsum("cv->c", squares)[:, None] / ((dim + 1) * (dim + 2))
-    slopes = spaces.V.element.basix_element.tabulate(1, np.zeros((1, dim)))[1:, 0, 0]
-    flux = np.trace(slopes) / math.factorial(dim)  # c, on the reference cell and on all others
-    squares *= flux**2 / (dim**2 * spaces.cell_measures)[:, None]
-    diagonal = fem.Function(spaces.V)
-    diagonal.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), squares.ravel(), len(diagonal.x.array))
-    diagonal.x.scatter_reverse(la.InsertMode.add)
-    return np.asarray(diagonal.x.array, dtype=np.float64)

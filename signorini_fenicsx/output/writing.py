@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dolfinx import fem, io
 from mpi4py import MPI
 
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, give_back_memory, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
@@ -299,6 +299,8 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     sigma.x.array.reshape(-1, dim)[nodes] = values
     u.x.array[nodes] = solution.u.x.array[:, None]
     magnitude.x.array[nodes] = np.linalg.norm(values, axis=2)
+    del values
+    give_back_memory()  # the file takes more than the fields
     on_obstacle = _on_obstacle(solution)
     write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude, *_in(linear, on_obstacle)])
 

@@ -191,7 +191,7 @@ class Solution(Solved):
     @cached_property
     def cell_flux(self) -> CellFlux:
         """σ_h on each cell of this rank."""
-        return CellFlux.of(self.sigma)
+        return CellFlux.of(self.spaces, self.sigma)
 
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -201,9 +201,12 @@ class Solution(Solved):
     def _norms(self) -> dict[str, float]:
         """Those of `norms` (collective when first used)."""
         spaces, flux = self.spaces, self.cell_flux
-        on_facets = self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma)
-        squares = [spaces.cell_measures @ each for each in (flux.squares(), flux.divergence**2, self.u.x.array**2)]
-        squares += [spaces.facet_measure @ each**2 for each in on_facets]
+        p, flux_n = self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma)
+        squares = [
+            flux.squares(np.eye(spaces.mesh.geometry.dim)).sum(),
+            *(spaces.cell_measures @ values**2 for values in (flux.divergence, self.u.x.array)),
+            *(spaces.facet_measure @ values**2 for values in (p, flux_n)),
+        ]
         norms = np.sqrt(spaces.mesh.comm.allreduce(np.array(squares))).tolist()
         return dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2", "flux_L2"), norms, strict=True))
 

@@ -1,0 +1,97 @@
+"""Seconds of time steps whose sets stand still, as multiples of one linear solve.
+
+Usage: [mpirun -n N] python scripts/steps.py [--h 1/64] [--steps 20]
+
+The linear solve begins with the load of the step and ends with σ_h and u_h, under the sets with which the step ends and
+from zero. As in the steps, the matrix and its factorisation or multigrid are there already.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.api import Boundary, Evolution, Problem, Solution, Solver, Wall, evolve
+from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.meshes.meshing import build_domain
+
+COMM = MPI.COMM_WORLD
+GROWS = "(1 + sin(t)/5)"
+PROBLEM = Problem(
+    f=f"10*(x - 0.6)*{GROWS}",
+    kappa="1/4",
+    u_D=f"x*(1 - x)*{GROWS}/9",
+    laws=[Wall(["left"], beta=4, level=f"y*{GROWS}")],
+)
+"""With all data in proportion to one function of time, and a small capacity, the sets stand still."""
+
+
+def seconds(do: Callable[[], object]) -> float:
+    """The seconds of the slowest rank (collective)."""
+    COMM.Barrier()
+    began = time.perf_counter()
+    do()
+    return COMM.allreduce(time.perf_counter() - began, MPI.MAX)
+
+
+class LinearSolve:
+    """One linear solve as the module says."""
+
+    def __init__(self) -> None:
+        self._backend: HybridBackend | None = None
+
+    def __call__(self, solution: Solution) -> float:
+        """The seconds of that of a solution (collective)."""
+        spaces, data, conditions = solution.spaces, solution.data, solution.outcome.conditions
+        if self._backend is None:
+            self._backend = HybridBackend(spaces, data, tuning=Tuning(condense_up_to=0))
+            self._backend.solve(conditions)
+        backend, far = self._backend, data.f_h.copy()
+        far.x.array[:] *= 9
+        backend.renew(replace(data, f_h=far))  # else the solve would start from the solution that is there
+
+        def solve() -> None:
+            backend.renew(data)
+            backend.solve(conditions)
+
+        return seconds(solve)
+
+
+def stands_still(before: Solution, solution: Solution) -> bool:
+    """Whether a step has the sets of the one before, and took one linear problem (collective)."""
+    outcome = solution.outcome
+    same = not outcome.conditions.differ(before.outcome.conditions).any()
+    return COMM.allreduce(same, MPI.LAND) and outcome.rough_steps == 0 and len(outcome.history) == 1
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--h", type=Fraction, default=Fraction(1, 64))
+    parser.add_argument("--steps", type=int, default=20)
+    options = parser.parse_args()
+    solver = Solver(build_domain(COMM, "square", float(options.h), mesh="unstructured"), Boundary(["bottom", "left"]))
+    evolution = Evolution(end=options.steps / 40, steps=options.steps, capacity="1/1000")
+    found: list[Solution] = []
+    steps = (instant.solution for instant in evolve(solver, Boundary(["bottom"]), PROBLEM, evolution))
+    linear_solve, ratios = LinearSolve(), []
+    for step in range(options.steps):
+        spent = seconds(lambda: found.append(next(steps)))
+        alone = linear_solve(found[-1])
+        if step > 0 and stands_still(*found[-2:]):
+            ratios.append((spent, alone, spent / alone))
+    last = found[-1]
+    if COMM.rank == 0:
+        facets = solver.spaces.crouzeix_raviart.dofmap.index_map.size_global
+        print(f"{facets} facets, {last.outcome.linear_solver}, {len(ratios)} of {options.steps} steps stand still")
+        for name, values in zip(("step", "linear solve", "ratio"), np.transpose(ratios), strict=True):
+            print(f"{name}: {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}")
+
+
+if __name__ == "__main__":
+    main()
