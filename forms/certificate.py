@@ -28,21 +28,3 @@ and any y with ∇·y = −f and y·n = g_N on Γ_N the same expansion gives
 integrals over Γ_S, since φ(u) + φ*(−σ·n) = −(σ·n)u. By the inequality of Fenchel and Young and the definition of the
 subdifferential no term is negative. For the Signorini law φ(v) = −q_S v where v ≥ ψ, φ*(−s) = (q_S − s)ψ where s ≥ q_S.
 """
-
-from ufl import div, dot, inv
-from ufl.core.expr import Expr
-
-
-def second_moment(centroid: Expr, x: Expr, kappa: Expr) -> Expr:
-    """(x − x_T)·κ_h⁻¹(x − x_T)."""
-    return dot(inv(kappa) * (x - centroid), x - centroid)
-
-
-def reconstruction(u: Expr, sigma: Expr, centroid: Expr, mean_moment: Expr, x: Expr, kappa: Expr) -> Expr:
-    """The quadratic on each cell T with gradient κ_h⁻¹σ_h and mean u_h: exact where σ_h and u_h are.
-
-    With m the second moment and M_T its mean over T, σ_h = σ_h(x_T) + (∇·σ_h/d)(x − x_T) gives the quadratic
-    u_h + κ_h⁻¹σ_h(x_T)·(x − x_T) + (∇·σ_h/2d)(m − M_T).
-    """
-    linear = dot(inv(kappa) * sigma, x - centroid)
-    return u + linear - div(sigma) / (2 * len(x)) * (second_moment(centroid, x, kappa) + mean_moment)

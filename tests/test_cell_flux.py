@@ -1,41 +1,54 @@
 """Products of fluxes cell by cell against the forms; fluxes on Γ_S by the equations of its facets."""
 
+from itertools import chain
+
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import create_unit_cube, create_unit_square
 from mpi4py import MPI
 
 from signorini_fenicsx.backends.hybrid import HybridBackend
+from signorini_fenicsx.base.small_matrices import determinants, inverses
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.discrete.cell_flux import CellFlux
+from signorini_fenicsx.certificate.relaxation import _Gap
+from signorini_fenicsx.discrete.cell_flux import CellFlux, joined, mass_diagonal
+from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.discrete.spaces import assembled, build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
 
 
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("shape", ["square", "cube"])
-def test_products(shape: str):
+def test_flux(shape: str):
     spaces = build_spaces(build_domain(MPI.COMM_WORLD, shape, 0.5, mesh="unstructured"), ["bottom"])
     sigma, tau, dim = fem.Function(spaces.V), ufl.TestFunction(spaces.V), spaces.mesh.geometry.dim
     sigma.interpolate(lambda x: np.sin(9 * x[:dim]) + x[1])
     sigma.x.scatter_forward()
-    cells, x = CellFlux.of(spaces, sigma), np.arange(dim**2).reshape(dim, dim)
+    flux, volume = CellFlux.of(spaces, sigma), spaces.cell_measures
+    linear = fem.Function(fem.functionspace(spaces.mesh, ("DG", 1, (dim,))))
+    linear.interpolate(sigma)
+    np.testing.assert_allclose(flux.in_vertices(), linear.x.array.reshape(-1, dim + 1, dim), atol=1e-12)
+    for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), 2):
+        np.testing.assert_allclose(flux.at(points), points.of_ufl(sigma), atol=1e-12)
+    divergence = assembled(ufl.div(sigma) * ufl.TestFunction(spaces.Q) * ufl.dx)
+    np.testing.assert_allclose(volume * flux.divergence, divergence, atol=1e-13)
+    x = np.arange(dim**2).reshape(dim, dim)
     matrix = (x + x.T) / 9 + 2 * np.eye(dim)
-    per_cell = np.repeat(matrix[:, :, None], len(cells.out), axis=2)
-    for weight, form in ((2.0, 2 * ufl.Identity(dim)), (per_cell, ufl.as_matrix(matrix))):
-        image = form * sigma
-        square = spaces.integrate(ufl.inner(image, sigma) * ufl.dx)
-        assert MPI.COMM_WORLD.allreduce(cells.squares(weight).sum()) == pytest.approx(square, rel=1e-12)
-        owned = spaces.V.dofmap.index_map.size_local
-        found = cells.joined(spaces.outflow * cells.tested(weight))[:owned]
+    image, owned = ufl.as_matrix(matrix.tolist()) * sigma, spaces.V.dofmap.index_map.size_local
+    rows = fem.petsc.assemble_matrix(
+        fem.form(ufl.inner(ufl.as_matrix(matrix) * ufl.TrialFunction(spaces.V), tau) * ufl.dx)
+    )
+    rows.assemble()
+    for each in (matrix, np.repeat(matrix[None], len(volume), axis=0)):
+        square = assembled(ufl.inner(image, sigma) * ufl.TestFunction(spaces.Q) * ufl.dx)
+        np.testing.assert_allclose(flux.squares(each), square, rtol=1e-11)
+        found = joined(spaces, spaces.outflow * flux.tested(each))[:owned]
         np.testing.assert_allclose(found, assembled(ufl.inner(image, tau) * ufl.dx)[:owned], rtol=0, atol=1e-13)
-        rows = fem.petsc.assemble_matrix(fem.form(ufl.inner(form * ufl.TrialFunction(spaces.V), tau) * ufl.dx))
-        rows.assemble()
-        np.testing.assert_allclose(cells.mass_diagonal(weight)[:owned], rows.getDiagonal().array_r, rtol=1e-12)
-    np.testing.assert_allclose(cells.out, assembled(ufl.div(sigma) * ufl.TestFunction(spaces.Q) * ufl.dx), atol=1e-13)
+        np.testing.assert_allclose(mass_diagonal(spaces, each)[:owned], rows.getDiagonal().array_r, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["crack", "sphere", "wall"])
@@ -52,3 +65,35 @@ def test_fluxes_of_iterates(name: str):
     p, flux = backend.solve_until(conditions, lambda p, flux: False)
     np.testing.assert_allclose(p, done.p, atol=1e-13)
     np.testing.assert_allclose(flux, done.flux, atol=1e-9 * np.abs(done.flux).max())
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_small_matrices(dim: int):
+    """Those of `numpy.linalg`; a matrix without an inverse has none that is finite."""
+    matrices = np.random.default_rng(dim).normal(size=(50, dim, dim))
+    assert determinants(matrices) == pytest.approx(np.linalg.det(matrices), rel=1e-11)
+    if dim > 1:
+        assert inverses(matrices) == pytest.approx(np.linalg.inv(matrices), rel=1e-9)
+        with np.errstate(all="ignore"):
+            assert not np.isfinite(inverses(np.ones((1, dim, dim)))).any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_gap_without_its_matrix(dim: int):
+    """The gap, its slope and steps of CG are the same by the form alone and by its matrix."""
+    mesh, random = (
+        create_unit_square(MPI.COMM_SELF, 3, 4) if dim == 2 else create_unit_cube(MPI.COMM_SELF, 2, 3, 2),
+        np.random.default_rng(2),
+    )
+    space, kappa = fem.functionspace(mesh, ("Lagrange", 2)), fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    y, w, psi = fem.Function(fem.functionspace(mesh, ("RT", 1))), fem.Function(space), fem.Function(space)
+    for function in (y, w, psi, kappa):
+        function.x.array[:] = random.uniform(1, 2, len(function.x.array))
+    gap = _Gap(space, psi, y, kappa, np.ones(len(w.x.array)), None, None)
+    free = random.uniform(size=len(w.x.array)) < 0.7
+    found = [gap.at(w), gap.lowered(np.where(free, gap.at(w)[1], 0.0), free, 3)]
+    gap.assemble()
+    again = [gap.at(w), gap.lowered(np.where(free, gap.at(w)[1], 0.0), free, 3)]
+    for before, after in zip(chain(*found), chain(*again), strict=True):
+        assert before == pytest.approx(after, rel=1e-11, abs=1e-11)
+    gap.destroy()

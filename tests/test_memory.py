@@ -1,10 +1,12 @@
 """Meshes that do not fit into memory are refused before they are made."""
 
+import os
 from pathlib import Path
 
 import pytest
 from commands import signorini
 
+from signorini_fenicsx.base.parallel import give_back_memory
 from signorini_fenicsx.meshes import memory
 from signorini_fenicsx.meshes.memory import available
 
@@ -32,6 +34,20 @@ def test_the_least_limit_counts(tmp_path: Path):
     assert available(system) == 10005
     put(system, {"sys/fs/cgroup/memory/c/memory.usage_in_bytes": "90000"})
     assert available(system) == 0
+
+
+def test_free_memory_is_given_back():
+    """Small objects below one that stays, which the C library keeps otherwise."""
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    size, number = 3000, 30_000
+    blocks = [bytes(size) for _ in range(number)]
+    del blocks[:-1]
+    before = resident()
+    give_back_memory()
+    assert resident() < before - size * number / 2
 
 
 @pytest.mark.parallel([1, 2])

@@ -1,6 +1,7 @@
 """Tools for MPI: sharing results of rank 0, ending all ranks together, time and memory over all ranks."""
 
 import contextlib
+import ctypes
 import gc
 import os
 import resource
@@ -144,6 +145,16 @@ class Stopwatch:
 def peak_memory(comm: MPI.Comm) -> int:
     """Peak memory of the processes since their start in bytes, summed over ranks (collective)."""
     return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+
+
+def give_back_memory() -> None:
+    """Give memory that is free back to the system, where the C library can; otherwise it keeps that of small objects.
+
+    After a solve this is a third of the process, and large new arrays would be put beside it.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 def collect_garbage(comm: MPI.Comm) -> None:

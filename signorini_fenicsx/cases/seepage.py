@@ -15,7 +15,7 @@ from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.discrete.points import in_facets, in_vertices
+from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
@@ -65,7 +65,7 @@ def _downstream(solution: Solution) -> Array:
     spaces, contact = solution.spaces, solution.outcome.iterate.contact
     assert contact is not None
     middle = in_facets(spaces.mesh, spaces.domain.facets["right"], np.array([[0.5]]))
-    slope = (middle.barycentric @ in_vertices(solution.sigma)[middle.cells])[:, 0, 0]
+    slope = solution.cell_flux.at(middle)[:, 0, 0]
     rows = np.column_stack([middle.x[:, 0, 1], -slope, ~contact[middle.cells]])
     rows = np.concatenate(spaces.mesh.comm.allgather(rows))
     return rows[np.argsort(rows[:, 0])]
@@ -86,6 +86,6 @@ def _phreatic_line(solution: Solution) -> Array:
     dry.x.scatter_forward()
     beside = np.flatnonzero((dry.x.array[space.dofmap.list] > 0).any(axis=1) & ~contact).astype(np.int32)
     centroids = dolfinx.mesh.compute_midpoints(spaces.mesh, 2, beside).reshape(-1, 3)[:, :2]
-    points = centroids - in_vertices(solution.sigma)[beside].mean(axis=1)
+    points = centroids - solution.cell_flux.centroid[beside]
     points = np.concatenate(spaces.mesh.comm.allgather(points))
     return points[np.lexsort(np.round(points.T[::-1], 12))]

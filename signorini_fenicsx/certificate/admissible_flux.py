@@ -12,7 +12,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -20,13 +19,14 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import force
+from signorini_fenicsx.discrete.cell_flux import CellFlux
 from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.points import in_vertices
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.solving.solution import Solution
 
@@ -44,14 +44,17 @@ NONE = (np.empty(0), np.empty(0))
 """Where there is a Γ_D no limits are needed."""
 
 
-def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple[fem.Function, fem.Function, float]:
+def admissible_flux(
+    solution: Solution, metric: CellMetric, goal: Goal
+) -> tuple[fem.Function, CellFlux, fem.Function, float]:
     """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
     Under other laws y·n is between the least and the largest flux that they allow. With an obstacle ≤ is enough in the
     balance.
 
     Returns:
-        y, u* and ‖y − σ_h‖ including the term for rounding; the latter is infinite if the residual cannot be corrected.
+        y, y cell by cell, u*, and ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be
+        corrected.
     """
     spaces, data = solution.spaces, solution.data
     comm, volume = spaces.mesh.comm, metric.volume
@@ -60,15 +63,16 @@ def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple
     limits = tuple(data.q_Sh + end for end in goal.chains.extent()[2:])
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     y = _within(spaces, limits, sigma)
-    rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(y).sum()))
+    flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
+    rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(flux).sum()))
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
-        imbalance.x.array[:] = _divergence(spaces, y, volume) + data.source(u).x.array
+        imbalance.x.array[:] = flux.divergence + data.source(u).x.array
         if data.obstacle is not None:  # where it is negative, it is the force of the obstacle
             imbalance.x.array[:] = np.maximum(imbalance.x.array, 0.0)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
-            return y, u, float(left + _distance(metric, y, solution.sigma))
+            return y, flux, u, float(left + _distance(spaces, metric, y, solution.sigma))
         try:
             correction = _balancing_flux(spaces, data, y, imbalance, limits)
         except LinearSolveFailure:
@@ -76,22 +80,17 @@ def admissible_flux(solution: Solution, metric: CellMetric, goal: Goal) -> tuple
         correction.sigma.x.array[:] += y.x.array
         correction.u.x.array[:] += u.x.array
         y, u = _within(spaces, limits, correction.sigma), correction.u
-    return y, u, np.inf
+        flux = CellFlux.of(spaces, y)
+    return y, flux, u, np.inf
 
 
-def _distance(metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
+def _distance(spaces: Spaces, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
     """The bound ‖(low κ_h)^-½ (y − σ_h)‖ of ‖y − σ_h‖ (collective)."""
     if y is sigma:
         return 0.0
     difference = y.copy()
     difference.x.array[:] -= sigma.x.array
-    comm = y.function_space.mesh.comm
-    return math.sqrt(comm.allreduce((metric.squares(difference) / metric.low).sum()))
-
-
-def _divergence(spaces: Spaces, y: fem.Function, volume: Array) -> Array:
-    """∇·y per owned cell (collective)."""
-    return assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / volume
+    return math.sqrt(spaces.mesh.comm.allreduce((metric.squares(CellFlux.of(spaces, difference)) / metric.low).sum()))
 
 
 def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
@@ -175,23 +174,19 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
     one.x.array[:] = 1.0
     data = replace(data, c_h=None)
     try:
-        constant = _load_constant(spaces, data, metric, _balancing_flux(spaces, data, nothing, one, NONE).sigma)
+        constant = _load_constant(spaces, metric, _balancing_flux(spaces, data, nothing, one, NONE).sigma)
         if left > WORTH * whole:
             return constant * whole
         z = _balancing_flux(spaces, data, nothing, middle, NONE).sigma
     except LinearSolveFailure:
         return np.inf
-    return min(constant * whole, constant * left + _distance(metric, z, nothing))
+    return min(constant * whole, constant * left + _distance(spaces, metric, z, nothing))
 
 
-def _load_constant(spaces: Spaces, data: Data, metric: CellMetric, z: fem.Function) -> float:
+def _load_constant(spaces: Spaces, metric: CellMetric, z: fem.Function) -> float:
     """C with ‖w‖ ≤ C|w| for all w = 0 on Γ_D, from the flux z for the load 1; see `resolution` (collective)."""
-    mesh = spaces.mesh
-    dim, number = mesh.topology.dim, len(metric.volume)
-    values = in_vertices(z)[:number]
-    inverse = np.broadcast_to(metric.inverse, (number, dim, dim))
-    squares = np.einsum("cvi,cij,cvj->cv", values, inverse, values).max(axis=1, initial=0.0) / metric.low
-    load = -_divergence(spaces, z, metric.volume)
-    s = mesh.comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
-    m = mesh.comm.allreduce(load.min(initial=np.inf), MPI.MIN)
+    comm, flux = spaces.mesh.comm, CellFlux.of(spaces, z)
+    squares = squares_of(flux.in_vertices(), metric.inverse).max(axis=1, initial=0.0) / metric.low
+    s = comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
+    m = comm.allreduce((-flux.divergence).min(initial=np.inf), MPI.MIN)
     return float(2 * s / m) if m > 0 else np.inf

@@ -20,11 +20,11 @@ import basix
 import basix.ufl
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.data import Data
@@ -39,8 +39,7 @@ from signorini_fenicsx.discrete.points import (
     owned_cells,
     quadratic_nodes,
 )
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
-from signorini_fenicsx.forms.certificate import reconstruction, second_moment
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 type Indices = npt.NDArray[np.int32]
@@ -247,28 +246,25 @@ def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpac
 def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """The reconstruction, averaged over the cells around each node with weights κ_h (collective).
 
-    The result has values in the nodes, not yet Bernstein coefficients.
+    On each cell T the reconstruction is the quadratic with gradient κ_h⁻¹σ_h and mean u_h: exact where σ_h and u_h are.
+    With r = x − x_T, m = r·κ_h⁻¹r and the mean M of m over T, σ_h = σ_h(x_T) + sr gives the quadratic
+    u_h + κ_h⁻¹σ_h(x_T)·r + s(m − M)/2. The result has values in the nodes, not yet Bernstein coefficients.
     """
-    spaces, kappa = solution.spaces, solution.data.kappa_h
-    mesh = spaces.mesh
-    x = ufl.SpatialCoordinate(mesh)
-    centroid = spaces.centroids
-    moment = fem.Function(spaces.Q)
-    moment.x.array[:] = assembled(second_moment(centroid, x, kappa) * ufl.TestFunction(spaces.Q) * ufl.dx)
-    moment.x.array[:] /= metric.volume  # no ghost cells
-    quadratic = reconstruction(solution.u, solution.sigma, centroid, moment, x, kappa)
-
+    mesh, flux = solution.spaces.mesh, solution.cell_flux
     element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)
     v = fem.Function(fem.functionspace(mesh, element), name="v")
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
-    of_cells = _weights(solution.data)
+    of_cells, values = _weights(solution.data), np.empty(nodes.shape)
+    constant = solution.u.x.array - flux.slope * metric.moment / 2
     for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
-        cells, values = points.cells, points.of_ufl(quadratic)
-        weights = np.broadcast_to(of_cells[cells, None], values.shape)
-        for function, summands in ((v, weights * values), (total, weights)):
-            function.x.array[:] += np.bincount(nodes[cells].ravel(), summands.ravel(), len(function.x.array))
-    for function in (v, total):
+        cells, inverse, slope = points.cells, metric.inverse[points.cells], flux.slope[points.cells, None]
+        gradient = inverse @ flux.centroid[cells, :, None]
+        values[cells] = (points.arms @ gradient)[:, :, 0] + slope / 2 * squares_of(points.arms, inverse)
+        values[cells] += constant[cells, None]
+    values *= of_cells[:, None]
+    for function, summands in ((v, values), (total, np.broadcast_to(of_cells[:, None], values.shape))):
+        function.x.array[:] = np.bincount(nodes.ravel(), summands.ravel(), len(function.x.array))
         function.x.scatter_reverse(la.InsertMode.add)
         function.x.scatter_forward()
     v.x.array[:] /= total.x.array

@@ -58,9 +58,10 @@ from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
 from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
+from signorini_fenicsx.discrete.cell_flux import CellFlux
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, in_vertices, owned_cells
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, owned_cells
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
@@ -152,11 +153,11 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
-    size = math.sqrt(comm.allreduce(metric.squares(solution.sigma).sum()))
+    size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
     cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
-    y, level, remainder = admissible_flux(solution, metric, goal)
+    y, flux, level, remainder = admissible_flux(solution, metric, goal)
     if goal.plain and data.obstacle is None:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
@@ -168,8 +169,8 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
     oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution)
     if reaction is not None:
         contact = contact + reaction.gap
-    mismatch = _mismatch(spaces, data, trace, y)
-    mismatch = _with_deviation(spaces, metric, y, mismatch, deviation)
+    mismatch = _mismatch(spaces, data, trace, flux)
+    mismatch = _with_deviation(spaces, metric, flux, mismatch, deviation)
     beside = resolution.near_boundary(trace, metric)
     seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
     near, known = comm.allreduce(seen).tolist()
@@ -249,37 +250,35 @@ def _under_laws(
     return trace, contact, found.loads(spaces)
 
 
-def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: fem.Function) -> Array:
+def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:
     """‖κ∇v − y‖² per owned cell (collective)."""
     mesh, kappa = spaces.mesh, data.kappa
-    far = np.setdiff1d(owned_cells(mesh), trace.cells)
+    far = np.delete(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    mismatch, fluxes = np.zeros(spaces.Q.dofmap.index_map.size_local), in_vertices(y)
+    mismatch = np.zeros(spaces.Q.dofmap.index_map.size_local)
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
         for points in cell_quadrature(mesh, cells, degree):
-            flux, slope = (
-                points.barycentric @ fluxes[points.cells],
-                trace.jet(points, near=near, gradient=True)[:, :, 1:],
-            )
-            mismatch[points.cells] = points.integrals(_flux_gap(slope, flux, kappa.values(points)))
+            slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
+            mismatch[points.cells] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
     return mismatch
 
 
 def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:
     """κ⁻¹(κ∇v − y)·(κ∇v − y) in points; infinite where κ has no inverse."""
     if kappa.ndim == 2:
-        return np.asarray(((kappa[:, :, None] * slope - y) ** 2).sum(axis=2) / kappa)
+        gap = kappa[:, :, None] * slope - y
+        return np.asarray(np.einsum("nqi,nqi->nq", gap, gap) / kappa)
     gap = (kappa @ slope[..., None])[..., 0] - y
     regular = np.linalg.det(kappa) != 0
     inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
     return np.where(regular, np.einsum("nqi,nqij,nqj->nq", gap, inverse, gap), np.inf)
 
 
-def _with_deviation(spaces: Spaces, metric: CellMetric, y: fem.Function, mismatch: Array, deviation: Array) -> Array:
+def _with_deviation(spaces: Spaces, metric: CellMetric, y: CellFlux, mismatch: Array, deviation: Array) -> Array:
     """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
     if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
         return mismatch
-    size = np.sqrt(metric.squares(y, np.eye(metric.jacobian.shape[1])))
+    size = np.sqrt(y.squares(np.eye(metric.jacobian.shape[1])))
     lowest = metric.kappa_min
     root = np.sqrt((1 + deviation / lowest) * np.maximum(mismatch, 0.0)) + deviation * size / lowest**1.5
     return np.asarray(root**2, dtype=np.float64)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import dolfinx.mesh
 import numpy as np
-from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import determinants, inverses, squares_of
+from signorini_fenicsx.discrete.cell_flux import CellFlux
+from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.points import corners, in_cells, in_vertices, owned_cells, quadratic_nodes
+from signorini_fenicsx.discrete.points import in_cells, owned_cells, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
 
@@ -25,6 +27,7 @@ class CellMetric:
         volume: |T|.
         inverse: κ_h⁻¹, shape (cells, dim, dim).
         diameter: Square root of max (x − y)·κ_h⁻¹(x − y) over T: the diameter of T measured in κ_h⁻¹.
+        moment: Mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, x_T the centroid.
         low: The largest number ≤ 1 with κ ≥ low κ_h in the nodes of P2 on T.
         kappa_min: low times the smallest eigenvalue of κ_h.
     """
@@ -33,21 +36,13 @@ class CellMetric:
     volume: Array
     inverse: Array
     diameter: Array
+    moment: Array
     low: Array
     kappa_min: Array
 
-    def squares(self, sigma: fem.Function, weight: Array | None = None) -> Array:
-        """∫_T σ·κ_h⁻¹σ of a flux of RT0, or ∫_T σ·Wσ for one matrix W.
-
-        The integral of the product of two linear functions is |T|/((d + 1)(d + 2)) times the sum of its values in the
-        vertices and of the product of their sums.
-        """
-        values = in_vertices(sigma)[: len(self.volume)]
-        both = np.concatenate([values, values.sum(axis=1, keepdims=True)], axis=1)
-        weighted = both @ (self.inverse if weight is None else weight)
-        corners = values.shape[1]
-        found: Array = self.volume / (corners * (corners + 1)) * (weighted * both).sum(axis=(1, 2))
-        return found
+    def squares(self, flux: CellFlux) -> Array:
+        """∫_T σ·κ_h⁻¹σ of a flux of RT0."""
+        return flux.squares(self.inverse, self.moment)
 
 
 def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
@@ -55,19 +50,20 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
     mesh = spaces.mesh
     dim = mesh.topology.dim
     number = mesh.topology.index_map(dim).size_local
-    x = corners(mesh, slice(number))
-    jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+    jacobian, longest, first, second = np.empty((number, dim, dim)), np.empty(number), *np.triu_indices(dim + 1, 1)
     kappa_h = data.matrices(spaces)
-    inverse = np.broadcast_to(np.linalg.inv(kappa_h), (number, dim, dim))
-    first, second = np.triu_indices(dim + 1, 1)
-    edges = x[:, first] - x[:, second]
-    squares = ((edges @ inverse) * edges).sum(axis=2)
+    inverse = np.broadcast_to(inverses(kappa_h), (number, dim, dim))
+    for some in some_at_a_time(mesh):
+        x = corners(mesh, some)
+        jacobian[some] = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+        longest[some] = squares_of(x[:, first] - x[:, second], inverse[some]).max(axis=1)
     low = _lowest_ratio(mesh, data.kappa, inverse)
     return CellMetric(
         jacobian=jacobian,
-        volume=np.abs(np.linalg.det(jacobian)) / math.factorial(dim),
+        volume=np.abs(determinants(jacobian)) / math.factorial(dim),
         inverse=inverse,
-        diameter=np.sqrt(squares.max(axis=1, initial=0.0)),
+        diameter=np.sqrt(longest),
+        moment=mean_moments(mesh, inverse),
         low=low,
         kappa_min=low * np.linalg.eigvalsh(kappa_h)[:, 0],
     )

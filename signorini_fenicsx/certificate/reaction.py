@@ -24,6 +24,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.enclosures import cell_vertices
 from signorini_fenicsx.certificate.interpolants import bernstein
@@ -130,7 +131,6 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
 
 def _values(p: Quadratic, points: CellPoints) -> Array:
     own = points.cells
-    arms = points.x - points.vertices.mean(axis=1, keepdims=True)
-    linear = p.value[own, None] + np.einsum("nqi,ni->nq", arms, p.gradient[own])
-    found: Array = linear + np.einsum("nqi,nij,nqj->nq", arms, p.hessian[own], arms) / 2
+    linear = p.value[own, None] + (points.arms @ p.gradient[own, :, None])[:, :, 0]
+    found: Array = linear + squares_of(points.arms, p.hessian[own]) / 2
     return found

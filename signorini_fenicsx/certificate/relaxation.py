@@ -9,6 +9,7 @@ variables √a λ_a its matrix has 1 on the diagonal and entries ≥ −½ elsew
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import basix
 import numpy as np
@@ -26,10 +27,13 @@ from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
 
 type Indices = npt.NDArray[np.int32]
+type Robin = tuple[Spaces, fem.Function]
 
 STEPS, MOST_STEPS = 5, 320
 """Steps of CG in the first round, and the largest number; each round has twice as many as the one before. κ that jumps
 by 1e6 on bad cells needs hundreds of steps; other problems end in the first rounds."""
+MANY_STEPS = 40
+"""From so many steps in a round the matrix is assembled."""
 ROUNDS = 16
 WORTH = 0.05
 """There is another round if it may gain this share of the gap: by more steps like the last one, by regaining what the
@@ -45,16 +49,19 @@ class Edges:
 
     def to_bernstein(self, values: Array) -> None:
         """Turn values in the middle nodes into Bernstein coefficients, in place."""
-        values[self.middle] = 2 * values[self.middle] - values[self.ends].sum(axis=1) / 2
+        first, second = self.ends.T
+        values[self.middle] = 2 * values[self.middle] - (values[first] + values[second]) / 2
 
 
 def all_edges(space: fem.FunctionSpace) -> Edges:
     """The edges of this rank, each once, in a space of quadratics with the nodes of the Bernstein or Lagrange basis."""
-    nodes = space.dofmap.list
+    nodes, numbers = space.dofmap.list, space.dofmap.index_map
     vertices = space.mesh.topology.dim + 1
-    ends = np.array(basix.topology(space.mesh.basix_cell())[1])
-    middle, first = np.unique(nodes[:, vertices:].ravel(), return_index=True)
-    return Edges(middle, nodes[:, ends].reshape(-1, 2)[first])
+    local = np.array(basix.topology(space.mesh.basix_cell())[1])
+    ends = np.full((numbers.size_local + numbers.num_ghosts, 2), -1, dtype=np.int32)
+    ends[nodes[:, vertices:]] = nodes[:, local]
+    middle = np.flatnonzero(ends[:, 0] >= 0).astype(np.int32)
+    return Edges(middle, ends[middle])
 
 
 class Obstacle:
@@ -128,7 +135,7 @@ def relax(
     excess: Array,
     fixed: Indices,
     obstacle: Obstacle | Box,
-    robin: tuple[Spaces, fem.Function] | None = None,
+    robin: Robin | None = None,
     jumps: Jumps | None = None,
 ) -> None:
     """Reduce ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
@@ -171,14 +178,41 @@ def relax(
     gap.destroy()
 
 
-def _assembled(form: ufl.Form | fem.Form) -> PETSc.Mat:
-    matrix = assemble_matrix(form if isinstance(form, fem.Form) else fem.form(form))
+def _matrix(space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, jumps: Jumps | None) -> PETSc.Mat:
+    """The matrix of the gap, of the jumps if there are any (collective)."""
+    trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
+    if jumps is None:
+        return _assembled(_form(trial, test, kappa, robin))
+    matrix = _assembled(_form(trial, test, kappa, None)).ptap(jumps.basis)
+    if robin is not None:
+        spaces, beta = robin
+        more, size = _assembled(spaces.form(beta * trial * test * spaces.ds)), space.dofmap.index_map.size_local
+        tips = jumps.tips[jumps.tips < size].astype(np.int32)
+        more.zeroRowsColumns(tips + more.getOwnershipRange()[0], diag=0.0)
+        matrix.axpy(1.0, more)
+    return matrix
+
+
+def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, part: str = "full") -> fem.Form:
+    """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S, or the diagonal of its matrix (collective)."""
+    form, maps = stiffness(u, v, ufl.dx, kappa), []
+    if robin is not None:
+        form, maps = form + robin[1] * u * v * robin[0].ds, [robin[0].entity_map]
+    return fem.form(form, form_compiler_options={"part": part}, entity_maps=maps)
+
+
+def _assembled(form: fem.Form) -> PETSc.Mat:
+    matrix = assemble_matrix(form)
     matrix.assemble()
     return matrix
 
 
 class _Gap:
-    """The gap as a quadratic function of w in the owned nodes."""
+    """The gap as a quadratic function of w in the owned nodes.
+
+    Its matrix costs as much as thirty applications of the form, and more memory than the rest of the certificate. So it
+    is assembled only for jumps, and for many steps of CG.
+    """
 
     def __init__(
         self,
@@ -187,32 +221,29 @@ class _Gap:
         y: fem.Function,
         kappa: Expr,
         excess: Array,
-        robin: tuple[Spaces, fem.Function] | None,
+        robin: Robin | None,
         jumps: Jumps | None,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-        form, on_gamma_s = stiffness(trial, test, ufl.dx, kappa), None
-        if robin is not None:
-            spaces, beta = robin
-            on_gamma_s = beta * trial * test * spaces.ds
-        if jumps is None:
-            self._matrix = _assembled(form) if on_gamma_s is None else _assembled(spaces.form(form + on_gamma_s))
-        else:
-            self._matrix = _assembled(form).ptap(jumps.basis)
-            if on_gamma_s is not None:
-                more, size = _assembled(spaces.form(on_gamma_s)), space.dofmap.index_map.size_local
-                tips = jumps.tips[jumps.tips < size].astype(np.int32)
-                more.zeroRowsColumns(tips + more.getOwnershipRange()[0], diag=0.0)
-                self._matrix.axpy(1.0, more)
-        self._in, self._out = self._matrix.createVecs()
-        self._diagonal = self._matrix.getDiagonal()
-        self._comm = space.mesh.comm
-        size = self._in.getLocalSize()
+        self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
         self._psi, self._excess = psi.x.array[:size], excess[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
-        if jumps is not None:
-            self._flux = jumps.transposed(self._flux)
         self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, ufl.dx, kappa)))) / 2
+        self._given = fem.Function(space)
+        self._image = _form(self._given, test, kappa, robin)
+        self._make = partial(_matrix, space, kappa, robin, jumps)
+        self._matrix: PETSc.Mat | None = None
+        if jumps is None:
+            self._diagonal = assembled(_form(trial, test, kappa, robin, "diagonal"))[:size]
+        else:
+            self._flux = jumps.transposed(self._flux)
+            self._diagonal = self.assemble().getDiagonal().array
+
+    def assemble(self) -> PETSc.Mat:
+        """Go on with the matrix, and return it (collective)."""
+        if self._matrix is None:
+            self._matrix = self._make()
+        return self._matrix
 
     def at(self, w: fem.Function) -> tuple[float, Array]:
         """The gap, and its negative derivative by each owned node (collective)."""
@@ -225,7 +256,7 @@ class _Gap:
     def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
         """The sum of the gains if each of these nodes alone is raised as far as is best (collective)."""
         upwards = np.where(nodes, np.maximum(descent, 0.0), 0.0)
-        return float(self._comm.allreduce(upwards @ (upwards / self._diagonal.array_r)) / 2)
+        return float(self._comm.allreduce(upwards @ (upwards / self._diagonal)) / 2)
 
     def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> tuple[Array, float, float]:
         """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).
@@ -233,10 +264,12 @@ class _Gap:
         Returns:
             The change of w, by how much it reduces the gap, and by how much its last step does.
         """
+        if steps >= MANY_STEPS:
+            self.assemble()
         change, direction = np.zeros_like(residual), np.zeros_like(residual)
         gained, last, size = 0.0, 0.0, np.inf
         for _ in range(steps):
-            scaled = residual / self._diagonal.array_r
+            scaled = residual / self._diagonal
             earlier, size = size, self._comm.allreduce(residual @ scaled)
             if size == 0:
                 break
@@ -251,11 +284,19 @@ class _Gap:
 
     def _times(self, values: Array) -> Array:
         """The matrix times values (collective)."""
-        self._in.array_w[:] = values
-        self._matrix.mult(self._in, self._out)
-        return self._out.array_r.copy()
+        if self._matrix is None:
+            self._given.x.array[: len(values)] = values
+            self._given.x.scatter_forward()
+            return assembled(self._image)[: len(values)]
+        known, image = self._matrix.createVecs()
+        known.array_w[:] = values
+        self._matrix.mult(known, image)
+        found = image.array_r.copy()
+        for vector in (known, image):
+            vector.destroy()
+        return found
 
     def destroy(self) -> None:
         """Free what PETSc holds (collective)."""
-        for thing in (self._matrix, self._in, self._out, self._diagonal):
-            thing.destroy()
+        if self._matrix is not None:
+            self._matrix.destroy()

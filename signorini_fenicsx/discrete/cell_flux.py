@@ -1,99 +1,118 @@
 """A flux of RT0 cell by cell, without quadrature.
 
-On a cell T with vertices x_v the basis function of the facet opposite to x_i is (a_i / d|T|) (x − x_i), where a_i = ∫_T
-∇·φ_i is its flux out of T. With ξ = x − x_T, y_i = x_i − x_T and the fluxes w_i = a_i σ_i through the facets
+On a cell T with vertices x_i and centroid x_T let ξ = x − x_T and y_i = x_i − x_T. The basis function of the facet
+opposite to x_i is (a_i / d|T|) (ξ − y_i), where a_i = ∫_T ∇·φ_i is its flux out of T. So
 
-    σ = (Wξ − z) / (d|T|),   W = Σ_i w_i = ∫_T ∇·σ,   z = Σ_i w_i y_i,
+    σ = c + sξ,   s = Σ_i a_i σ_i / d|T| = ∇·σ/d,   c = −Σ_i a_i σ_i y_i / d|T| = σ(x_T),
 
-and as ∫_T ξ = 0, for a symmetric matrix B, with m = (1/|T|) ∫_T ξ·Bξ = Σ_v y_v·By_v / ((d + 1)(d + 2)),
+and as ∫_T ξ = 0, for a symmetric matrix B, with m = (1/|T|) ∫_T ξ·Bξ = Σ_i y_i·By_i / ((d + 1)(d + 2)),
 
-    (Bσ, φ_i)_T = a_i (W m + z·By_i) / (d²|T|),   (Bσ, σ)_T = (W² m + z·Bz) / (d²|T|).
+    (Bσ, σ)_T = |T| (c·Bc + s²m),   (Bσ, φ_i)_T = a_i (sm − c·By_i) / d,   (Bφ_i, φ_i)_T = a_i² (y_i·By_i + m) / d²|T|.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Self
 
 import numpy as np
 from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a_time, squared_arms
+from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.spaces import Spaces
-
-type Weight = Array | float
-"""B: a number, one for each cell, or matrices of shape (d, d, cells)."""
 
 
 @dataclass(frozen=True)
 class CellFlux:
-    """A flux of RT0 on the owned cells, which are the last axis of all arrays, so that NumPy is fast.
+    """A flux of RT0 on the owned cells. Matrices B are one per cell, or one for all: an array of shape (…, dim, dim).
 
     Attributes:
         spaces: The discrete spaces.
-        out: W, what flows out of each cell.
-        moment: z, shape (d, cells).
-        arms: y_i, shape (d + 1, d, cells).
+        centroid: σ(x_T), shape (cells, dim).
+        slope: s = ∇·σ/d, shape (cells,).
     """
 
     spaces: Spaces
-    out: Array
-    moment: Array
-    arms: Array
+    centroid: Array
+    slope: Array
 
     @classmethod
-    def of(cls, spaces: Spaces, sigma: fem.Function) -> CellFlux:
+    def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
         """That of a function with up-to-date ghost values."""
-        geometry = spaces.mesh.geometry
-        vertices = np.stack([x.take(geometry.dofmaps[0].T) for x in geometry.x.T[: geometry.dim]], axis=1)
-        y = vertices - vertices.mean(axis=0)
-        through = spaces.outflow * sigma.x.array.take(spaces.V.dofmap.list.T)
-        return cls(spaces, through.sum(axis=0), (through[:, None] * y).sum(axis=0), y)
-
-    def squares(self, weight: Weight) -> Array:
-        """(Bσ, σ)_T of each cell."""
-        of_moment = (_times(weight, self.moment) * self.moment).sum(axis=0)
-        return (self.out**2 * self._mean(weight) + of_moment) / self._scale
-
-    def tested(self, weight: Weight) -> Array:
-        """(Bσ, φ_i)_T / a_i of each cell, shape (d + 1, cells)."""
-        of_moment = (_times(weight, self.moment) * self.arms).sum(axis=1)
-        return (of_moment + self.out * self._mean(weight)) / self._scale
-
-    def mass_diagonal(self, weight: Weight) -> Array:
-        """(Bφ, φ) for each basis function φ; complete for owned entries (collective)."""
-        of_arms = (_times(weight, self.arms) * self.arms).sum(axis=1)
-        return self.joined(self.spaces.outflow**2 * (of_arms + self._mean(weight)) / self._scale)
-
-    def joined(self, of_cells: Array) -> Array:
-        """The sum over the cells, of shape (d + 1, cells), for each basis function; complete for owned entries.
-
-        Collective.
-        """
-        V = self.spaces.V
-        total = fem.Function(V)
-        total.x.array[:] = np.bincount(V.dofmap.list.T.ravel(), of_cells.ravel(), len(total.x.array))
-        total.x.scatter_reverse(la.InsertMode.add)
-        return np.asarray(total.x.array, dtype=np.float64)
-
-    def _mean(self, weight: Weight) -> Array:
-        """The mean m of ξ·Bξ."""
-        return weight * self._plain_mean if np.ndim(weight) < 3 else self._mean_of(_times(weight, self.arms))
-
-    @cached_property
-    def _plain_mean(self) -> Array:
-        """The same for B = 1."""
-        return self._mean_of(self.arms)
-
-    def _mean_of(self, images: Array) -> Array:
-        dim = len(self.moment)
-        return (images * self.arms).sum(axis=(0, 1)) / ((dim + 1) * (dim + 2))
+        mesh, dofs = spaces.mesh, spaces.V.dofmap.list
+        dim, cells = mesh.topology.dim, len(dofs)
+        centroid, slope = np.empty((cells, dim)), np.empty(cells)
+        for some in some_at_a_time(mesh):
+            through = spaces.outflow[some] * sigma.x.array[dofs[some]]
+            through /= dim * spaces.cell_measures[some, None]
+            slope[some] = np.einsum("ce->c", through)
+            centroid[some] = -(through[:, None] @ arms(mesh, some))[:, 0]
+        return cls(spaces, centroid, slope)
 
     @property
-    def _scale(self) -> Array:
-        return len(self.moment) ** 2 * self.spaces.cell_measures
+    def divergence(self) -> Array:
+        """∇·σ, shape (cells,)."""
+        divergence: Array = self.centroid.shape[1] * self.slope
+        return divergence
+
+    def in_vertices(self) -> Array:
+        """σ in the vertices of each cell, shape (cells, dim + 1, dim)."""
+        values = arms(self.spaces.mesh)
+        values *= self.slope[:, None, None]
+        values += self.centroid[:, None]
+        return values
+
+    def at(self, points: Points) -> Array:
+        """σ in points, shape (n, points, dim)."""
+        cells = points.cells
+        values: Array = self.slope[cells, None, None] * points.arms
+        values += self.centroid[cells, None]
+        return values
+
+    def squares(self, matrix: Array, moments: Array | None = None) -> Array:
+        """(Bσ, σ)_T of each cell.
+
+        Args:
+            matrix: B.
+            moments: m, if it is known.
+        """
+        if moments is None:
+            moments = mean_moments(self.spaces.mesh, matrix)
+        squares: Array = squares_of(self.centroid[:, None], matrix)[:, 0]
+        squares += moments * self.slope**2
+        squares *= self.spaces.cell_measures
+        return squares
+
+    def tested(self, matrix: Array) -> Array:
+        """(Bσ, φ_i)_T / a_i of each cell, shape (cells, dim + 1)."""
+        mesh, dim = self.spaces.mesh, self.centroid.shape[1]
+        tested, images = np.empty(self.spaces.outflow.shape), self.centroid[:, None] @ matrix
+        for some in some_at_a_time(mesh):
+            tested[some] = -(images[some] @ arms(mesh, some).transpose(0, 2, 1))[:, 0]
+        tested += (mean_moments(mesh, matrix) * self.slope)[:, None]
+        tested /= dim
+        return tested
 
 
-def _times(weight: Weight, vectors: Array) -> Array:
-    """B times vectors of shape (…, d, cells)."""
-    return np.einsum("kln,...ln->...kn", weight, vectors) if np.ndim(weight) == 3 else weight * vectors
+def mass_diagonal(spaces: Spaces, matrix: Array) -> Array:
+    """(Bφ, φ) for each basis function φ of RT0; complete for owned entries (collective)."""
+    dim = spaces.mesh.topology.dim
+    squares = squared_arms(spaces.mesh, matrix)
+    squares += np.einsum("cv->c", squares)[:, None] / ((dim + 1) * (dim + 2))
+    squares *= spaces.outflow**2
+    squares /= dim**2 * spaces.cell_measures[:, None]
+    return joined(spaces, squares)
+
+
+def joined(spaces: Spaces, of_cells: Array) -> Array:
+    """The sum over the cells, of shape (cells, dim + 1), for each basis function of RT0; complete for owned entries.
+
+    Collective.
+    """
+    total = fem.Function(spaces.V)
+    total.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), of_cells.ravel(), len(total.x.array))
+    total.x.scatter_reverse(la.InsertMode.add)
+    return np.asarray(total.x.array, dtype=np.float64)

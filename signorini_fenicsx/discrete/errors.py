@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.cell_flux import CellFlux
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -15,7 +16,6 @@ from signorini_fenicsx.discrete.points import (
     FacetPoints,
     cell_quadrature,
     facet_quadrature,
-    in_vertices,
     owned_cells,
 )
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -34,15 +34,15 @@ def exact_errors(
     In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
     """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
-    fluxes, squares = in_vertices(sigma), np.zeros(4)
+    flux, squares = CellFlux.of(spaces, sigma), np.zeros(4)
     for points in cell_quadrature(mesh, owned_cells(mesh), degree):
-        jet, kappa, flux = exact.jet(points, gradient=True), data.kappa.values(points), fluxes[points.cells]
+        jet, kappa = exact.jet(points, gradient=True), data.kappa.values(points)
         slope = jet[:, :, 1:, None]
         exact_flux = kappa[..., None] * slope[..., 0] if kappa.ndim == 2 else (kappa @ slope)[..., 0]
-        divergence = np.einsum("nvi,nvi->n", flux, points.slopes)
+        balance = data.f.values(points) - data.c.values(points) * jet[:, :, 0] + flux.divergence[points.cells, None]
         errors = [
-            ((exact_flux - points.barycentric @ flux) ** 2).sum(axis=2),
-            (data.f.values(points) - data.c.values(points) * jet[:, :, 0] + divergence[:, None]) ** 2,
+            ((exact_flux - flux.at(points)) ** 2).sum(axis=2),
+            balance**2,
             (jet[:, :, 0] - u.x.array[points.cells, None]) ** 2,
         ]
         squares[:3] += [points.integrals(error).sum() for error in errors]

@@ -7,8 +7,9 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
-from signorini_fenicsx.discrete.cell_flux import CellFlux, Weight
+from signorini_fenicsx.discrete.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.discrete.conditions import Penalty
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.obstacle import Obstacle
@@ -145,10 +146,13 @@ def _over_obstacle(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function)
 
 def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    comm, inverse = spaces.mesh.comm, _resistance(spaces, data)
-    second = np.einsum("kln,lmn->kmn", inverse, inverse) if np.ndim(inverse) == 3 else inverse * inverse
-    of_flux = np.array([sigma.squares(weight).sum() for weight in (1.0, inverse, second)])
-    flux, energy, gradient = np.sqrt(comm.allreduce(of_flux))
+    comm, identity, inverse = spaces.mesh.comm, np.eye(spaces.mesh.geometry.dim), inverses(data.matrices(spaces))
+    if data.kappa.number is not None:
+        flux = np.sqrt(comm.allreduce(sigma.squares(identity).sum()))
+        energy, gradient = flux / np.sqrt(data.kappa.number), flux / data.kappa.number
+    else:
+        of_flux = np.array([sigma.squares(matrix).sum() for matrix in (identity, inverse, inverse @ inverse)])
+        flux, energy, gradient = np.sqrt(comm.allreduce(of_flux))
     k, measures = data.conductivities(spaces), spaces.cell_measures
     values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
     squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
@@ -187,27 +191,18 @@ def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.F
 
 def _missing_mass(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
     """h_T (∇·σ + s) on each owned cell."""
-    return spaces.cell_diameters * (sigma.out / spaces.cell_measures + data.source(u).x.array)
+    return spaces.cell_diameters * (sigma.divergence + data.source(u).x.array)
 
 
 def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Function, data: Data) -> Array:
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
-    trace, inverse = data.u_lift.copy(), _resistance(spaces, data)  # p on Γ_S, u_D on Γ_D, 0 on all other facets
+    trace, inverse = data.u_lift.copy(), inverses(data.matrices(spaces))  # p on Γ_S, u_D on Γ_D, 0 on all other facets
     trace.x.array[cells_and_dofs(trace.function_space, spaces.facets)[1]] = p.x.array[: len(spaces.facets)]
-    jump = u.x.array - trace.x.array.take(trace.function_space.dofmap.list.T)
-    residual = sigma.joined(spaces.outflow * (sigma.tested(inverse) + jump))
+    jump = u.x.array[:, None] - trace.x.array[trace.function_space.dofmap.list]
+    residual = joined(spaces, spaces.outflow * (sigma.tested(inverse) + jump))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     spaces.join_across(residual)
     size = spaces.V.dofmap.index_map.size_local
-    owned, M = residual[:size], sigma.mass_diagonal(1.0)[:size]
-    W = inverse * M if isinstance(inverse, float) else sigma.mass_diagonal(inverse)[:size]
+    owned, M, kappa = residual[:size], mass_diagonal(spaces, np.eye(spaces.mesh.geometry.dim))[:size], data.kappa.number
+    W = mass_diagonal(spaces, inverse)[:size] if kappa is None else M / kappa
     return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))
-
-
-def _resistance(spaces: Spaces, data: Data) -> Weight:
-    """κ_h⁻¹."""
-    if data.kappa.number is not None:
-        return 1 / data.kappa.number
-    if not data.kappa.shape:
-        return 1 / data.kappa_h.x.array
-    return np.ascontiguousarray(np.moveaxis(np.linalg.inv(data.matrices(spaces)), 0, -1))

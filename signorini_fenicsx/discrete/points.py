@@ -15,7 +15,6 @@ from typing import Self
 import basix
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -23,8 +22,8 @@ from ufl.algorithms.analysis import extract_type
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
-
-type Entities = npt.NDArray[np.int32]
+from signorini_fenicsx.base.small_matrices import determinants, inverses
+from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 
 AT_ONCE = 200_000
 """Number of points in cells that are in memory at the same time."""
@@ -72,21 +71,34 @@ class Points(ABC):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        x: Array = self.vertices[:, :1] + self.points @ (self.vertices[:, 1:] - self.vertices[:, :1])
+        x: Array = _barycentric(self.points) @ self.vertices
         return x
+
+    @cached_property
+    def corners(self) -> Array:
+        """Vertices of the cells, shape (n, dim + 1, dim)."""
+        return corners(self.mesh, self.cells)
+
+    @cached_property
+    def arms(self) -> Array:
+        """The points less the centroids of their cells, shape (n, points, dim)."""
+        arms: Array = (self.barycentric - 1 / self.barycentric.shape[2]) @ self.corners
+        return arms
 
     @cached_property
     def slopes(self) -> Array:
         """Gradients of the barycentric coordinates of the cells, shape (n, dim + 1, dim)."""
-        x = corners(self.mesh, self.cells)
-        inverse = np.linalg.inv((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
-        return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        x = self.corners
+        inverse = inverses((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
+        return np.concatenate([-np.einsum("cvi->ci", inverse)[:, None], inverse], axis=1)
 
     @cached_property
     def scale(self) -> Array:
         """Measure of each cell or facet, divided by that of the reference one."""
         edges = self.vertices[:, 1:] - self.vertices[:, :1]
-        return np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1)))
+        if edges.shape[1] == edges.shape[2]:
+            return np.abs(determinants(edges))
+        return np.sqrt(determinants(edges @ edges.transpose(0, 2, 1)))
 
     def means(self, values: Array) -> Array:
         """Of values of shape (n, points, …)."""
@@ -104,8 +116,8 @@ class Points(ABC):
         value = self.barycentric @ nodes[:, :, None]
         if not gradient:
             return value
-        slope = np.einsum("nv,nvi->ni", nodes, self.slopes)
-        return np.concatenate([value, np.broadcast_to(slope[:, None], (*self.shape, slope.shape[1]))], axis=2)
+        slope = nodes[:, None] @ self.slopes
+        return np.concatenate([value, np.broadcast_to(slope, (*self.shape, slope.shape[2]))], axis=2)
 
     def quadratic(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is quadratic on each cell by its Bernstein coefficients, shape (n, points, …)."""
@@ -124,10 +136,10 @@ class Points(ABC):
 class CellPoints(Points):
     """The same points in some owned cells."""
 
-    @cached_property
+    @property
     def vertices(self) -> Array:
         """Of each cell, shape (cells, dim + 1, dim)."""
-        return corners(self.mesh, self.cells)
+        return self.corners
 
     @cached_property
     def barycentric(self) -> Array:
@@ -161,7 +173,7 @@ class FacetPoints(Points):
     def vertices(self) -> Array:
         """Of each facet, shape (facets, dim, dim)."""
         local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
-        return np.take_along_axis(corners(self.mesh, self.cells), local[:, :, None], axis=1)
+        return np.take_along_axis(self.corners, local[:, :, None], axis=1)
 
     @cached_property
     def barycentric(self) -> Array:
@@ -231,7 +243,7 @@ class BesideFacets(FacetPoints):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        return self.barycentric @ corners(self.mesh)[self.cells]
+        return self.barycentric @ self.corners
 
     @cached_property
     def _in_cell(self) -> Array:
@@ -255,15 +267,6 @@ def _on_mesh(mesh: dolfinx.mesh.Mesh, value: Expr) -> Expr:
     return fem.Constant(mesh, 1.0) * value
 
 
-def in_vertices(sigma: fem.Function) -> Array:
-    """A flux of RT0, which is linear on each cell, in the vertices of the cells, shape (cells, dim + 1, dim)."""
-    mesh = sigma.function_space.mesh
-    dim = mesh.topology.dim
-    linear = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))))
-    linear.interpolate(sigma)
-    return np.asarray(linear.x.array, dtype=np.float64).reshape(-1, dim + 1, dim)
-
-
 def product(a: Array, b: Array) -> Array:
     """The jet of a product of two functions, from theirs."""
     found = a[..., :1] * b + b[..., :1] * a
@@ -280,17 +283,6 @@ def cut_off(cut: Array, jet: Array) -> Array:
 def larger(a: Array, b: Array) -> Array:
     """The jet of the larger of two functions."""
     return np.where(a[..., :1] >= b[..., :1], a, b)
-
-
-def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
-    """Vertices of cells of this rank, by default of all, shape (cells, dim + 1, dim)."""
-    return mesh.geometry.x[mesh.geometry.dofmaps[0][cells], : mesh.topology.dim]
-
-
-def arms(mesh: dolfinx.mesh.Mesh) -> Array:
-    """Vertices of all cells of this rank less their centroids, shape (cells, dim + 1, dim)."""
-    vertices = corners(mesh)
-    return vertices - vertices.mean(axis=1, keepdims=True)
 
 
 def quadratic_nodes(cell: basix.CellType) -> Array:

@@ -8,8 +8,9 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.small_matrices import inverses
+from signorini_fenicsx.discrete import cell_shapes
 from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.points import arms
 from signorini_fenicsx.discrete.spaces import Spaces
 
 
@@ -72,11 +73,8 @@ def sources(spaces: Spaces, data: Data) -> Sources:
 
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:
-    """m_T = mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, divided by d², for each owned cell.
-
-    With y_v = x_v − x_T for the vertices v of T the mean is Σ_v y_v·κ_h⁻¹y_v / ((d + 1)(d + 2)).
-    """
-    dim = spaces.mesh.geometry.dim
-    y, inverse = arms(spaces.mesh), np.linalg.inv(data.matrices(spaces))
-    moments: Array = ((y @ inverse) * y).sum(axis=(1, 2)) / (dim**2 * (dim + 1) * (dim + 2))
+    """m_T = mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, divided by d², for each owned cell."""
+    moments: Array = (
+        cell_shapes.mean_moments(spaces.mesh, inverses(data.matrices(spaces))) / spaces.mesh.geometry.dim**2
+    )
     return moments

@@ -146,11 +146,11 @@ class Spaces:
 
     @cached_property
     def outflow(self) -> Array:
-        """∫_T ∇·φ for each owned cell T and each basis function φ of RT0 there, shape (d + 1, cells)."""
+        """∫_T ∇·φ for each owned cell T and each basis function φ of RT0 there, shape (cells, dim + 1)."""
         point = np.zeros((1, self.mesh.topology.dim))  # ∇·φ is constant
         divergence = fem.Expression(ufl.div(ufl.TestFunction(self.V)), point)
         cells = np.arange(len(self.cell_measures), dtype=np.int32)
-        return np.ascontiguousarray(divergence.eval(self.mesh, cells)[:, 0].T) * self.cell_measures
+        return divergence.eval(self.mesh, cells)[:, 0] * self.cell_measures[:, None]
 
     @cached_property
     def length(self) -> float:

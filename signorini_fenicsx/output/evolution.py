@@ -15,7 +15,7 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.points import arms
+from signorini_fenicsx.discrete.cell_shapes import arms
 from signorini_fenicsx.output.field_files import check_room
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder

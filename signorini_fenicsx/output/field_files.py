@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-import ufl
 from dolfinx import fem, io
 from mpi4py import MPI
 
@@ -86,10 +85,3 @@ def join_grids(path: Path) -> None:
     ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
     ElementTree.SubElement(timed, "Time", Value="0")
     tree.write(path, encoding="utf-8", xml_declaration=True)
-
-
-def interpolated(expression: ufl.core.expr.Expr, space: fem.FunctionSpace, name: str) -> fem.Function:
-    """A function with the values of an expression at the points of its space (collective)."""
-    function = fem.Function(space, name=name)
-    function.interpolate(fem.Expression(expression, space.element.interpolation_points))
-    return function

@@ -6,7 +6,6 @@ from typing import Any
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
@@ -186,21 +185,14 @@ def centroid_flux(solution: Solution) -> fem.Function:
     """σ_h at the cell centroids, as a P0 vector field (collective)."""
     mesh = solution.spaces.mesh
     sigma = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))), name="sigma")
-    sigma.interpolate(solution.sigma)
+    sigma.x.array[:] = solution.cell_flux.centroid.ravel()  # no ghost cells
     return sigma
 
 
 def cell_values(solution: Solution) -> dict[str, Array]:
     """u_h, σ_h at the centroids and ∇·σ_h in the cells of this rank, named as in `Fields` (collective)."""
-    spaces, dim = solution.spaces, solution.spaces.mesh.geometry.dim
-    size = spaces.Q.dofmap.index_map.size_local
-    divergence = fem.Function(spaces.Q)
-    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), spaces.Q.element.interpolation_points))
-    return {
-        "u": solution.u.x.array[:size],
-        "sigma": centroid_flux(solution).x.array.reshape(-1, dim)[:size],
-        "divergence": divergence.x.array[:size],
-    }
+    flux = solution.cell_flux
+    return {"u": solution.u.x.array, "sigma": flux.centroid, "divergence": flux.divergence}
 
 
 def sample_of(solution: Solution) -> Sample:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx import fem, io
 from mpi4py import MPI
 
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, give_back_memory, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
@@ -29,7 +28,7 @@ from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output import elastic
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import interpolated, write_files, write_vtx
+from signorini_fenicsx.output.field_files import write_files, write_vtx
 from signorini_fenicsx.output.gather import (
     FacetTable,
     centroid_flux,
@@ -272,10 +271,13 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
 
     linear = fem.functionspace(mesh, ("DG", 1))
     sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
-    sigma.interpolate(solution.sigma)
-    u = fem.Function(linear, name="u")
-    u.interpolate(solution.u)
-    magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), linear, "sigma_norm")
+    u, magnitude = fem.Function(linear, name="u"), fem.Function(linear, name="sigma_norm")
+    nodes, values = linear.dofmap.list, solution.cell_flux.in_vertices()
+    sigma.x.array.reshape(-1, dim)[nodes] = values
+    u.x.array[nodes] = solution.u.x.array[:, None]
+    magnitude.x.array[nodes] = np.linalg.norm(values, axis=2)
+    del values
+    give_back_memory()  # the file takes more than the fields
     on_obstacle = _on_obstacle(solution)
     write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude, *_in(linear, on_obstacle)])
 
@@ -288,7 +290,8 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
         write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
 
     sigma = centroid_flux(solution)
-    magnitude = interpolated(ufl.sqrt(ufl.inner(sigma, sigma)), spaces.Q, "sigma_norm")
+    magnitude = fem.Function(spaces.Q, name="sigma_norm")
+    magnitude.x.array[:] = np.linalg.norm(solution.cell_flux.centroid, axis=1)
     file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
     file.write_mesh(mesh)
     indicator = [] if certificate is None else [certificate.indicator]
