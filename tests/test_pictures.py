@@ -14,10 +14,13 @@ from matplotlib.image import imread
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output import sample
+from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.gather import (
     Boundary,
     FacetTable,
@@ -28,6 +31,7 @@ from signorini_fenicsx.output.gather import (
 )
 from signorini_fenicsx.output.pictures import draw_all, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_steps
+from signorini_fenicsx.output.pictures.elastic import foundation_of
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -204,6 +208,21 @@ def test_boundary_is_the_same_on_all_ranks():
         return table[np.lexsort(table[:, 1::-1].T)]
 
     np.testing.assert_allclose(rows(together), rows(alone), atol=1e-10)
+
+
+@pytest.mark.parallel([1])
+def test_foundation_of_a_body():
+    """It is where the gap says, y = −x²/2 over a body that has moved, and touches it in the contact set."""
+    h = 1 / 8
+    body = gather_body(solve_case(load_any_case("hertz").with_values({"solve.h": h})))
+    assert body is not None
+    moved = body.fields.points + body.displacement
+    surface = foundation_of(body, moved, 1.0, 10.0)[:, :2]
+    before, after = body.fields.points[body.facets.vertices], moved[body.facets.vertices]
+    np.testing.assert_allclose(surface[..., 1], -(before[..., 0] ** 2) / 2, atol=h**2 / 4)
+    assert body.facets.condition[0] == Condition.ZERO_TRACE  # at the plane of symmetry
+    np.testing.assert_allclose(surface[0], after[0], atol=1e-12)
+    assert len(foundation_of(body, moved, 1.0, 0.1)) < len(surface)
 
 
 def test_no_step_changes_the_first_sets():

@@ -24,12 +24,16 @@ class Body:
         facets: Γ_C: for p the mean gap, for σ·n the mean pressure.
         boundary: The whole boundary.
         displacement: u at the vertices, the mean over the cells around, shape (points, d).
+        normals: The outer unit normals of Γ_C, shape (facets, d).
+        gaps: The gap at the vertices of each facet of Γ_C, linear on it, shape (facets, d).
     """
 
     fields: Fields
     facets: FacetTable
     boundary: Boundary
     displacement: Array
+    normals: Array
+    gaps: Array
 
 
 def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None) -> Body | None:
@@ -43,7 +47,7 @@ def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None
     at_points = sample.at_points(np.concatenate([u, np.repeat(stress[:, None, None], dim + 1, axis=1)], axis=2))
     in_cells = sample.in_cells(stress)
     eta = None if indicator is None else sample.in_cells(indicator.x.array)
-    facets, boundary = _facets(solution), _boundary(solution)
+    (facets, normals, gaps), boundary = _facets(solution), _boundary(solution)
     if at_points is None or in_cells is None or facets is None or boundary is None:
         return None
     fields = Fields(
@@ -59,7 +63,7 @@ def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None
     )
     facets.vertices[:] = sample.rows_of(facets.vertices)
     boundary.vertices[:] = sample.rows_of(boundary.vertices)
-    return Body(fields, facets, boundary, at_points[:, :dim])
+    return Body(fields, facets, boundary, at_points[:, :dim], normals, gaps)
 
 
 def in_space(solution: ElasticSolution) -> Array:
@@ -84,10 +88,10 @@ def von_mises(stresses: Array) -> Array:
     return found
 
 
-def _facets(solution: ElasticSolution) -> FacetTable | None:
+def _facets(solution: ElasticSolution) -> tuple[FacetTable | None, Array, Array]:
     spaces = solution.spaces
-    contact, scalar = spaces.contact, spaces.scalar
-    middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - spaces.dim)))
+    contact, scalar, dim = spaces.contact, spaces.scalar, spaces.dim
+    middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - dim)))
     along = np.empty(len(middle))
     for index, name in enumerate(scalar.part_names):
         mine = scalar.part_of_facet == index
@@ -100,14 +104,16 @@ def _facets(solution: ElasticSolution) -> FacetTable | None:
         solution.gap.mean(axis=1),
         solution.pressure.mean(axis=1),
         solution.contact_set().inside,
+        contact.normals,
+        solution.linear_gap,
         facet_vertices(spaces.mesh, contact.facets),
     ]
     rows = gather_rows(spaces.mesh.comm, np.column_stack(columns))
     if rows is None:
-        return None
+        return None, contact.normals, solution.linear_gap
     rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
     none = np.zeros(len(rows))
-    return FacetTable(
+    table = FacetTable(
         part=rows[:, 0].astype(np.int64),
         x=rows[:, 2:5],
         along=rows[:, 1],
@@ -119,8 +125,9 @@ def _facets(solution: ElasticSolution) -> FacetTable | None:
         q_S=none,
         condition=rows[:, 8].astype(np.int64),
         segment=none.astype(np.int64),
-        vertices=rows[:, 9:].astype(np.int64),
+        vertices=rows[:, 9 + 2 * dim :].astype(np.int64),
     )
+    return table, rows[:, 9 : 9 + dim], rows[:, 9 + dim : 9 + 2 * dim]
 
 
 def _boundary(solution: ElasticSolution) -> Boundary | None:

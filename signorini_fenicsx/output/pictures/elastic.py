@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
-from signorini_fenicsx.base.arrays import Mask
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.laws import Friction
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 SHARE = 0.1
 """Of the body's size that the largest displacement is drawn as."""
+NEAR = 0.12
+"""Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
 
 
 def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | None = None) -> Scene:
@@ -59,20 +63,43 @@ def draw(
     largest = float(np.linalg.norm(body.displacement, axis=1).max(initial=0.0))
     factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
     moved = replace(scene, fields=replace(body.fields, points=body.fields.points + factor * body.displacement))
-    title = f"{scene.caption}\ndisplacement × {factor:g}"
+    foundation = foundation_of(body, moved.fields.points, factor, NEAR * size)
+    title = f"{scene.caption}\ndisplacement and gap × {factor:g}"
     if scene.dim == 2:
-        _deformed(scene, moved, title).save(folder / "deformed.png")
+        _deformed(scene, moved, foundation, title).save(folder / "deformed.png")
         _pressure(solution.contact_parts, scene, table).save(folder / "pressure.png")
         plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
         return
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
 
-    space_files.draw_body_files(folder, scene, moved, title)
+    space_files.draw_body_files(folder, scene, moved, foundation[:, : scene.dim], title)
 
 
-def _deformed(scene: Scene, moved: Scene, title: str) -> Sheet:
-    """The deformed body, coloured by the equivalent stress, over its mesh before."""
-    frame = framed(np.concatenate([scene.fields.points, moved.fields.points]))
+def foundation_of(body: Body, moved: Array, factor: float, most: float) -> Array:
+    """The facets of the foundation where it is drawn nearer to the deformed body than `most`, and their undersides.
+
+    Args:
+        body: The body.
+        moved: Where its points are drawn.
+        factor: Displacements and gaps are drawn larger by this factor.
+        most: See above.
+
+    Returns:
+        The vertices of each facet, on the surface and then below it, shape (facets, 2 dim, dim).
+    """
+    facets, size = body.facets, len(moved)
+    vertices = facets.vertices.ravel()
+    count = np.maximum(np.bincount(vertices, minlength=size), 1)
+    gaps = (factor * body.gaps[:, :, None] * body.normals[:, None]).reshape(len(vertices), -1)
+    lift = np.column_stack([np.bincount(vertices, gap, minlength=size) / count for gap in gaps.T])
+    surface = (moved + lift)[facets.vertices]
+    under = surface + 0.2 * most * body.normals[:, None]
+    return np.concatenate([surface, under[:, ::-1]], axis=1)[factor * facets.p < most]
+
+
+def _deformed(scene: Scene, moved: Scene, foundation: Array, title: str) -> Sheet:
+    """The deformed body, coloured by the equivalent stress, over its mesh before, and the foundation."""
+    frame = framed(np.concatenate([scene.fields.points, moved.fields.points, foundation.reshape(-1, 2)]))
     aspect = float(np.divide(*np.ptp(frame, axis=0)))
     width = 7.0 if aspect > WIDE else min(5.4, 6.0 * aspect)
     sheet = Sheet([width], [width / aspect], title=title)
@@ -82,9 +109,11 @@ def _deformed(scene: Scene, moved: Scene, title: str) -> Sheet:
     after = Triangulation(*moved.fields.points.T, scene.fields.cells)
     look = {"cmap": style.FLUX_MAP, "vmin": low, "vmax": high, "edgecolors": "face", "linewidth": 0.3}
     image = axes.tripcolor(after, facecolors=scene.sigma_norm, rasterized=True, **look)
+    axes.add_collection(PolyCollection(foundation, facecolors="0.75", edgecolors="face", linewidths=0.3, zorder=0.5))
+    axes.add_collection(LineCollection(foundation[:, :2], colors="black", linewidths=1.2))
     sheet.bar(axes, image, scene.strength, extend)
     style.shape_axes(axes, "", frame)
-    sheet.legend_below([])
+    sheet.legend_below([Patch(color="0.75", label="foundation"), Patch(color="0.9", label="before")])
     return sheet
 
 

@@ -150,15 +150,22 @@ class Space:
         """|σ_h| on half of the domain."""
         self._draw_strength(sheet, axes, title, "sigma", self.half())
 
-    def draw_outside(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """|σ_h| on the surface of the domain."""
-        self._draw_strength(sheet, axes, title, "outside", self.grid.extract_surface(algorithm=None))
+    def draw_outside(self, sheet: Sheet, axes: Axes, title: str, foundation: Array) -> None:
+        """|σ_h| on the surface of the domain, and triangles of the foundation, shape (triangles, 3, 3)."""
+        surface = self.grid.extract_surface(algorithm=None)
+        self._draw_strength(sheet, axes, title, "outside", surface, foundation)
 
-    def _draw_strength(self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
+    def _draw_strength(
+        self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData, foundation: Array | None = None
+    ) -> None:
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
 
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, surface, "sigma_norm", style.FLUX_MAP, (low, high))
+            if foundation is not None and len(foundation) > 0:
+                triangles = np.arange(3 * len(foundation)).reshape(-1, 3)
+                under = pyvista.PolyData.from_regular_faces(foundation.reshape(-1, 3), triangles)
+                plotter.add_mesh(under, color="grey", opacity=0.35, lighting=False)
 
         self._show(axes, title, key, build, self.views[0])
         _bar(sheet, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
