@@ -100,11 +100,16 @@ def test_a_killed_run_goes_on(tmp_path: Path):
 
 
 def test_all_steps_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """A run that ends while it writes its results goes on too, also twice."""
+    """A run that ends while it writes its results goes on too, also twice; and while it removes its steps."""
 
     def full(*given: object, **more: object) -> None:
         raise OSError("disk full")
 
+    with monkeypatch.context() as broken:
+        broken.setattr("signorini_fenicsx.output.steps.delete", full)
+        with pytest.raises((OSError, NumericalFailure), match="disk full"):
+            run(case(), tmp_path / "x", certify_steps=False)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x"]
     with monkeypatch.context() as broken:
         broken.setattr("signorini_fenicsx.output.evolution.write_evolution", full)
         for restart in (False, True):

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.array_files import read_header, read_share, write_arrays
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.exchange import delete
+from signorini_fenicsx.base.exchange import area_of, delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.cases.case import Case
@@ -36,12 +36,16 @@ type Row = Mapping[str, Any]
 
 
 class StepFolder:
-    """The folder `<target>.steps`. Its methods are collective."""
+    """The folder `<target>.steps`. Its methods are collective.
+
+    It appears and disappears as a whole, by way of the folder in which the run works, see `base.exchange`.
+    """
 
     def __init__(self, comm: MPI.Comm, target: Path):
         """Keep the place; nothing on disk changes."""
         self._comm = comm
         self.path = target.with_name(target.name + ".steps")
+        self._beside = area_of(target) / self.path.name
         self._saved: Spaces | None = None
         self._rows: dict[tuple[int, str], Indices] = {}
 
@@ -61,8 +65,9 @@ class StepFolder:
         if not restart:
             if self.path.exists():
                 raise InputError(f"{self.path} has steps of a run that was ended; go on with --restart, or remove it")
-            self.path.mkdir(parents=True)
-            (self.path / CASE).write_text(json.dumps(about), encoding="utf-8")
+            self._beside.mkdir()
+            (self._beside / CASE).write_text(json.dumps(about), encoding="utf-8")
+            self._beside.rename(self.path)
             return 0
         try:
             before = json.loads((self.path / CASE).read_text(encoding="utf-8"))
@@ -162,7 +167,12 @@ class StepFolder:
 
     def remove(self) -> None:
         """Remove the folder with all steps."""
-        on_root(self._comm, lambda: delete(self.path))
+
+        def end() -> None:
+            self.path.rename(self._beside)
+            delete(self._beside)
+
+        on_root(self._comm, end)
 
 
 def _places(spaces: Spaces) -> dict[str, Indices]:
