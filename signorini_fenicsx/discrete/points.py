@@ -15,6 +15,7 @@ from typing import Self
 import basix
 import dolfinx.mesh
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
