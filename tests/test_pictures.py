@@ -29,7 +29,7 @@ from signorini_fenicsx.output.gather import (
     gather_facets,
     gather_fields,
 )
-from signorini_fenicsx.output.pictures import draw_all, scene_of, style, traces
+from signorini_fenicsx.output.pictures import draw_all, draw_sets, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_steps
 from signorini_fenicsx.output.pictures.elastic import foundation_of
 from signorini_fenicsx.output.pictures.page import plain
@@ -122,6 +122,21 @@ def test_nothing_overlaps(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert {path for path, _ in drawn} == {f"{each}.png" for each in PICTURES}
     for _, sheet in drawn:
         assert_apart(sheet)
+
+
+@pytest.mark.parallel([1])
+def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Three views of the sets, each of its own step, over their measures."""
+    drawn = []
+    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
+    cube = scene("cube", h=0.5)
+    tables = [replace(cube.facets, condition=np.roll(cube.facets.condition, 20 * step)) for step in range(5)]
+    draw_sets(tmp_path / "contact.png", cube, tables, [1.0, 2.0, 3.0, 4.0, 5.0])
+    (sheet,) = drawn
+    assert_apart(sheet)
+    assert [axes.get_title() for axes in sheet.axes] == ["$t = 1$", "$t = 3$", "$t = 5$", "sets"]
+    images = [axes.images[0].get_array() for axes in sheet.axes[:3]]
+    assert all(np.any(images[0] != other) for other in images[1:] if other.shape == images[0].shape)
 
 
 @pytest.mark.parallel([1])

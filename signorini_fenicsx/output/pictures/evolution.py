@@ -33,18 +33,20 @@ type Frame = tuple[float, Array, FacetTable]
 
 @mpl.rc_context(style.STYLE)
 def draw_sets(path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float]) -> None:
-    """Draw the sets on each part of Γ_S over time; in space, where parts are no lines, their measures (rank 0)."""
-    scenes = [replace(scene, facets=table) for table in tables]
+    """Draw the sets on each part of Γ_S over time; in space at three times, and their measures over time (rank 0)."""
+    scenes = [replace(scene, facets=replace(table, vertices=scene.facets.vertices)) for table in tables]
     ends = [0.0, *times]
     groups = _groups(scenes)
-    sheet = Sheet([5.4], [2.4] * (len(scene.labels) if scene.dim == 2 else 1), bars=False)
     if scene.dim == 2:
+        sheet = Sheet([5.4], [2.4] * len(scene.labels), bars=False)
         for part, name in enumerate(scene.labels):
             axes = sheet.panel(part, 0)
             _draw_part(axes, scenes, groups, part, ends)
             axes.set(xlabel=f"arc length on {name}", ylabel="$t$", title=f"sets on {name}")
     else:
-        axes = sheet.panel(0, 0)
+        sheet = Sheet(3 * [2.5], [2.5, 2.4], bars=False)
+        _draw_views(sheet, scenes, times)
+        axes = sheet.panel(1, 0, columns=3)
         for name, colour in groups.items():
             sizes = [_measure(each, name) for each in scenes]
             axes.plot(times, sizes, color=colour, linewidth=1.6)
@@ -52,6 +54,16 @@ def draw_sets(path: Path, scene: Scene, tables: Sequence[FacetTable], times: Seq
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     sheet.legend_below(handles)
     sheet.save(path)
+
+
+def _draw_views(sheet: Sheet, scenes: Sequence[Scene], times: Sequence[float]) -> None:
+    """Γ_S with its sets in space, early, in the middle and at the end."""
+    from signorini_fenicsx.output.pictures.space import Space  # imports VTK
+
+    for column in range(3):
+        step = (column + 1) * len(scenes) // 3 - 1 if len(scenes) >= 3 else -1
+        space = Space(scenes[step])
+        space.draw_contact(sheet.view(0, column), f"$t = {style.power(times[step])}$", space.views[0])
 
 
 def _groups(scenes: Sequence[Scene]) -> dict[str, str]:
