@@ -11,7 +11,7 @@ from signorini_fenicsx.base.small_matrices import squares_of
 
 type Entities = npt.NDArray[np.int32]
 
-AT_ONCE = 8192
+AT_ONCE = 32_768
 """Number of cells."""
 
 
