@@ -119,6 +119,10 @@ def test_ranks_do_not_matter(folder: Path):
     case = many(folder)
     together, alone = (certify(solve_case(case, comm)) for comm in (COMM, MPI.COMM_SELF))
     assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-8, abs=1e-10)
+    rough = load_case("friction").with_values({"solve.h": 1 / 16})
+    together, alone = (certify(solve_case(rough, comm)) for comm in (COMM, MPI.COMM_SELF))
+    assert [name for name, _ in together.unresolved] == [name for name, _ in alone.unresolved] != []
+    np.testing.assert_allclose([x for _, x in together.unresolved], [x for _, x in alone.unresolved], atol=1e-12)
     rows: list = []
     adapt_case(load_case("friction").with_values({"solve.h": 0.25}), COMM, max_cells=600, on_row=rows.append)
     assert rows[-1].bound < 0.6 * rows[0].bound

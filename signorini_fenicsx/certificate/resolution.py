@@ -329,7 +329,7 @@ class Resolution:
             worst = size >= comm.allreduce(size.max(initial=0.0), MPI.MAX) / 4
             names = ", ".join(name for name in LOADS if self.encloses(name)) or "u_D"
             self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
-        everything = sorted(entry for entries in comm.allgather(self.unresolved[:PLACES]) for entry in entries)
+        everything = sorted(entry for entries in comm.allgather(sorted(self.unresolved)[:PLACES]) for entry in entries)
         return tuple(everything[:PLACES])
 
     def _forget(self) -> None:
