@@ -31,23 +31,32 @@ type Frame = tuple[float, Array, FacetTable]
 
 
 @mpl.rc_context(style.STYLE)
-def draw_sets(path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float]) -> None:
-    """Draw the sets on each part of Γ_S over time; in space, where parts are no lines, their measures (rank 0)."""
+def draw_sets(
+    path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float], in_cells: Sequence[float] = ()
+) -> None:
+    """Draw the sets on each part of Γ_S over time; in space, where parts are no lines, their measures (rank 0).
+
+    With an obstacle, `in_cells` is the measure of the cells in contact with it, and has a panel of its own.
+    """
     scenes = [replace(scene, facets=table) for table in tables]
     ends = [0.0, *times]
-    groups = _groups(scenes)
-    figure = Figure(figsize=(6.4, 1.0 + 3.2 * (len(scene.labels) if scene.dim == 2 else 1)), layout="constrained")
+    groups, parts = _groups(scenes), len(scene.labels)
+    number = (parts if scene.dim == 2 else min(parts, 1)) + bool(in_cells)
+    figure = Figure(figsize=(6.4, 1.0 + 3.2 * number), layout="constrained")
+    panels = figure.subplots(number, 1, squeeze=False)[:, 0]
     if scene.dim == 2:
-        panels = figure.subplots(len(scene.labels), 1, squeeze=False)[:, 0]
-        for part, (axes, name) in enumerate(zip(panels, scene.labels, strict=True)):
+        for part, (axes, name) in enumerate(zip(panels, scene.labels, strict=False)):
             _draw_part(axes, scenes, groups, part, ends)
             axes.set(xlabel=f"arc length on {name}", ylabel="$t$", title=f"sets on {name}")
-    else:
-        axes = figure.add_subplot()
+    elif parts > 0:
         for name, colour in groups.items():
             sizes = [_measure(each, name) for each in scenes]
-            axes.plot(times, sizes, color=colour, linewidth=1.6)
-        axes.set(xlabel="$t$", ylabel="measure", title="sets")
+            panels[0].plot(times, sizes, color=colour, linewidth=1.6)
+        panels[0].set(xlabel="$t$", ylabel="measure", title="sets")
+    if in_cells:
+        kind = "area" if scene.dim == 2 else "volume"
+        panels[-1].plot(times, in_cells, color=style.CONTACT, linewidth=1.6)
+        panels[-1].set(xlabel="$t$", ylabel=kind, title="contact with the obstacle")
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     style.legend_below(figure, handles)
     style.save(figure, path)
