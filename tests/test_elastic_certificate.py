@@ -1,14 +1,18 @@
 """The bound of elastic contact against true errors, exact and by energies."""
 
 import itertools
+from dataclasses import replace
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from elastic import box, half_plane_contact
+from korn_constants import bound_of, korn_constant, moment_error
 from mpi4py import MPI
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.korn import KORN
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.elastic import solve_elastic
@@ -29,6 +33,44 @@ def test_bound_is_near_a_singular_error(nu: float):
     assert errors["energy"] <= certificate.sigma_bound < 1.7 * errors["energy"]
     assert not certificate.guaranteed
     assert certificate.by_quadrature == ("u_D",)
+
+
+def test_loads_that_are_polynomials():
+    """The bound is guaranteed; what the load does within cells has the order of the error."""
+    load = ["2*y*(1 - y) + x*(1 - x)", "-(1 - 2*x)*(1 - 2*y)/2"]
+    problem = ElasticProblem(1.0, 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
+    for n in (2, 8):
+        solution = solve_elastic(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), ElasticBoundary([]), problem)
+        errors, certificate = solution.errors(), certify_elastic(solution)
+        assert errors is not None
+        assert certificate.guaranteed
+        assert certificate.oscillation > 0
+        assert errors["energy"] <= certificate.sigma_bound < 3.5 * errors["energy"]
+
+
+def test_a_body_of_two_materials():
+    """With numbers for each region the bound is guaranteed, and here it is 0 up to rounding, as the error is."""
+    domain = box(COMM, 4, [0.0, 0.0], [1.0, 1.0])
+    middle = dolfinx.mesh.compute_midpoints(domain.mesh, 2, np.arange(domain.mesh.topology.index_map(2).size_local))
+    domain = replace(
+        domain, regions={"soft": np.flatnonzero(middle[:, 1] < 0.5), "hard": np.flatnonzero(middle[:, 1] > 0.5)}
+    )
+    problem = ElasticProblem({"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"])
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
+    solution = solve_elastic(domain, boundary, problem)
+    certificate = certify_elastic(solution)
+    assert certificate.guaranteed
+    assert solution.norms()["contact_force"] == pytest.approx(0.15)
+    assert certificate.bound < 1e-8
+
+
+def test_constants_of_korn():
+    """Those in use are the bounds that the script finds; in space c_h of a coarser mesh, larger than the script's."""
+    c_h, bound = korn_constant(2, 32)
+    assert c_h < bound <= KORN[2] < bound + 1e-3
+    c_h, _ = korn_constant(3, 10)
+    assert c_h == pytest.approx(0.3105, abs=1e-3)
+    assert c_h < bound_of(c_h, np.sqrt(8) / 16, moment_error(3)) < KORN[3] + 1e-3
 
 
 def complementary_energy(solution: ElasticSolution, gap: str) -> float:

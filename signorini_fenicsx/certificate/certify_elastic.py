@@ -7,16 +7,15 @@ foundation, see `best_displacement`. Let ũ be the solution for the load f_h. Th
 
     gap = ½‖ℂε(v) − σ_h‖² + ⟨−σ_h,nn, g − v_n⟩   bounds   ½|v − ũ|² + ½‖σ_h − ℂε(ũ)‖².
 
-f − f_h is orthogonal to the rigid motions of each cell T, as f_h has its moments. With r the rigid motion nearest to w,
-|(f − f_h, w)_T| = |(f − f_h, w − r)_T| ≤ C_T ‖f − f_h‖_T |w|_T, where C_T = c_T/√min(2μ, 2μ + dλ) and ‖w − r‖_T ≤ c_T
-‖ε(w)‖_T. So |u − ũ| ≤ osc = (Σ C_T² ‖f − f_h‖²_T)^½, as in `certify`, and
+f − f_h is orthogonal to the linear fields on each cell T, as f_h has its moments against them. So |(f − f_h, w)_T| ≤
+C_T ‖f − f_h‖_T |w|_T, where C_T = c_T/√min(2μ, 2μ + dλ) and c_T is the constant of `korn`. With w = u − ũ this gives
+|u − ũ| ≤ osc = (Σ C_T² ‖f − f_h‖²_T)^½, as in `certify`, and
 
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
-By the map ŵ = Fᵀw∘F from a reference simplex c_T ≤ ‖F‖² ‖F⁻¹‖ ĉ. That ĉ, of the regular simplex with edges of length
-1, is known by computation only. So the bound is guaranteed if f is constant, E and ν are numbers, g_N is linear, u_D
-and g are quadratic, and these are given as numbers or texts; otherwise it is said which are not. The remainder is what
-the linear solver leaves of the jumps of σ_h n.
+The bound is guaranteed if f is a polynomial that the quadrature integrates exactly, E and ν are numbers, perhaps for
+each region, g_N is linear, u_D and g are quadratic, and these are given as numbers or texts; otherwise it is said which
+are not. The remainder is what the linear solver leaves of the jumps of σ_h n.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
-from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, split_vertices
+from signorini_fenicsx.certificate.korn import korn_constants
+from signorini_fenicsx.discrete.elastic_data import MOST, ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature, facet_normals, split_vertices
+from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.forms.elasticity import stress_gap
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
-KORN = {2: 0.381, 3: 0.357}
-"""ĉ of the module, by computation."""
 UPDATES = 30
 """Set updates of v at most; each v is admissible."""
 
@@ -142,36 +141,32 @@ def _oscillation(solution: ElasticSolution) -> Array:
     found = np.zeros(len(spaces.order))
     if data.f.polynomial == 0:
         return found
-    rule = data.quadrature
-    regular = _regular(dim)
+    rule = _exact_for_square(data)
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
         inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
         inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
         divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
-        points = data.points(spaces, numbers)
+        points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
         load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
         load = np.take_along_axis(load, spaces.order[numbers][:, :, None, None], axis=1)
         left = np.einsum("q,nsqi->n", rule.weights, (load + divergence[:, :, None]) ** 2) * volume
         inverse, theta = data.moduli(points)
         soft = np.minimum(1.0, 1 / np.maximum(1 - dim * theta, 1e-300)).min(axis=1) / inverse.max(axis=1)
-        F = cells.derivative @ np.linalg.inv(regular)
-        stretch = np.linalg.norm(F, 2, axis=(1, 2)) ** 2 * np.linalg.norm(np.linalg.inv(F), 2, axis=(1, 2))
-        found[numbers] = KORN[dim] * stretch * np.sqrt(left / soft)
+        found[numbers] = korn_constants(cells.derivative) * np.sqrt(left / soft)
     return found
 
 
-def _regular(dim: int) -> Array:
-    """Edges of the regular simplex, from one vertex, as columns."""
-    if dim == 2:
-        return np.array([[1, 0.5], [0, np.sqrt(3) / 2]])
-    return np.array([[1, 0.5, 0.5], [0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0, 0, np.sqrt(2 / 3)]])
+def _exact_for_square(data: ElasticData) -> SplitQuadrature:
+    """A quadrature that is exact for the square of f, if there is one."""
+    degree = data.quadrature.degree if data.f.polynomial is None else min(2 * data.f.polynomial, MOST)
+    return SplitQuadrature.of_degree(data.quadrature.points.shape[1], max(degree, data.quadrature.degree))
 
 
 def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     """Data that the discrete problem does not hold exactly."""
-    found = [("f", data.f.polynomial, 0), ("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
+    found = [("f", data.f.polynomial, MOST // 2), ("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     found += [(each.name, each.polynomial, 1) for each in data.g_N.values()]
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += [] if data.friction is None else data.friction.inexact

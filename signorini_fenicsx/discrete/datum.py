@@ -146,6 +146,12 @@ class _ByRegion(Datum):
 
     parts: list[tuple[Mask, Datum]]
 
+    @property
+    def polynomial(self) -> int | None:
+        """The largest degree in a region, or None."""
+        degrees = [datum.polynomial for _, datum in self.parts]
+        return None if None in degrees else max(degree for degree in degrees if degree is not None)
+
     def _values(self, points: Points) -> Array:
         found = np.empty((*points.shape, *self.shape))
         for inside, datum in self.parts:

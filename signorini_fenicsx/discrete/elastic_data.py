@@ -66,7 +66,7 @@ class ElasticData:
 
     @property
     def uniform(self) -> bool:
-        """Whether E and ν are numbers."""
+        """Whether E and ν are numbers, perhaps one for each region."""
         return self.young.polynomial == 0 and self.poisson.polynomial == 0
 
     def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
