@@ -187,3 +187,48 @@ def test_refusals_and_case_files():
         check(case(**{"time.initial": "1e200*x"}), COMM)
     with pytest.raises(InputError, match="unknown name 't'"):
         load_case("example1").with_values({"problem.f": "t"})
+
+
+OBSTACLE = """
+[geometry]
+shape = "square"
+[boundary]
+signorini = []
+[problem]
+f = "-30*t*(1 + x)"
+obstacle = "-0.2"
+[time]
+end = 1
+steps = 4
+[solve]
+h = "1/6"
+"""
+
+
+def test_an_obstacle_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Its cells are in the table and in the picture, and a restart goes on from them."""
+    (tmp_path / "falling.toml").write_text(OBSTACLE)
+    falling = load_case(str(tmp_path / "falling.toml"))
+    run(falling, tmp_path / "whole", plot=True)
+    rows = table(tmp_path / "whole" / "steps.csv")
+    cells = [int(row["contact_cells"]) for row in rows]
+    assert 0 < cells[0] < cells[-2] < cells[-1]
+    last = json.loads((tmp_path / "whole" / "summary.json").read_text(encoding="utf-8"))["obstacle"]
+    assert last["contact_cells"] == cells[-1]
+    assert float(rows[-1]["cells_measure"]) == pytest.approx(last["contact_measure"])
+    assert all(float(row["bound"]) < 10 for row in rows)
+    assert (tmp_path / "whole" / "contact.png").stat().st_size > 1000
+    save = StepFolder.save
+
+    def ended(steps: StepFolder, instant: object, row: object) -> None:
+        save(steps, instant, row)
+        if instant.step == 3:
+            raise NumericalFailure("ended", instant.solution)
+
+    monkeypatch.setattr(StepFolder, "save", ended)
+    with pytest.raises(NumericalFailure):
+        run(falling, tmp_path / "x", certify_steps=False)
+    monkeypatch.setattr(StepFolder, "save", save)
+    run(falling, tmp_path / "x", restart=True, certify_steps=False)
+    again = table(tmp_path / "x" / "steps.csv")
+    assert [row["contact_cells"] for row in again] == [row["contact_cells"] for row in rows]

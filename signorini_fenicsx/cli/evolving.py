@@ -35,15 +35,18 @@ class EvolutionReport(CaseReport):
         assert case.time is not None
         self.line(f"{case.fineness}, {case.time.steps} steps of {case.time.scheme} to t = {case.time.end:g}")
         bound = f" {'bound':>11}" if certified else ""
+        obstacle = "" if case.problem.obstacle is None else f" {'cells':>9} {'measure':>11}"
         self.line(
-            f"{'step':>6} {'t':>11} {'contact':>9} {'measure':>11} {'solves':>9} {'KKT':>9}{bound} {'seconds':>9}"
+            f"{'step':>6} {'t':>11} {'contact':>9} {'measure':>11}{obstacle} "
+            f"{'solves':>9} {'KKT':>9}{bound} {'seconds':>9}"
         )
 
     def step(self, row: Mapping[str, Any]) -> None:
         """Print a step."""
         bound = f" {row['bound']:11.4e}" if "bound" in row else ""
+        obstacle = f" {row['contact_cells']:9d} {row['cells_measure']:11.5g}" if "contact_cells" in row else ""
         self.line(
-            f"{row['step']:6d} {row['t']:11.5g} {row['contact_facets']:9d} {row['contact_measure']:11.5g} "
+            f"{row['step']:6d} {row['t']:11.5g} {row['contact_facets']:9d} {row['contact_measure']:11.5g}{obstacle} "
             f"{row['iterations']:9d} {row['kkt']:9.1e}{bound} {row['seconds']:9.2f}"
         )
 
@@ -58,6 +61,9 @@ class EvolutionReport(CaseReport):
                 f"{name} {value:.3e}" for name, value in about["largest"].items() if name != "guaranteed"
             ),
         }
+        if "obstacle" in summary:
+            found = summary["obstacle"]
+            lines["obstacle"] = f"at the end {found['contact_cells']} cells, measure {found['contact_measure']:.6g}"
         if "errors" in summary:
             lines["errors"] = "at the end " + "  ".join(
                 f"{name} {value:.4e}" for name, value in summary["errors"].items()

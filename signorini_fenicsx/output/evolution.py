@@ -38,6 +38,7 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
         "t": instant.t,
         "contact_facets": facets,
         "contact_measure": measure,
+        **_on_obstacle(solution),
         "iterations": len(history),
         "linear_iterations": sum(step.linear_iterations for step in history),
         "kkt": max(vars(solution.kkt).values()),
@@ -46,6 +47,14 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
         **guaranteed,
         "seconds": seconds,
     }
+
+
+def _on_obstacle(solution: Solution) -> dict[str, float]:
+    """Number and measure of the cells in contact with an obstacle, and its force; nothing without one (collective)."""
+    if solution.data.obstacle is None:
+        return {}
+    found = solution.on_obstacle()
+    return {"contact_cells": found["contact_cells"], "cells_measure": found["contact_measure"], "force": found["force"]}
 
 
 def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: bool) -> None:
@@ -73,7 +82,7 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
     _write_series(folder, steps, times, solution)
     if plot:
         with doing("drawing"):
-            _draw(folder, steps, times, solution)
+            _draw(folder, steps, rows, times, solution)
     summary = solution.summary()
     on_root(comm, lambda: write_summary(folder, summary | _along(rows)))
 
@@ -142,7 +151,7 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
         raise WriteFailure("the fields for ParaView cannot be written") from error
 
 
-def _draw(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solution) -> None:
+def _draw(folder: Path, steps: StepFolder, rows: Sequence[Row], times: Sequence[float], solution: Solution) -> None:
     """Draw `contact.png` and, in the plane, `animation.gif` (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
 
@@ -157,7 +166,8 @@ def _draw(folder: Path, steps: StepFolder, times: Sequence[float], solution: Sol
     def write() -> None:
         if scene is not None:
             tables = [steps.facets(step) for step in range(1, len(times) + 1)]
-            pictures.draw_sets(folder / "contact.png", scene, tables, times)
+            in_cells = [row["cells_measure"] for row in rows] if solution.data.obstacle is not None else []
+            pictures.draw_sets(folder / "contact.png", scene, tables, times, in_cells)
             if frames:
                 pictures.animate(folder / "animation.gif", scene, frames)
 

@@ -100,7 +100,8 @@ class StepFolder:
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
         arrays = cell_values(solution) | {f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()}
-        arrays["facet_own"] = solution.segments().segment
+        on = solution.segments()
+        arrays |= {"facet_own": on.segment} | ({} if on.cells is None else {"cells_own": on.cells})
         write_arrays(comm, part, arrays)
 
         def end() -> None:
@@ -144,7 +145,10 @@ class StepFolder:
             values.x.array[:] = self.cells(spaces, earlier, "u").ravel()
             u.append(values)
         own = self._fetch(spaces, step, "facet_own", "facets")
-        return Past(step, u, Segments(spaces, own))
+        obstacle = on_root(self._comm, (self._place(step) / "cells_own.npy").exists)
+        return Past(
+            step, u, Segments(spaces, own, self._fetch(spaces, step, "cells_own", "cells") if obstacle else None)
+        )
 
     def _fetch(self, spaces: Spaces, step: int, key: str, kind: str) -> Any:
         """An array of a step for the cells or facets of this rank."""

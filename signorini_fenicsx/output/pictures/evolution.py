@@ -32,25 +32,34 @@ type Frame = tuple[float, Array, FacetTable]
 
 
 @mpl.rc_context(style.STYLE)
-def draw_sets(path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float]) -> None:
-    """Draw the sets on each part of Γ_S over time; in space at three times, and their measures over time (rank 0)."""
+def draw_sets(
+    path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float], in_cells: Sequence[float] = ()
+) -> None:
+    """Draw the sets on each part of Γ_S over time; in space at three times, and their measures over time (rank 0).
+
+    With an obstacle, `in_cells` is the measure of the cells in contact with it, and has a panel of its own.
+    """
     scenes = [replace(scene, facets=replace(table, vertices=scene.facets.vertices)) for table in tables]
-    ends = [0.0, *times]
-    groups = _groups(scenes)
-    if scene.dim == 2:
-        sheet = Sheet([5.4], [2.4] * len(scene.labels), bars=False)
+    ends, groups, plane = [0.0, *times], _groups(scenes), scene.dim == 2
+    of_parts = [2.4] * len(scene.labels) if plane else [2.5, 2.4] if scene.labels else []
+    sheet = Sheet([5.4] if plane else 3 * [2.5], of_parts + ([2.4] if in_cells else []), bars=False)
+    columns = 1 if plane else 3
+    if plane:
         for part, name in enumerate(scene.labels):
             axes = sheet.panel(part, 0)
             _draw_part(axes, scenes, groups, part, ends)
             axes.set(xlabel=f"arc length on {name}", ylabel="$t$", title=f"sets on {name}")
-    else:
-        sheet = Sheet(3 * [2.5], [2.5, 2.4], bars=False)
+    elif scene.labels:
         _draw_views(sheet, scenes, times)
-        axes = sheet.panel(1, 0, columns=3)
+        axes = sheet.panel(1, 0, columns=columns)
         for name, colour in groups.items():
             sizes = [_measure(each, name) for each in scenes]
             axes.plot(times, sizes, color=colour, linewidth=1.6)
         axes.set(xlabel="$t$", ylabel="measure", title="sets")
+    if in_cells:
+        axes = sheet.panel(len(of_parts), 0, columns=columns)
+        axes.plot(times, in_cells, color=style.CONTACT, linewidth=1.6)
+        axes.set(xlabel="$t$", ylabel="area" if plane else "volume", title="contact with the obstacle")
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     sheet.legend_below(handles)
     sheet.save(path)
