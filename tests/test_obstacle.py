@@ -168,6 +168,8 @@ def test_dam(L: float, h: float, H: float, height: float):
     """The phreatic line meets the downstream face where it should, and falls towards it."""
     with pytest.raises(InputError, match=r"missing key 'L' in \[dam\]"):
         load_case("dam_baiocchi").with_values({"dam": {"h": h, "H": H}})
+    with pytest.raises(InputError, match=r"\[dam\] L: must be between 1e-6 and 1e6 times H"):
+        load_case("dam_baiocchi").with_values({"dam.L": 1e-300})
     case = load_case("dam_baiocchi").with_values({"dam.L": L, "dam.h": h, "dam.H": H, "solve.h": L / 32})
     solution = solve_case(case, COMM)
     found = seepage(solution)

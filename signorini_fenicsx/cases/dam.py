@@ -25,6 +25,8 @@ class Dam(Section):
     def _falls(self) -> Self:
         if self.h >= self.H:
             raise ValueError(f"h: the level downstream, {self.h:g}, must be below H = {self.H:g}")
+        if not 1e-6 <= self.L / self.H <= 1e6:
+            raise ValueError(f"L: must be between 1e-6 and 1e6 times H = {self.H:g}, not {self.L:g}")
         return self
 
     @property
