@@ -44,7 +44,7 @@ TYPE_CHECKING = False  # type checkers take it as True; importing it from typing
 if TYPE_CHECKING:
     from signorini_fenicsx.api import *  # noqa: F403 - all of `__all__` but the version
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "METHODS",

@@ -43,6 +43,10 @@ def test_flux(shape: str):
         fem.form(ufl.inner(ufl.as_matrix(matrix) * ufl.TrialFunction(spaces.V), tau) * ufl.dx)
     )
     rows.assemble()
+    twice = 2 * np.eye(dim)
+    np.testing.assert_allclose(flux.squares(2.0), flux.squares(twice), rtol=1e-13)
+    np.testing.assert_allclose(flux.tested(2.0), flux.tested(twice), atol=1e-13)
+    np.testing.assert_allclose(mass_diagonal(spaces, 2.0), mass_diagonal(spaces, twice), rtol=1e-13)
     for each in (matrix, np.repeat(matrix[None], len(volume), axis=0)):
         square = assembled(ufl.inner(image, sigma) * ufl.TestFunction(spaces.Q) * ufl.dx)
         np.testing.assert_allclose(flux.squares(each), square, rtol=1e-11)

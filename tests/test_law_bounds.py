@@ -168,9 +168,10 @@ def test_mean_of_a_limited_function():
 
 def test_what_is_not_proved(folder: Path):
     """The proof is for Signorini's law; the command says so before it solves."""
-    ended = signorini(folder, "solve", "friction", "--h", "1/4", "--rigorous")
-    assert ended.returncode == 2
-    assert "without [[law]]" in ended.stderr
+    for case, reason in (("friction", "without [[law]]"), ("sphere", "without an obstacle")):
+        ended = signorini(folder, "solve", case, "--h", "1/4", "--rigorous")
+        assert ended.returncode == 2
+        assert reason in ended.stderr
     solution = on_grid("wall", 4)
     assert "Signorini alone" in proof_of(solution, certify(solution).v).reason
     with pytest.raises(InputError, match="lists no part"):

@@ -11,7 +11,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import determinants, inverses, squares_of
 from signorini_fenicsx.discrete.cell_flux import CellFlux
-from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time
+from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import in_cells, owned_cells, quadratic_nodes
@@ -63,7 +63,7 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
         volume=np.abs(determinants(jacobian)) / math.factorial(dim),
         inverse=inverse,
         diameter=np.sqrt(longest),
-        moment=mean_moments(mesh, inverse),
+        moment=mean_moments(squared_arms(mesh, inverse)),
         low=low,
         kappa_min=low * np.linalg.eigvalsh(kappa_h)[:, 0],
     )

@@ -165,7 +165,7 @@ def _check_provable(case: "AnyCase") -> None:
     """Refuse a case whose bound cannot be proved (rank 0).
 
     Raises:
-        InputError: If its mesh is too large, or if it has other laws than Signorini's, or c.
+        InputError: If its mesh is too large, or if it has other laws than Signorini's, c or an obstacle.
     """
     from signorini_fenicsx.cases.case import Case
     from signorini_fenicsx.cases.domains import rough_cells
@@ -177,6 +177,8 @@ def _check_provable(case: "AnyCase") -> None:
         raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
     if case.problem.c != "0":
         raise InputError("--rigorous: the proof is for c = 0 alone; leave out [problem] c")
+    if case.problem.obstacle is not None:
+        raise InputError("--rigorous: the proof is for the law of Signorini alone, without an obstacle")
 
 
 def adapt(

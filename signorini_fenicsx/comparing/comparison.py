@@ -48,7 +48,7 @@ def compare(one: AnySolution, other: AnySolution) -> Comparison:
         InputError: If their domains or contact boundaries differ, or only one of them is elastic.
     """
     here, there = (
-        f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.contact_parts))}"
+        f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.contact_parts)) or 'no part'}"
         for solution in (one, other)
     )
     domains = same_domain(one.spaces.domain, other.spaces.domain)

@@ -24,10 +24,13 @@ from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.spaces import Spaces
 
+type Weight = Array | float
+"""B: a matrix per cell, or one for all, an array of shape (…, dim, dim); or a number times the identity."""
+
 
 @dataclass(frozen=True)
 class CellFlux:
-    """A flux of RT0 on the owned cells. Matrices B are one per cell, or one for all: an array of shape (…, dim, dim).
+    """A flux of RT0 on the owned cells.
 
     Attributes:
         spaces: The discrete spaces.
@@ -72,39 +75,48 @@ class CellFlux:
         values += self.centroid[cells, None]
         return values
 
-    def squares(self, matrix: Array, moments: Array | None = None) -> Array:
+    def squares(self, weight: Weight, moments: Array | None = None) -> Array:
         """(Bσ, σ)_T of each cell.
 
         Args:
-            matrix: B.
+            weight: B.
             moments: m, if it is known.
         """
         if moments is None:
-            moments = mean_moments(self.spaces.mesh, matrix)
-        squares: Array = squares_of(self.centroid[:, None], matrix)[:, 0]
+            moments = mean_moments(_squared_arms(self.spaces, weight))
+        squares: Array = squares_of(self.centroid[:, None], _as_matrix(weight, self.centroid.shape[1]))[:, 0]
         squares += moments * self.slope**2
         squares *= self.spaces.cell_measures
         return squares
 
-    def tested(self, matrix: Array) -> Array:
+    def tested(self, weight: Weight) -> Array:
         """(Bσ, φ_i)_T / a_i of each cell, shape (cells, dim + 1)."""
         mesh, dim = self.spaces.mesh, self.centroid.shape[1]
-        tested, images = np.empty(self.spaces.outflow.shape), self.centroid[:, None] @ matrix
+        tested, images = np.empty(self.spaces.outflow.shape), self.centroid[:, None] @ _as_matrix(weight, dim)
         for some in some_at_a_time(mesh):
             tested[some] = -(images[some] @ arms(mesh, some).transpose(0, 2, 1))[:, 0]
-        tested += (mean_moments(mesh, matrix) * self.slope)[:, None]
+        tested += (mean_moments(_squared_arms(self.spaces, weight)) * self.slope)[:, None]
         tested /= dim
         return tested
 
 
-def mass_diagonal(spaces: Spaces, matrix: Array) -> Array:
+def mass_diagonal(spaces: Spaces, weight: Weight) -> Array:
     """(Bφ, φ) for each basis function φ of RT0; complete for owned entries (collective)."""
     dim = spaces.mesh.topology.dim
-    squares = squared_arms(spaces.mesh, matrix)
-    squares += np.einsum("cv->c", squares)[:, None] / ((dim + 1) * (dim + 2))
+    squares = _squared_arms(spaces, weight)
+    squares = squares + mean_moments(squares)[:, None]
     squares *= spaces.outflow**2
     squares /= dim**2 * spaces.cell_measures[:, None]
     return joined(spaces, squares)
+
+
+def _as_matrix(weight: Weight, dim: int) -> Array:
+    return weight * np.eye(dim) if isinstance(weight, float) else weight
+
+
+def _squared_arms(spaces: Spaces, weight: Weight) -> Array:
+    """Y_i·By_i."""
+    return weight * spaces.squared_arms if isinstance(weight, float) else squared_arms(spaces.mesh, weight)
 
 
 def joined(spaces: Spaces, of_cells: Array) -> Array:

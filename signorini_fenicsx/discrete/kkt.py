@@ -146,12 +146,13 @@ def _over_obstacle(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function)
 
 def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
     """G and S (collective)."""
-    comm, identity, inverse = spaces.mesh.comm, np.eye(spaces.mesh.geometry.dim), inverses(data.matrices(spaces))
+    comm = spaces.mesh.comm
     if data.kappa.number is not None:
-        flux = np.sqrt(comm.allreduce(sigma.squares(identity).sum()))
+        flux = np.sqrt(comm.allreduce(sigma.squares(1.0).sum()))
         energy, gradient = flux / np.sqrt(data.kappa.number), flux / data.kappa.number
     else:
-        of_flux = np.array([sigma.squares(matrix).sum() for matrix in (identity, inverse, inverse @ inverse)])
+        inverse = inverses(data.matrices(spaces))
+        of_flux = np.array([sigma.squares(weight).sum() for weight in (1.0, inverse, inverse @ inverse)])
         flux, energy, gradient = np.sqrt(comm.allreduce(of_flux))
     k, measures = data.conductivities(spaces), spaces.cell_measures
     values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
@@ -196,13 +197,15 @@ def _missing_mass(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) 
 
 def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Function, data: Data) -> Array:
     """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
-    trace, inverse = data.u_lift.copy(), inverses(data.matrices(spaces))  # p on Γ_S, u_D on Γ_D, 0 on all other facets
+    kappa = data.kappa.number
+    inverse = inverses(data.matrices(spaces)) if kappa is None else 1 / kappa
+    trace = data.u_lift.copy()  # p on Γ_S, u_D on Γ_D, 0 on all other facets
     trace.x.array[cells_and_dofs(trace.function_space, spaces.facets)[1]] = p.x.array[: len(spaces.facets)]
     jump = u.x.array[:, None] - trace.x.array[trace.function_space.dofmap.list]
     residual = joined(spaces, spaces.outflow * (sigma.tested(inverse) + jump))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     spaces.join_across(residual)
     size = spaces.V.dofmap.index_map.size_local
-    owned, M, kappa = residual[:size], mass_diagonal(spaces, np.eye(spaces.mesh.geometry.dim))[:size], data.kappa.number
+    owned, M = residual[:size], mass_diagonal(spaces, 1.0)[:size]
     W = mass_diagonal(spaces, inverse)[:size] if kappa is None else M / kappa
     return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))

@@ -74,7 +74,5 @@ def sources(spaces: Spaces, data: Data) -> Sources:
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:
     """m_T = mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, divided by d², for each owned cell."""
-    moments: Array = (
-        cell_shapes.mean_moments(spaces.mesh, inverses(data.matrices(spaces))) / spaces.mesh.geometry.dim**2
-    )
-    return moments
+    squared = cell_shapes.squared_arms(spaces.mesh, inverses(data.matrices(spaces)))
+    return cell_shapes.mean_moments(squared) / spaces.mesh.geometry.dim**2

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
+from signorini_fenicsx.discrete.cell_shapes import squared_arms
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.meshes.domain import Domain
@@ -143,6 +144,11 @@ class Spaces:
         """The longest edge of each owned cell."""
         dim = self.mesh.topology.dim
         return self.mesh.h(dim, np.arange(self.mesh.topology.index_map(dim).size_local, dtype=np.int32))
+
+    @cached_property
+    def squared_arms(self) -> Array:
+        """|x_v − x_T|² for the vertices of each owned cell and its centroid, shape (cells, dim + 1)."""
+        return squared_arms(self.mesh, np.eye(self.mesh.topology.dim))
 
     @cached_property
     def outflow(self) -> Array:

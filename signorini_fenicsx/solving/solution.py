@@ -203,7 +203,7 @@ class Solution(Solved):
         spaces, flux = self.spaces, self.cell_flux
         p, flux_n = self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma)
         squares = [
-            flux.squares(np.eye(spaces.mesh.geometry.dim)).sum(),
+            flux.squares(1.0).sum(),
             *(spaces.cell_measures @ values**2 for values in (flux.divergence, self.u.x.array)),
             *(spaces.facet_measure @ values**2 for values in (p, flux_n)),
         ]
