@@ -44,13 +44,14 @@ class CellFlux:
 
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
-        """That of a function with up-to-date ghost values."""
+        """That of a function with up-to-date ghost values (collective)."""
         mesh, dofs = spaces.mesh, spaces.V.dofmap.list
+        outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
         dim, cells = mesh.topology.dim, len(dofs)
         centroid, slope = np.empty((cells, dim)), np.empty(cells)
         for some in some_at_a_time(mesh):
-            through = spaces.outflow[some] * sigma.x.array[dofs[some]]
-            through /= dim * spaces.cell_measures[some, None]
+            through = outflow[some] * sigma.x.array[dofs[some]]
+            through /= dim * volumes[some, None]
             slope[some] = np.einsum("ce->c", through)
             centroid[some] = -(through[:, None] @ arms(mesh, some))[:, 0]
         return cls(spaces, centroid, slope)
