@@ -17,6 +17,7 @@ meshes.
 
 import ast
 import json
+import math
 import os
 import re
 import subprocess
@@ -201,21 +202,22 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
     from matplotlib import pyplot as plt
     from matplotlib.ticker import NullLocator
 
-    figure, axes = plt.subplots(1, 3, figsize=(14, 4.5), layout="constrained")
-    bars = [(f"{run.case}\n{name}, {run.ranks}", run) for name in ("strong", "weak") for run in runs[name]]
-    bottom = [0.0] * len(bars)
+    figure, axes = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
+    bars = [(f"{run.case}, {name}, {run.ranks}", run) for name in ("strong", "weak") for run in runs[name]]
+    before = [0.0] * len(bars)
     for phase in PHASES:
-        heights = [run.timings.get(phase, 0.0) / run.seconds for _, run in bars]
-        axes[0].bar([label for label, _ in bars], heights, bottom=bottom, label=phase)
-        bottom = [low + height for low, height in zip(bottom, heights, strict=True)]
-    axes[0].tick_params(axis="x", labelsize=7)
-    axes[0].set(title="share of each phase", ylabel="share of the whole run")
-    axes[0].legend(fontsize=7)
+        widths = [run.timings.get(phase, 0.0) / run.seconds for _, run in bars]
+        axes[0].barh([label for label, _ in bars], widths, left=before, label=phase)
+        before = [left + width for left, width in zip(before, widths, strict=True)]
+    axes[0].invert_yaxis()
+    axes[0].set(title="share of each phase on 1 and 2 ranks", xlabel="share of the whole run", xlim=(0, 1))
+    axes[0].legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.4, -0.14))
     for case in DIM:
         chosen = [run for run in runs["memory"] if run.case == case]
         ranks = [run.ranks for run in chosen]
         axes[1].semilogx(ranks, [run.per_facet for run in chosen], "o-", base=2, label=case)
-        axes[2].loglog(ranks, [run.messages for run in chosen], "o-", base=2, label=f"{case}, messages per rank")
+        messages = [run.messages if run.ranks > 1 else math.nan for run in chosen]  # one rank has none
+        axes[2].loglog(ranks, messages, "o-", base=2, label=f"{case}, messages per rank")
         axes[2].loglog(ranks, [run.reductions for run in chosen], "s--", base=2, label=f"{case}, reductions")
     axes[1].set(title="memory", xlabel="ranks", ylabel="bytes per facet, all ranks", ylim=(0, None))
     axes[2].set(title="assembly and solver", xlabel="ranks")
