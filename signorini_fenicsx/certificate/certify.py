@@ -278,7 +278,7 @@ def _with_deviation(spaces: Spaces, metric: CellMetric, y: CellFlux, mismatch: A
     """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
     if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
         return mismatch
-    size = np.sqrt(y.squares(np.eye(metric.jacobian.shape[1])))
+    size = np.sqrt(y.squares(1.0))
     lowest = metric.kappa_min
     root = np.sqrt((1 + deviation / lowest) * np.maximum(mismatch, 0.0)) + deviation * size / lowest**1.5
     return np.asarray(root**2, dtype=np.float64)

@@ -6,7 +6,7 @@ which compiles it once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -149,8 +149,7 @@ class _ByRegion(Datum):
     @property
     def polynomial(self) -> int | None:
         """The largest degree in a region, or None."""
-        degrees = [datum.polynomial for _, datum in self.parts]
-        return None if None in degrees else max(degree for degree in degrees if degree is not None)
+        return largest_degree(datum for _, datum in self.parts)
 
     def _values(self, points: Points) -> Array:
         found = np.empty((*points.shape, *self.shape))
@@ -160,6 +159,12 @@ class _ByRegion(Datum):
                 value = value[..., None, None] * np.eye(self.shape[0])
             found[inside[points.cells]] = value
         return found
+
+
+def largest_degree(data: Iterable[Datum]) -> int | None:
+    """The largest degree of data that are polynomials, None if one is not known to be a polynomial."""
+    degrees = [datum.polynomial for datum in data]
+    return None if None in degrees else max(degree for degree in degrees if degree is not None)
 
 
 def quadrature_degree(*data: Datum, power: int = 1) -> int:

@@ -27,14 +27,14 @@ BESIDE = 1e-9
 
 
 def exact_errors(
-    spaces: Spaces, data: Data, exact: Datum, sigma: fem.Function, u: fem.Function, p: fem.Function
+    spaces: Spaces, data: Data, exact: Datum, flux: CellFlux, u: fem.Function, p: fem.Function
 ) -> dict[str, float]:
     """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S (collective).
 
     In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
     """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
-    flux, squares = CellFlux.of(spaces, sigma), np.zeros(4)
+    squares = np.zeros(4)
     for points in cell_quadrature(mesh, owned_cells(mesh), degree):
         jet, kappa = exact.jet(points, gradient=True), data.kappa.values(points)
         slope = jet[:, :, 1:, None]

@@ -11,7 +11,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.datum import Datum, datum_of, largest_degree
 from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -37,8 +37,7 @@ class VectorDatum:
     @property
     def polynomial(self) -> int | None:
         """The degree of the polynomial that it is known to be, or None."""
-        degrees = [component.polynomial for component in self.components]
-        return None if None in degrees else max(degree for degree in degrees if degree is not None)
+        return largest_degree(self.components)
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, dim) (collective)."""

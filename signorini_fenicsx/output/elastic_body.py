@@ -10,8 +10,7 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI
 from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
-from signorini_fenicsx.output.sample import Sample
+from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields, sample_of
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
@@ -39,8 +38,7 @@ class Body:
 def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None) -> Body | None:
     """Collect an elastic solution on rank 0; None elsewhere (collective)."""
     spaces = solution.spaces
-    scalar, dim = spaces.scalar, spaces.dim
-    sample = Sample(scalar.mesh, np.concatenate([scalar.facets, scalar.dirichlet_facets, scalar.neumann_facets]))
+    dim, sample = spaces.dim, sample_of(spaces.scalar)
     stress = von_mises(in_space(solution)).max(axis=(1, 2))
     by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
     u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)

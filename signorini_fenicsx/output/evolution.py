@@ -156,7 +156,7 @@ def _draw(folder: Path, steps: StepFolder, rows: Sequence[Row], times: Sequence[
     from signorini_fenicsx.output import pictures  # takes a second to import
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
-    scene, sample = pictures.gathered_scene(solution), sample_of(solution)
+    scene, sample = pictures.gathered_scene(solution), sample_of(solution.spaces)
     frames = []
     for step in pictures.shown(len(times)) if spaces.mesh.topology.dim == 2 else []:
         u = sample.in_cells(steps.cells(spaces, step, "u").ravel())

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, cells_and_dofs
+from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, Spaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.solution import Solution
@@ -195,15 +195,14 @@ def cell_values(solution: Solution) -> dict[str, Array]:
     return {"u": solution.u.x.array, "sigma": flux.centroid, "divergence": flux.divergence}
 
 
-def sample_of(solution: Solution) -> Sample:
-    """The mesh for pictures of a solution (collective)."""
-    spaces = solution.spaces
+def sample_of(spaces: Spaces) -> Sample:
+    """The mesh for pictures of a solution on these spaces (collective)."""
     return Sample(spaces.mesh, np.concatenate([spaces.facets, spaces.dirichlet_facets, spaces.neumann_facets]))
 
 
 def gather_fields(solution: Solution, indicator: fem.Function | None = None) -> Fields | None:
     """Collect mesh and values for pictures on rank 0; None on other ranks (collective)."""
-    domain, sample, inside = solution.spaces.domain, sample_of(solution), solution.outcome.iterate.contact
+    domain, sample, inside = solution.spaces.domain, sample_of(solution.spaces), solution.outcome.iterate.contact
     in_cells, dim = cell_values(solution), solution.spaces.mesh.topology.dim
     both = np.column_stack([in_cells["u"], in_cells["sigma"]])
     at_points = sample.at_points(np.repeat(both[:, None], dim + 1, axis=1))

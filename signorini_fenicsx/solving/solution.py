@@ -220,7 +220,7 @@ class Solution(Solved):
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
             return None
-        norms = exact_errors(spaces, data, exact, self.sigma, self.u, self.p)
+        norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.p)
         norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
         contact = self.outcome.iterate.contact
         return norms if contact is None else norms | {"missed_contact": missed_contact(spaces, data, exact, contact)}
