@@ -60,9 +60,14 @@ class Points(ABC):
     def among(self, cells: Mask) -> Self:
         """Those that lie in some of the cells; `cells` is a mask."""
 
-    @abstractmethod
     def of_ufl(self, value: Expr) -> Array:
         """Values of UFL, shape (n, points, *its shape) (collective)."""
+        is_zero = isinstance(value, ufl.constantvalue.Zero)  # the gradient of a constant, without a mesh
+        return np.zeros((*self.shape, *value.ufl_shape)) if is_zero else self._of_ufl(value)
+
+    @abstractmethod
+    def _of_ufl(self, value: Expr) -> Array:
+        """The same for what is not 0 (collective)."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -151,8 +156,7 @@ class CellPoints(Points):
         """Those in some of the cells; `cells` is a mask."""
         return replace(self, cells=self.cells[cells[self.cells]])
 
-    def of_ufl(self, value: Expr) -> Array:
-        """Values of UFL, shape (cells, points, *its shape) (collective)."""
+    def _of_ufl(self, value: Expr) -> Array:
         expression = fem.Expression(_on_mesh(self.mesh, value), self.points)
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
         return values.reshape(*self.shape, *value.ufl_shape)
@@ -191,8 +195,8 @@ class FacetPoints(Points):
         reference = [basix.geometry(cell)[vertices] for vertices in basix.topology(cell)[-2]]
         return np.stack([x[0] + self.points @ (x[1:] - x[0]) for x in reference])
 
-    def of_ufl(self, value: Expr) -> Array:
-        """Values of UFL, which may have the normal in it, shape (facets, points, *its shape) (collective).
+    def _of_ufl(self, value: Expr) -> Array:
+        """The value may have the normal in it.
 
         As points of the cells: where DOLFINx has the points of a facet depends on the numbers of its vertices.
         """
