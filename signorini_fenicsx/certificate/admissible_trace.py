@@ -24,7 +24,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.data import Data
@@ -255,12 +255,12 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     v = fem.Function(fem.functionspace(mesh, element), name="v")
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
-    of_cells, values = _weights(solution.data), np.empty(nodes.shape)
+    of_cells, values = _weights(solution.data), np.empty(nodes.shape, order="F")
     constant = solution.u.x.array - flux.slope * metric.moment / 2
     for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
-        cells, inverse, slope = points.cells, metric.inverse[points.cells], flux.slope[points.cells, None]
-        gradient = inverse @ flux.centroid[cells, :, None]
-        values[cells] = (points.arms @ gradient)[:, :, 0] + slope / 2 * squares_of(points.arms, inverse)
+        cells, inverse, slope = points.rows, metric.inverse[points.rows], flux.slope[points.rows, None]
+        gradient = times(flux.centroid[cells, None], inverse)[:, 0]
+        values[cells] = np.einsum("npi,ni->np", points.arms, gradient) + slope / 2 * squares_of(points.arms, inverse)
         values[cells] += constant[cells, None]
     values *= of_cells[:, None]
     for function, summands in ((v, values), (total, np.broadcast_to(of_cells[:, None], values.shape))):

@@ -259,7 +259,7 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
         for points in cell_quadrature(mesh, cells, degree):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
-            mismatch[points.cells] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
+            mismatch[points.rows] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
     return mismatch
 
 

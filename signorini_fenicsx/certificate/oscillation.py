@@ -130,7 +130,7 @@ def load_oscillation(
     load, cell = _load(spaces, data, metric, resolution), mesh.basix_cell()
     if memory is not None and data.memory is not None:
         known = data.memory.x.array
-        remembered = _projected(spaces, lambda points: memory(points) - known[points.cells, None], OF_MEMORY)
+        remembered = _projected(spaces, lambda points: memory(points) - known[points.rows, None], OF_MEMORY)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
         return load_norms(cell, metric, load, on_facets)
@@ -175,7 +175,7 @@ def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution
         return None
     cell, f_h = spaces.mesh.basix_cell(), data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
     degree = quadrature_degree(data.f, power=2)
-    load = _projected(spaces, lambda points: data.f.values(points) - f_h[points.cells, None], degree)
+    load = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
     if not resolution.encloses("f"):
         return load
     nodes, volume = (

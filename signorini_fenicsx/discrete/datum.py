@@ -67,7 +67,7 @@ class Datum:
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""
-        return np.full(points.shape, self.number) if self.number is not None else self._values(points)
+        return np.full(points.shape, self.number, order="F") if self.number is not None else self._values(points)
 
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of a scalar, see `points` (collective)."""

@@ -23,10 +23,10 @@ from ufl.algorithms.analysis import extract_type
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.small_matrices import determinants, inverses
+from signorini_fenicsx.base.small_matrices import determinants, gathered, inverses, times
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 
-AT_ONCE = 200_000
+AT_ONCE = 100_000
 """Number of points in cells that are in memory at the same time."""
 
 
@@ -70,6 +70,11 @@ class Points(ABC):
         """The same for what is not 0 (collective)."""
 
     @property
+    def rows(self) -> Entities | slice:
+        """The cells, to take what arrays have for them; nothing is copied where they follow one another."""
+        return self.cells
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Number of cells or facets, and of the points in each."""
         return len(self.cells), len(self.points)
@@ -77,19 +82,17 @@ class Points(ABC):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        x: Array = _barycentric(self.points) @ self.vertices
-        return x
+        return np.asarray(np.einsum("pv,nvi->npi", _barycentric(self.points), self.vertices))
 
     @cached_property
     def corners(self) -> Array:
         """Vertices of the cells, shape (n, dim + 1, dim)."""
-        return corners(self.mesh, self.cells)
+        return corners(self.mesh, self.rows)
 
     @cached_property
     def arms(self) -> Array:
         """The points less the centroids of their cells, shape (n, points, dim)."""
-        arms: Array = (self.barycentric - 1 / self.barycentric.shape[2]) @ self.corners
-        return arms
+        return np.asarray(np.einsum("npv,nvi->npi", self.barycentric - 1 / self.barycentric.shape[2], self.corners))
 
     @cached_property
     def slopes(self) -> Array:
@@ -118,24 +121,24 @@ class Points(ABC):
 
     def linear(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is linear on each cell by its values in the vertices, shape (n, points, …)."""
-        nodes = function.x.array[function.function_space.dofmap.list[self.cells]]
-        value = self.barycentric @ nodes[:, :, None]
+        nodes = gathered(function.x.array, function.function_space.dofmap.list[self.rows])
+        value = np.einsum("npv,nv->np", self.barycentric, nodes)[:, :, None]
         if not gradient:
             return value
-        slope = nodes[:, None] @ self.slopes
+        slope = times(nodes[:, None], self.slopes)
         return np.concatenate([value, np.broadcast_to(slope, (*self.shape, slope.shape[2]))], axis=2)
 
     def quadratic(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is quadratic on each cell by its Bernstein coefficients, shape (n, points, …)."""
-        nodes = function.x.array[function.function_space.dofmap.list[self.cells]]
+        nodes = gathered(function.x.array, function.function_space.dofmap.list[self.rows])
         number = self.barycentric.shape[2]
         first, second = np.array(basix.topology(self.mesh.basix_cell())[1]).T
-        form = np.empty((len(nodes), number, number))  # the function is Σ form_vw λ_v λ_w
+        form = np.empty((len(nodes), number, number), order="F")  # the function is Σ form_vw λ_v λ_w
         form[:, range(number), range(number)] = nodes[:, :number]
         form[:, first, second] = form[:, second, first] = nodes[:, number:]
-        half = self.barycentric @ form
-        value = (half * self.barycentric).sum(axis=2, keepdims=True)
-        return np.concatenate([value, 2 * half @ self.slopes], axis=2) if gradient else value
+        half = np.einsum("npv,nvw->npw", self.barycentric, form)
+        value = np.einsum("npv,npv->np", half, self.barycentric)[:, :, None]
+        return np.concatenate([value, 2 * times(half, self.slopes)], axis=2) if gradient else value
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,12 @@ class CellPoints(Points):
     def vertices(self) -> Array:
         """Of each cell, shape (cells, dim + 1, dim)."""
         return self.corners
+
+    @cached_property
+    def rows(self) -> Entities | slice:
+        """The cells, to take what arrays have for them; nothing is copied where they follow one another."""
+        consecutive = len(self.cells) > 0 and bool((np.diff(self.cells) == 1).all())
+        return slice(int(self.cells[0]), int(self.cells[-1]) + 1) if consecutive else self.cells
 
     @cached_property
     def barycentric(self) -> Array:
@@ -248,7 +257,7 @@ class BesideFacets(FacetPoints):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        return self.barycentric @ self.corners
+        return np.asarray(np.einsum("npv,nvi->npi", self.barycentric, self.corners))
 
     @cached_property
     def _in_cell(self) -> Array:
