@@ -41,10 +41,10 @@ The matrix stays symmetric and semidefinite. For −∇·σ + cu = f the source 
 With f + cψ for f and c → ∞ this is s_T = 1/m_T, b_T = ψ_T/m_T, for which u_T = ψ_T.
 """
 
-from ufl import Form, Measure, SpatialCoordinate, dot, grad, inner, inv
+from ufl import Form, Measure, grad, inner
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.forms.mixed import ONE
+from signorini_fenicsx.forms.mixed import ONE, load
 
 
 def stiffness(u: Expr, v: Expr, dx: Measure, kappa: Expr = ONE) -> Form:
@@ -57,12 +57,9 @@ def reaction(u: Expr, v: Expr, dx: Measure, s: Expr) -> Form:
     return s * u * v * dx(degree=1)
 
 
-def recovered_flux(u_cr: Expr, source: Expr, centroid: Expr, x: SpatialCoordinate, kappa: Expr = ONE) -> Expr:
-    """σ_h = κ_h ∇u_CR − (y_T/d)(x − x_T) for the source y_T, an RT0 field."""
-    return kappa * grad(u_cr) - source / len(x) * (x - centroid)
+def outflow(u_cr: Expr, source: Expr, v: Expr, dx: Measure, kappa: Expr = ONE) -> Form:
+    """∫ σ_h·n out of each cell through its facets, for v in the same functions without their continuity.
 
-
-def recovered_scalar(u_cr: Expr, source: Expr, centroid: Expr, x: SpatialCoordinate, kappa: Expr = ONE) -> Expr:
-    """u_CR + (y_T/d²)(x − x_T)·κ_h⁻¹(x − x_T) for the source y_T, whose mean over T is u_h."""
-    r = x - centroid
-    return u_cr + source / len(x) ** 2 * dot(inv(kappa) * r, r)
+    See the second part of the proof.
+    """
+    return stiffness(u_cr, v, dx, kappa) - load(source, v, dx)

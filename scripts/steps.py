@@ -1,9 +1,10 @@
 """Seconds of time steps whose sets stand still, as multiples of one linear solve.
 
-Usage: [mpirun -n N] python scripts/steps.py [--h 1/64] [--steps 20]
+Usage: [mpirun -n N] python scripts/steps.py [--h 1/64] [--steps 20] [--moving]
 
 The linear solve begins with the load of the step and ends with σ_h and u_h, under the sets with which the step ends and
-from zero. As in the steps, the matrix and its factorisation or multigrid are there already.
+from zero. As in the steps, the matrix and its factorisation or multigrid are there already. With `--moving` the load
+moves, so that no datum is a product of functions of x and of t, and solutions of earlier steps are further away.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.api import Boundary, Evolution, Problem, Solution, Solver, Wall, evolve
+from signorini_fenicsx.backends.earlier import EarlierSolutions
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -29,6 +31,7 @@ PROBLEM = Problem(
     laws=[Wall(["left"], beta=4, level=f"y*{GROWS}")],
 )
 """With all data in proportion to one function of time, and a small capacity, the sets stand still."""
+MOVING = replace(PROBLEM, f=f"{PROBLEM.f} + 3*exp(-40*((x - 1/2 - t/5)^2 + (y - 3/4 + t/9)^2))")
 
 
 def seconds(do: Callable[[], object]) -> float:
@@ -50,10 +53,10 @@ class LinearSolve:
         spaces, data, conditions = solution.spaces, solution.data, solution.outcome.conditions
         if self._backend is None:
             self._backend = HybridBackend(spaces, data, tuning=Tuning(condense_up_to=0))
-            self._backend.solve(conditions)
-        backend, far = self._backend, data.f_h.copy()
-        far.x.array[:] *= 9
-        backend.renew(replace(data, f_h=far))  # else the solve would start from the solution that is there
+        backend = self._backend
+        backend.solve(conditions)  # under new sets it sets up the preconditioner
+        backend._system.x.set(0.0)
+        backend._earlier = EarlierSolutions()
 
         def solve() -> None:
             backend.renew(data)
@@ -74,11 +77,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--h", type=Fraction, default=Fraction(1, 64))
     parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--moving", action="store_true", help="a load that moves")
     options = parser.parse_args()
     solver = Solver(build_domain(COMM, "square", float(options.h), mesh="unstructured"), Boundary(["bottom", "left"]))
+    problem = MOVING if options.moving else PROBLEM
     evolution = Evolution(end=options.steps / 40, steps=options.steps, capacity="1/1000")
     found: list[Solution] = []
-    steps = (instant.solution for instant in evolve(solver, Boundary(["bottom"]), PROBLEM, evolution))
+    steps = (instant.solution for instant in evolve(solver, Boundary(["bottom"]), problem, evolution))
     linear_solve, ratios = LinearSolve(), []
     for step in range(options.steps):
         spent = seconds(lambda: found.append(next(steps)))

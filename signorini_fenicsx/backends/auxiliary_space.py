@@ -13,7 +13,7 @@ from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.nodes import Jumps
-from signorini_fenicsx.discrete.sources import Sources, sources
+from signorini_fenicsx.discrete.sources import Sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
@@ -37,12 +37,15 @@ class AuxiliarySpace:
     with an obstacle add what they add to the system.
     """
 
-    def __init__(self, spaces: Spaces, data: Data, pc: PETSc.PC):
-        """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective)."""
+    def __init__(self, spaces: Spaces, data: Data, s: fem.Function | None, pc: PETSc.PC):
+        """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective).
+
+        `s` is that of the sources of the facet system, see `Sources`.
+        """
         self._spaces, self._weak = spaces, data.conductance
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
         u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        form, self._s = stiffness(u, v, ufl.dx, data.kappa_h), sources(spaces, data).s
+        form, self._s = stiffness(u, v, ufl.dx, data.kappa_h), None if s is None else s.copy()
         if self._s is not None:
             form += reaction(u, v, ufl.dx, self._s)
         self._form, self._by_cells = fem.form(form), data.obstacle is not None

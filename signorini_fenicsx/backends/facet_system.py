@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 from ufl import Form
@@ -18,11 +18,7 @@ from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.sources import sources
 from signorini_fenicsx.discrete.spaces import Spaces, assembled, cells_and_dofs
-from signorini_fenicsx.forms.crouzeix_raviart import reaction, recovered_flux, recovered_scalar, stiffness
-from signorini_fenicsx.forms.mixed import load, trace_term
-
-NEAR = 0.3
-"""A load is nearly the same as another if it differs by less than this share of its norm."""
+from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
 
 
 class FacetSystem:
@@ -58,6 +54,7 @@ class FacetSystem:
         self.spaces = spaces
         self.space = spaces.crouzeix_raviart
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
+        self._neumann_dofs = cells_and_dofs(self.space, spaces.neumann_facets)[1]
         self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = self.dofs > tuning.direct_up_to
@@ -70,7 +67,6 @@ class FacetSystem:
         self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)
         self.x.set(0.0)
-        self._flux = fem.Function(spaces.V)  # only this one is interpolated: DOLFINx makes a cycle with it each time
         self._rows: PETSc.Mat | None = None
         self._take(data)
 
@@ -88,11 +84,26 @@ class FacetSystem:
         self._assemble_load()
 
     def _assemble_load(self) -> None:
-        """Assemble the right side without conditions on Γ_S (collective)."""
-        data, source = self._data, self.sources.at(self._data.u_lift)
-        self._load = assembled(self.spaces.kept(_load, data.kappa_h, source, data.sigma_lift, data.u_lift))
-        given = (data.q_Sh * self.spaces.facet_measure)[self.spaces.inner.rows]
-        self._load[self._across] += self._load[self._named] - given  # what flows out of one side flows into the other
+        """Add up the right side without conditions on Γ_S: sources and given fluxes, less what the lift has of them.
+
+        Collective.
+        """
+        data, spaces = self._data, self.spaces
+        y, dofs = self.sources.b.x.array, self.space.dofmap.list
+        load = fem.Function(self.space).x
+        per_facet = np.repeat(y * spaces.cell_measures / dofs.shape[1], dofs.shape[1])
+        load.array[:] = np.bincount(dofs.ravel(), per_facet, len(load.array))
+        load.scatter_reverse(la.InsertMode.add)
+        owned = load.array[: self.b.getLocalSize()]
+        owned[self._across] += owned[self._named]  # the jump is on the named side alone
+        owned[self.trace_dofs] += data.q_Sh * spaces.facet_measure
+        owned[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
+        lift, image = self.matrix.createVecs()
+        lift.array_w[:] = data.u_lift.x.array[: len(owned)]
+        self._operator.natural.mult(lift, image)
+        self._load = owned - image.array_r
+        for vector in (lift, image):
+            vector.destroy()
 
     def _assemble_again(self, data: Data) -> None:
         """Assemble the matrix with another κ, or other sources (collective)."""
@@ -100,7 +111,7 @@ class FacetSystem:
         self._rows = None
 
     def renew(self, data: Data) -> bool:
-        """Go on with other data, and from the last solution if the load is nearly the same (collective).
+        """Go on with other data, the next iterative solve from solutions of earlier ones (collective).
 
         Returns:
             Whether κ and c, and so the matrix, stay.
@@ -111,12 +122,7 @@ class FacetSystem:
         if not kept:
             self._assemble_again(data)
             self._imposed = None
-        before, owned = self._load, slice(self.x.getLocalSize())
         self._take(data)
-        squares = [np.sum((self._load - load)[owned] ** 2) for load in (before, 0.0)]
-        change, size = self.spaces.mesh.comm.allreduce(np.array(squares))
-        if not change < NEAR**2 * size:
-            self.x.set(0.0)
         return same
 
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
@@ -155,7 +161,7 @@ class FacetSystem:
         """
         conditions = conditions.take(self._facets)
         fixed = self._fixed(conditions)
-        self.b.array_w[:] = self._load[: self.b.getLocalSize()]
+        self.b.array_w[:] = self._load
         given = np.zeros(len(fixed))
         if conditions.has_values:
             self._add_values(conditions)
@@ -188,11 +194,10 @@ class FacetSystem:
         spaces = self.spaces
         sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
         u_cr = self._with_lift(self.x)
-        recovery = self._data.kappa_h, self.sources.at(u_cr), u_cr, spaces.centroids
-        self._flux.interpolate(spaces.kept_expression(_recovered_flux, spaces.V, *recovery))
-        sigma.x.array[:] = self._flux.x.array
+        through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
+        sigma.x.array[spaces.V.dofmap.list] = through[spaces.broken_crouzeix_raviart.dofmap.list] / spaces.outflow
         sigma.x.scatter_forward()
-        u.x.array[:] = assembled(spaces.kept(_recovered_scalar, *recovery)) / spaces.cell_measures
+        u.x.array[:] = self.sources.scalars(u_cr)
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
         p, flux = self._pairs(self.x, flux, conditions)
         on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
@@ -254,18 +259,6 @@ def _with_reaction(spaces: Spaces, kappa: Expr, s: Expr) -> Form:
     return _stiffness(spaces, kappa) + reaction(ufl.TrialFunction(space), ufl.TestFunction(space), ufl.dx, s)
 
 
-def _load(spaces: Spaces, kappa: Expr, source: Expr, sigma_lift: Expr, u_lift: Expr) -> Form:
-    """Of u − u_lift; `source` is that of the lift."""
-    v = ufl.TestFunction(spaces.crouzeix_raviart)
-    given_flux = trace_term(v, sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-    return load(source, v, ufl.dx) + given_flux - stiffness(u_lift, v, ufl.dx, kappa)
-
-
-def _recovered_flux(spaces: Spaces, kappa: Expr, source: Expr, u_cr: Expr, centroid: Expr) -> Expr:
-    """On a facet between two cells the fluxes of both agree up to the linear residual."""
-    return recovered_flux(u_cr, source, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
-
-
-def _recovered_scalar(spaces: Spaces, kappa: Expr, source: Expr, u_cr: Expr, centroid: Expr) -> Form:
-    u = recovered_scalar(u_cr, source, centroid, ufl.SpatialCoordinate(spaces.mesh), kappa)
-    return u * ufl.TestFunction(spaces.Q) * ufl.dx
+def _outflow(spaces: Spaces, kappa: Expr, source: Expr, u_cr: Expr) -> Form:
+    """At a facet between two cells what flows out of one flows into the other, up to the linear residual."""
+    return outflow(u_cr, source, ufl.TestFunction(spaces.broken_crouzeix_raviart), ufl.dx, kappa)

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.backends.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.backends.condensed import Condensed
 from signorini_fenicsx.backends.contract import Inexact, Iterate
+from signorini_fenicsx.backends.earlier import EarlierSolutions
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
@@ -66,8 +67,10 @@ class HybridBackend(FacetBackend):
         self._solver = LinearSolver(self._system.matrix, prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
         self._ksp = self._solver.ksp
         iterative = multigrid or self._system.large
-        self._auxiliary = set_up(self._solver, partial(AuxiliarySpace, spaces, data) if iterative else None)
+        auxiliary = partial(AuxiliarySpace, spaces, data, self._system.sources.s)
+        self._auxiliary = set_up(self._solver, auxiliary if iterative else None)
         self._early_stop = _EarlyStop()
+        self._earlier, self._renewed = EarlierSolutions(), False
         if self._iterates:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: SiteConditions | None = None
@@ -82,6 +85,9 @@ class HybridBackend(FacetBackend):
         system, given_flux = self._system, SiteConditions.everywhere(Condition.NO_FLUX, self.sites)
         same = system.renew(data)
         self.data, self._applied = data, None
+        if self._iterates:
+            self._earlier.add(system.x)
+            self._renewed = True
         self._offer_precise()
         if not same:
             self._condensed, self._regret = None, math.inf
@@ -125,7 +131,7 @@ class HybridBackend(FacetBackend):
         return self._solver.name()
 
     def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve as `Backend.solve` says, starting from the last solution (collective).
+        """Solve as `Backend.solve` says, starting from earlier solutions (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -178,6 +184,9 @@ class HybridBackend(FacetBackend):
             self._regret += 0.0 if conditions.same(self._held, self.comm) else FACTORISATION
             self._held = conditions
             essential = self._system.apply(conditions)
+            if self._renewed:
+                self._earlier.combine(self._system.matrix, self._system.b, self._system.x, essential)
+                self._renewed = False
             if self._auxiliary is not None:
                 with self._solver.options():
                     self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)

@@ -21,12 +21,12 @@ class Sources:
     Attributes:
         s: s_T ≥ 0 in P0; None if it is 0 everywhere.
         b: b_T in P0.
-        moments: m_T; None if s is 0 everywhere.
+        moments: m_T.
     """
 
     s: fem.Function | None
     b: fem.Function
-    moments: Array | None = None
+    moments: Array
 
     def renewed(self, data: Data) -> Sources:
         """Those for another f_h, with the same κ_h and c_h."""
@@ -41,21 +41,18 @@ class Sources:
         """y_T for a function with up-to-date ghost values; b itself without s."""
         if self.s is None:
             return self.b
-        means = u_cr.x.array[u_cr.function_space.dofmap.list].mean(axis=1)
         source = fem.Function(self.b.function_space)
-        source.x.array[:] = self.b.x.array - self.s.x.array * means  # no ghost cells
+        source.x.array[:] = self.b.x.array - self.s.x.array * _means(u_cr)  # no ghost cells
         return source
 
     def scalars(self, u_cr: fem.Function) -> Array:
-        """u_T = ū_T + m_T y_T per owned cell; there is an s."""
-        means = u_cr.x.array[u_cr.function_space.dofmap.list].mean(axis=1)
-        u: Array = means + self.moments * self.at(u_cr).x.array
+        """u_T = ū_T + m_T y_T per owned cell, for a function with up-to-date ghost values."""
+        u: Array = _means(u_cr) + self.moments * self.at(u_cr).x.array
         return u
 
     def held(self, cells: Mask, values: Array) -> Sources:
         """The sources with which u_T has these values on some cells; there is an s."""
         assert self.s is not None
-        assert self.moments is not None
         s, b = self.s.copy(), self.b.copy()
         s.x.array[cells] = 1 / self.moments[cells]
         b.x.array[cells] = values[cells] / self.moments[cells]
@@ -64,9 +61,10 @@ class Sources:
 
 def sources(spaces: Spaces, data: Data) -> Sources:
     """Those of −∇·σ + c_h u = f_h, without contact with an obstacle."""
+    moments = mean_moments(spaces, data)
     if data.c_h is None and data.obstacle is None:
-        return Sources(None, data.f_h)
-    s, moments = fem.Function(spaces.Q), mean_moments(spaces, data)
+        return Sources(None, data.f_h, moments)
+    s = fem.Function(spaces.Q)
     if data.c_h is not None:
         s.x.array[:] = data.c_h.x.array / (1 + data.c_h.x.array * moments)
     return Sources(s, data.f_h, moments).renewed(data)
@@ -74,5 +72,14 @@ def sources(spaces: Spaces, data: Data) -> Sources:
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:
     """m_T = mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, divided by d², for each owned cell."""
-    squared = cell_shapes.squared_arms(spaces.mesh, inverses(data.matrices(spaces)))
+    if data.kappa.number is not None:
+        squared = spaces.squared_arms / data.kappa.number
+    else:
+        squared = cell_shapes.squared_arms(spaces.mesh, inverses(data.matrices(spaces)))
     return cell_shapes.mean_moments(squared) / spaces.mesh.geometry.dim**2
+
+
+def _means(u_cr: fem.Function) -> Array:
+    """ū_T on each owned cell."""
+    of_cells = u_cr.x.array[u_cr.function_space.dofmap.list]
+    return np.asarray(np.einsum("cf->c", of_cells) / of_cells.shape[1])

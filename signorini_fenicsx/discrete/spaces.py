@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -177,6 +178,11 @@ class Spaces:
         return fem.functionspace(self.mesh, ("CR", 1))
 
     @cached_property
+    def broken_crouzeix_raviart(self) -> fem.FunctionSpace:
+        """The same without continuity: each cell has an unknown of its own for each of its facets."""
+        return fem.functionspace(self.mesh, basix.ufl.element("CR", self.mesh.basix_cell(), 1, discontinuous=True))
+
+    @cached_property
     def Q_matrix(self) -> fem.FunctionSpace:
         """P0 matrices, for κ_h."""
         dim = self.mesh.geometry.dim
@@ -209,14 +215,6 @@ class Spaces:
             return fem.form(build(self, *own), entity_maps=[self.entity_map])
 
         return self.kept_forms.get(build, make, coefficients)
-
-    def kept_expression(self, build: Build, space: fem.FunctionSpace, *coefficients: Coefficient) -> fem.Expression:
-        """The expression `build(spaces, *coefficients)` in the interpolation points of a space (collective)."""
-
-        def make(*own: Coefficient) -> fem.Expression:
-            return fem.Expression(build(self, *own), space.element.interpolation_points)
-
-        return self.kept_forms.get((build, space.ufl_element()), make, coefficients)
 
 
 def build_spaces(domain: Domain, signorini: Names, neumann: Names = (), inner: Names = ()) -> Spaces:
