@@ -1,8 +1,8 @@
 """Determinants, inverses and products with many small matrices, several times faster than by `numpy.linalg`.
 
 They are fast if the entries of one kind are one after the other in memory: arrays in Fortran's order, the number of the
-matrix first. Then each step of `einsum` runs along the matrices; along their rows of two or three it takes five times as
-long.
+matrix first. Then each step of `einsum` runs along the matrices; along their rows of two or three it takes several
+times as long.
 """
 
 import numpy as np

@@ -16,7 +16,7 @@ from signorini_fenicsx.base.small_matrices import squares_of
 
 type Entities = npt.NDArray[np.int32]
 
-AT_ONCE = 32_768
+AT_ONCE = 8_192
 """Number of cells."""
 
 _NODES: WeakKeyDictionary[dolfinx.mesh.Mesh, Entities] = WeakKeyDictionary()
