@@ -11,12 +11,15 @@ from fuzz_expressions import check_enclosures, outcome, texts
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
 from signorini_fenicsx.expressions import (
+    exactly,
     interval,
     interval_and_gradient,
+    linear_terms,
     parse_expression,
     parse_number,
     polynomial_degree,
     read,
+    substituted,
     values,
     values_and_gradient,
 )
@@ -239,6 +242,29 @@ def test_polynomials():
     degrees |= {"x^-2": None, "1 if x > 0 else 1": None, "(x^2)^3": 6, "max(1, 2)": 0}
     for text, degree in degrees.items():
         assert polynomial_degree(read(text, "xy")) == degree, text
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("10*(x - 0.6)*(1 + sin(t)/5)", 2),
+        ("-sin(t)*x*y + exp(t)", 2),
+        ("x*(t*y)/3 - (x^t - 1)", 3),
+        ("(t + 1)^2", 1),
+        ("(1 + t*x)*y", 1),
+        ("2*x if t < 1 else y", 1),
+    ],
+)
+def test_linear_terms(text: str, number: int):
+    """They add up to the whole; products of functions of x and of t have the same trees at all t."""
+    x = {name: np.random.default_rng(1).uniform(0.1, 1, 9) for name in "xy"}
+    for t in (0.3, 0.7):
+        tree = substituted(read(text, "xyt"), "t", exactly(t))
+        terms = linear_terms(tree)
+        assert len(terms) == number
+        np.testing.assert_allclose(sum(factor * values(term, x) for factor, term in terms), values(tree, x), rtol=1e-13)
+    same = [{term for _, term in linear_terms(substituted(read(text, "xyt"), "t", exactly(t)))} for t in (0.3, 0.7)]
+    assert (same[0] == same[1]) == (text not in {"x*(t*y)/3 - (x^t - 1)", "(1 + t*x)*y", "2*x if t < 1 else y"})
 
 
 def test_abs_of_abs_ends():

@@ -191,7 +191,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known()
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
     kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
-    f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem))
+    f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))
     c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
     of_laws = [(id(type(law)), law.parts, law.data()) for law in problem.laws]
     on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, problem.obstacle, of_laws]
@@ -220,11 +220,19 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     )
 
 
-def _load(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function]:
+def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Function]:
     """F and f_h (collective)."""
     f = datum_of(spaces, "f", problem.f, continuous=False)
-    f_h = fem.Function(spaces.Q, name="f_h")
-    f_h.x.array[:] = means = cell_means(spaces, f)
+    f_h, degree = fem.Function(spaces.Q, name="f_h"), quadrature_degree(f)
+    if isinstance(problem.f, TREES):
+        means = known.combination(
+            f"f in degree {degree}",
+            problem.f,
+            lambda tree: cell_means(spaces, datum_of(spaces, "f", tree, continuous=False), degree),
+        )
+    else:
+        means = cell_means(spaces, f)
+    f_h.x.array[:] = means
     check_means("f", "in the domain", means, spaces)
     return f, f_h
 
@@ -321,10 +329,10 @@ def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | N
     return c, c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
 
 
-def cell_means(spaces: Spaces, datum: Datum) -> Array:
-    """Mean on each cell of this rank, shape (cells, *shape) (collective)."""
+def cell_means(spaces: Spaces, datum: Datum, degree: int | None = None) -> Array:
+    """Mean on each cell of this rank, shape (cells, *shape), by quadrature of this degree or its own (collective)."""
     cells = owned_cells(spaces.mesh)
     if datum.number is not None:
         return np.full(len(cells), datum.number)
-    blocks = cell_quadrature(spaces.mesh, cells, quadrature_degree(datum))
+    blocks = cell_quadrature(spaces.mesh, cells, degree or quadrature_degree(datum))
     return np.concatenate([points.means(datum.values(points)) for points in blocks])

@@ -3,7 +3,14 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.given import is_fixed
+from signorini_fenicsx.expressions import Tree, linear_terms
+
+MOST_TERMS = 8
+"""Trees of more terms are always made as a whole; each term is kept."""
 
 
 class Known:
@@ -14,6 +21,7 @@ class Known:
 
     def __init__(self) -> None:
         self._found: dict[str, tuple[Any, Any]] = {}
+        self._terms: dict[str, dict[Tree, Array]] = {}
 
     def get[T](self, name: str, given: Any, make: Callable[[], T]) -> T:
         """What `make` gives for these data, or what it gave if they are the same; collective if `make` is."""
@@ -24,3 +32,18 @@ class Known:
         result = make()
         self._found[name] = given, result
         return result
+
+    def combination(self, name: str, tree: Tree, make: Callable[[Tree], Array]) -> Array:
+        """What `make`, which is linear, gives for a tree; collective if `make` is.
+
+        The first tree of a name is made as a whole. Later ones are taken apart, and only those terms are made that the
+        tree before did not have: data that are in time a sum of a(t) b(x), say, are soon made no more.
+        """
+        if name not in self._terms:
+            self._terms[name] = {}
+            return make(tree)
+        before, terms = self._terms[name], linear_terms(tree)
+        if len(terms) > MOST_TERMS or not np.isfinite([factor for factor, _ in terms]).all():
+            return make(tree)
+        self._terms[name] = made = {term: before[term] if term in before else make(term) for _, term in terms}
+        return np.asarray(sum(factor * made[term] for factor, term in terms))

@@ -4,7 +4,13 @@ Text → `read` → tree; `to_ufl`, `values`, `values_and_gradient`, `interval` 
 Each function of the language is one row of the table in `functions`.
 """
 
-from signorini_fenicsx.expressions.evaluation import interval, interval_and_gradient, values, values_and_gradient
+from signorini_fenicsx.expressions.evaluation import (
+    interval,
+    interval_and_gradient,
+    linear_terms,
+    values,
+    values_and_gradient,
+)
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.symbolic import to_ufl
 from signorini_fenicsx.expressions.tree import TREES, Binary, Tree, exactly, polynomial_degree, substituted
@@ -16,6 +22,7 @@ __all__ = [
     "exactly",
     "interval",
     "interval_and_gradient",
+    "linear_terms",
     "parse_expression",
     "parse_number",
     "polynomial_degree",

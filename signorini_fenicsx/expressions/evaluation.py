@@ -17,7 +17,7 @@ from signorini_fenicsx.expressions import intervals
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.intervals import Elementary, FromNumPy, Interval, Truth, enclosing
-from signorini_fenicsx.expressions.tree import Number, Tree, evaluate
+from signorini_fenicsx.expressions.tree import Binary, Negative, Number, Tree, evaluate, exactly
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt,
@@ -122,6 +122,48 @@ def values(tree: Tree, points: Mapping[str, Array]) -> Array:
     with np.errstate(all="ignore"):
         found = evaluate(tree, Numeric(points))
     return np.array(np.broadcast_to(found, _shape(points)))
+
+
+def linear_terms(tree: Tree) -> list[tuple[float, Tree]]:
+    """Numbers and trees whose products add up to a tree.
+
+    Sums are taken apart, and numbers out of products: for a(t) b(x) the tree is b(x) whatever t is.
+    """
+    value = _number(tree)
+    if value is not None:
+        return [(value, exactly(1.0))]
+    match tree:
+        case Negative(operand=operand):
+            return [(-factor, term) for factor, term in linear_terms(operand)]
+        case Binary(sign="+" | "-" as sign, left=left, right=right):
+            return linear_terms(left) + linear_terms(right if sign == "+" else Negative(right))
+        case Binary(sign="*", left=left, right=right):
+            return _product(linear_terms(left), linear_terms(right)) or [(1.0, tree)]
+        case Binary(sign="/", left=left, right=right) if (value := _number(right)) is not None:
+            with np.errstate(all="ignore"):
+                return [(float(np.float64(factor) / value), term) for factor, term in linear_terms(left)]
+    return [(1.0, tree)]
+
+
+def _product(left: list[tuple[float, Tree]], right: list[tuple[float, Tree]]) -> list[tuple[float, Tree]] | None:
+    """That of two sums, if one of them is a number, or both have one term."""
+    for sums, others in ((left, right), (right, left)):
+        (factor, term), *more = sums
+        if not more and term == exactly(1.0):
+            return [(factor * of_other, other) for of_other, other in others]
+    if len(left) == len(right) == 1:
+        (a, one), (b, other) = *left, *right
+        return [(a * b, Binary("*", one, other))]
+    return None
+
+
+def _number(tree: Tree) -> float | None:
+    """The value of a tree without variables; None for others."""
+    try:
+        with np.errstate(all="ignore"):
+            return float(evaluate(tree, Numeric({})))
+    except KeyError:
+        return None
 
 
 def values_and_gradient(tree: Tree, points: Mapping[str, Array]) -> tuple[Array, Array]:
