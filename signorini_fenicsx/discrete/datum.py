@@ -196,9 +196,9 @@ def datum_of(spaces: Spaces, name: str, given: Given, *, continuous: bool = True
     elif isinstance(given, int | float):
         datum = Datum(ufl.as_ufl(given))
     elif isinstance(given, TREES):
-        datum = _Text(to_ufl(given, x), given)
+        datum = _Text(_in_ufl(name, given, x), given)
     elif _is_matrix(given):
-        datum = _Text(ufl.as_matrix([[to_ufl(entry, x) for entry in row] for row in given]), given)
+        datum = _Text(ufl.as_matrix([[_in_ufl(name, entry, x) for entry in row] for row in given]), given)
     elif callable(given):
         datum = Datum(_interpolated(spaces, name, given, continuous=continuous))
     else:
@@ -208,6 +208,18 @@ def datum_of(spaces: Spaces, name: str, given: Given, *, continuous: bool = True
     if datum.shape not in shapes:
         raise InputError(f"[problem] {name}: has shape {datum.shape}, not {' or '.join(map(str, shapes))}")
     return datum
+
+
+def _in_ufl(name: str, tree: Tree, x: Expr) -> Expr:
+    """A tree as UFL in these coordinates.
+
+    Raises:
+        InputError: If a part without coordinates cannot be evaluated, such as 1/(t − 1) at t = 1.
+    """
+    try:
+        return to_ufl(tree, x)
+    except (ArithmeticError, ValueError) as error:
+        raise InputError(f"[problem] {name}: cannot be evaluated: {error}") from None
 
 
 def _is_matrix(given: object) -> TypeGuard[list[list[Tree]]]:
