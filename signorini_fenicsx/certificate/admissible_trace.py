@@ -75,6 +75,7 @@ class Trace:
         cells: Owned cells on which v and exact may differ.
         at_dirichlet: Those of these cells where u_D itself enters.
         touching: Those of these cells where χ_t > 0, so that ψ itself enters.
+        altered: Those of these cells where not only an obstacle in Ω may make a difference.
         lowest: Lower bound of v − I_hψ per facet of Γ_S.
         feasible: Whether u_D ≥ ψ where Γ_D meets Γ_S.
         degree: Degree of a quadrature in `cells`.
@@ -86,6 +87,7 @@ class Trace:
     cells: Indices
     at_dirichlet: Indices
     touching: Indices
+    altered: Indices
     lowest: Array
     feasible: bool
     degree: int
@@ -126,8 +128,8 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
     v.x.array[:] = w.x.array + psi.x.array
     if data.u_D.number is not None and data.psi.number is not None:
-        nowhere, zero = np.empty(0, dtype=np.int32), np.zeros(len(spaces.facets))
-        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], nowhere, nowhere, nowhere, zero, feasible, 0)
+        nowhere, zero = (np.empty(0, dtype=np.int32),) * 4, np.zeros(len(spaces.facets))
+        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], *nowhere, zero, feasible, 0)
     return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
 
 
@@ -172,7 +174,7 @@ def _with_exact_data(
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
     height = w.x.array[facet_nodes(w.function_space, spaces.facets)].min(axis=1)
     degree = quadrature_degree(data.u_D, data.psi, data.kappa)
-    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, height, feasible, degree)
+    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, cells, height, feasible, degree)
 
 
 @dataclass(frozen=True)
