@@ -14,7 +14,7 @@ from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolveFailure, LinearSolver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, EarlyStop, LinearSolveFailure, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
@@ -91,7 +91,7 @@ class HybridBackend(FacetBackend):
             self._ksp.setTolerances(max_it=MOST_ITERATIONS)
         make = partial(AuxiliarySpace, self.spaces, self.data, system.sources.s) if iterative else None
         self._auxiliary = set_up(self._solver, make)
-        self._early_stop = _EarlyStop()
+        self._early_stop = EarlyStop()
         if self._iterates:
             self._ksp.addConvergenceTest(self._early_stop, prepend=True)
 
@@ -227,24 +227,3 @@ class HybridBackend(FacetBackend):
             self._set_up(iterative=False)
             self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
-
-
-class _EarlyStop:
-    """A test that PETSc calls before its own test of convergence.
-
-    It holds no reference to the backend, because PETSc would keep the backend alive.
-
-    Attributes:
-        asks: Returns whether an iterate is good enough; None while there is no such test.
-    """
-
-    asks: Callable[[PETSc.Vec], bool] | None = None
-
-    def __call__(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
-        """Stop, or leave the decision to PETSc (collective)."""
-        stop = False
-        if self.asks is not None and iteration > 0:
-            x = ksp.buildSolution()
-            stop = self.asks(x)
-            x.destroy()  # only this reference; waiting for garbage collection, it would keep the solver alive
-        return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING

@@ -46,7 +46,8 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
             elif earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
             if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
-                predicted, steps = prediction.settle(inexact, spaces, backend.chains, earlier)
+                first = prediction.start(spaces, backend.chains, earlier)
+                predicted, steps = prediction.settle(inexact, spaces, backend.chains, first)
             elif earlier is not None:
                 predicted = prediction.transferred(earlier, spaces, prediction.law(backend.chains))
         if predicted is not None:
