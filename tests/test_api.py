@@ -288,6 +288,8 @@ def test_refusals():
         domain_of(mesh, {}, {"west": None})
     with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
         Boundary("bottom")
+    with pytest.raises(InputError, match="start: must be a Solution of a scalar problem, not str"):
+        solve(domain, bottom, f, start="results")
     with pytest.raises(InputError, match=r"laws: must be a list of laws, such as \[Friction"):
         Problem(f=1.0, laws=Friction(["bottom"], g=1))
     with pytest.raises(InputError, match="algorithm: unknown name 'alg5'; use one of alg1"):

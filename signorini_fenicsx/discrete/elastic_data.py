@@ -235,7 +235,8 @@ def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum]) -> 
     known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
     for name, datum in g_N.items():
         if name and name not in known:
-            raise InputError(f"[problem] g_N: no traction is given on part '{name}', only on {', '.join(known)}")
+            where = f"only on {', '.join(known)}" if known else "as no part is in Γ_N"
+            raise InputError(f"[problem] g_N: no traction is given on part '{name}', {where}")
         part = spaces.part(name) if name else facets
         here = np.searchsorted(facets.facets, part.facets)
         moments[here] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")
