@@ -29,13 +29,12 @@ from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.jets import cut_off, larger
 from signorini_fenicsx.discrete.nodes import facet_nodes, largest_around
 from signorini_fenicsx.discrete.points import (
     Points,
-    cut_off,
     facet_lattice,
     in_cells,
-    larger,
     owned_cells,
     quadratic_nodes,
 )

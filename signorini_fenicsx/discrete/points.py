@@ -1,8 +1,4 @@
-"""Points in cells and boundary facets, and what functions are there, as NumPy arrays.
-
-A *jet* is the value of a function and, where it is wanted, its gradient: an array whose last axis has 1 or 1 + dim
-entries. Jets are added as arrays are.
-"""
+"""Points in cells and boundary facets, and what functions are there, as NumPy arrays; see `jets`."""
 
 from __future__ import annotations
 
@@ -279,24 +275,6 @@ def _barycentric(points: Array) -> Array:
 def _on_mesh(mesh: dolfinx.mesh.Mesh, value: Expr) -> Expr:
     """The same, for a number too, which knows no mesh."""
     return fem.Constant(mesh, 1.0) * value
-
-
-def product(a: Array, b: Array) -> Array:
-    """The jet of a product of two functions, from theirs."""
-    found = a[..., :1] * b + b[..., :1] * a
-    found[..., :1] = a[..., :1] * b[..., :1]
-    return found
-
-
-def cut_off(cut: Array, jet: Array) -> Array:
-    """The jet of χ times a function; 0 where χ is 0, whatever the function is there."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        return np.where(cut[..., :1] > 0, product(cut, jet), 0.0)
-
-
-def larger(a: Array, b: Array) -> Array:
-    """The jet of the larger of two functions."""
-    return np.where(a[..., :1] >= b[..., :1], a, b)
 
 
 def quadratic_nodes(cell: basix.CellType) -> Array:
