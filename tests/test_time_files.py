@@ -19,6 +19,8 @@ from signorini_fenicsx.cases.solving import evolve_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.cli.evolving import solve_in_time
+from signorini_fenicsx.cli.solutions import export
+from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.steps import StepFolder
 
 COMM = MPI.COMM_WORLD
@@ -42,9 +44,17 @@ def case(**values: object) -> Case:
     return load_case("moving_transition").with_values(SMALL | values)
 
 
-def run(about: Case, folder: Path, *, restart: bool = False, certify_steps: bool = True, plot: bool = False) -> None:
+def run(
+    about: Case,
+    folder: Path,
+    *,
+    start_from: Path | None = None,
+    restart: bool = False,
+    certify_steps: bool = True,
+    plot: bool = False,
+) -> None:
     kept = {"restart": restart, "certify_steps": certify_steps}
-    solve_in_time(about, COMM, folder, **kept, plot=plot, quiet=True, as_json=False)
+    solve_in_time(about, COMM, folder, start_from, **kept, plot=plot, quiet=True, as_json=False)
 
 
 def table(path: Path) -> list[dict[str, Any]]:
@@ -156,15 +166,46 @@ def test_bounds_of_steps():
 def test_a_step_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The message tells the step and how to go on; the steps before are kept, and a fresh failure leaves nothing."""
     growing = case(**{"problem.c": "0 if t < 0.7 else -99"})
-    with pytest.raises(InputError, match=r"step 4, t = 0\.8: .*negative.*`--restart` goes on after the 3 steps in"):
+    with pytest.raises(InputError, match=r"step 4, t = 0\.8: .*negative"):
+        check(growing, COMM)
+    told = r"step 4, t = 0\.8: .*negative.*`--restart` goes on after the 3 steps in .*; with `--set time.steps=3 --set "
+    with pytest.raises(InputError, match=told + r"time.end=0\.6\d*` it ends with them$"):
         run(growing, tmp_path / "x", certify_steps=False)
     assert len(list((tmp_path / "x.steps").glob("0*"))) == 3
-    shutil.rmtree(tmp_path / "x.steps")
+    with pytest.raises(InputError, match=r"is of a case with another \[time\]; take the same case"):
+        run(growing.with_values({"time.steps": 3}), tmp_path / "x", restart=True)
+    shorter = growing.with_values({"time.steps": 3, "time.end": 0.6})
+    run(shorter, tmp_path / "x", restart=True, certify_steps=False)
+    assert [row["step"] for row in table(tmp_path / "x" / "steps.csv")] == ["1", "2", "3"]
+    shutil.rmtree(tmp_path / "x")
     with pytest.raises(NumericalFailure, match=r"step 1, t = 0\.2: .* still change after 1 iterations$"):
         run(case(**{"solve.max_iterations": 1}), tmp_path / "x", certify_steps=False)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(InputError, match=r"--restart: there is no .*x\.steps with steps to go on with"):
         run(case(), tmp_path / "x", restart=True)
+
+
+@pytest.mark.parallel([1, 2])
+def test_the_last_state(folder: Path):
+    """It is read again with what it takes from the steps before, is exported, and another run begins with it."""
+    steady = dict.fromkeys(("problem.u_D", "exact.u", "time.initial"), "max(x - 0.4, 0)^3 - y*max(0.4 - x, 0)^3")
+    steady |= {"problem.f": "20*(x - 0.6)", "time.scheme": "implicit-euler"}
+    whole, half = case(**steady, **{"time.steps": 4}), case(**steady, **{"time.steps": 2, "time.end": 0.5})
+    *_, last = evolve_case(whole, COMM)
+    run(whole, folder / "whole", certify_steps=False)
+    found = load_solution(folder / "whole", COMM)
+    assert found.step == 4
+    assert found.kkt.violation() is None
+    assert found.errors() == pytest.approx(last.solution.errors(), rel=1e-9)
+    with pytest.raises(InputError, match="is a run in time, whose last step would replace it; give --output"):
+        export(folder / "whole", quiet=True)
+    export(folder / "whole", output=folder / "end", quiet=True)
+    assert load_solution(folder / "end", COMM).step == 4
+    run(half, folder / "half", certify_steps=False)
+    run(half, folder / "on", start_from=folder / "half", certify_steps=False)
+    again = load_solution(folder / "on", COMM)
+    assert again.norms() == pytest.approx(found.norms(), rel=1e-11)
+    assert again.contact()[0] == found.contact()[0]
 
 
 def test_refusals_and_case_files():

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import boundary_of
@@ -17,7 +17,8 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.discrete.evolution import Steps
-from signorini_fenicsx.discrete.spaces import build_spaces
+from signorini_fenicsx.discrete.known import Known
+from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.cut import opened
 from signorini_fenicsx.meshes.domain import other_side
@@ -137,6 +138,8 @@ def is_typical(case: AnyCase) -> bool:
 def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
     """Do everything that a run does before it solves: make or read the mesh, find parts, project data (collective).
 
+    In time the data of all steps are projected.
+
     Returns:
         Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
 
@@ -156,12 +159,7 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
         else:
             boundary = boundary_of(case)
             spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
-            data = case.data(domain.mesh.geometry.dim)
-            if case.time is not None:
-                steps = Steps(spaces, data, case.time.evolution())
-                steps.start()
-                data = steps.problem(1)
-            check_solvability(spaces, project_data(spaces, data))
+            _check_data(case, spaces)
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -169,6 +167,26 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     return dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
+
+
+def _check_data(case: Case, spaces: Spaces) -> None:
+    """Project the data, those of all steps in time, as a run does (collective).
+
+    Raises:
+        InputError: If a datum is not what it has to be, or there is not one solution.
+    """
+    problem = case.data(spaces.mesh.geometry.dim)
+    if case.time is None:
+        check_solvability(spaces, project_data(spaces, problem))
+        return
+    evolution, known = case.time.evolution(), Known()
+    steps = Steps(spaces, problem, evolution)
+    steps.start()
+    for step in range(1, evolution.steps + 1):
+        try:
+            check_solvability(spaces, project_data(spaces, steps.problem(step), known))
+        except InputError as error:
+            raise InputError(f"step {step}, t = {evolution.time(step):.5g}: {error}") from None
 
 
 def _usable(case: CaseFile, mesh: FileMesh) -> FileMesh:

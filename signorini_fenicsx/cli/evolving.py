@@ -18,6 +18,7 @@ from signorini_fenicsx.cli.common import results_place
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
     from signorini_fenicsx.solving.evolving import Instant
@@ -80,6 +81,7 @@ def solve_in_time(
     case: Case,
     comm: MPI.Comm,
     output: Path | None,
+    start_from: Path | None = None,
     *,
     restart: bool,
     certify_steps: bool,
@@ -94,16 +96,18 @@ def solve_in_time(
         NumericalFailure: If a step cannot be solved.
     """
     from signorini_fenicsx.certificate.step_bounds import StepBounds
+    from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.evolution import write_evolution
     from signorini_fenicsx.output.steps import StepFolder
 
     report = EvolutionReport(quiet=quiet, as_json=as_json)
     with ResultsFolder(comm, results_place(output, case.name), saves_state=False) as folder:
+        start = None if start_from is None else load_any_solution(start_from, comm)
         steps = StepFolder(comm, folder.target)
-        done = steps.begin(case, restart=restart)
+        done = steps.begin(case, start_from, restart=restart)
         report.heading(case, comm)
         report.columns(case, certified=certify_steps)
-        last = _go_on(case, comm, steps, done, StepBounds() if certify_steps else None, report)
+        last = _go_on(case, comm, start, steps, done, StepBounds() if certify_steps else None, report)
         write_evolution(folder.path, steps, last, plot=plot)
         folder.publish()
         steps.remove()
@@ -113,20 +117,29 @@ def solve_in_time(
 
 
 def _go_on(
-    case: Case, comm: MPI.Comm, steps: StepFolder, done: int, bounds: StepBounds | None, report: EvolutionReport
+    case: Case,
+    comm: MPI.Comm,
+    start: AnySolution | None,
+    steps: StepFolder,
+    done: int,
+    bounds: StepBounds | None,
+    report: EvolutionReport,
 ) -> Instant:
     """Do all steps after those that are done; the last one again if all are (collective)."""
-    from signorini_fenicsx.cases.solving import evolve_case
+    from signorini_fenicsx.cases.solving import evolve_case, shared_domain
     from signorini_fenicsx.output.evolution import row_of
 
     assert case.time is not None
     done = min(done, case.time.steps - 1)
     known = done if bounds is None else max(0, done - MOST_BEFORE)
     past = None if known == 0 else (lambda solver: steps.past(solver, known))
+    domain = None if start is None else shared_domain(start, case)
     last = None
     began = time.perf_counter()
     try:
-        for instant in evolve_case(case, comm, past=past, on_step=lambda step: end_if_told(comm)):
+        for instant in evolve_case(
+            case, comm, domain=domain, start=start, past=past, on_step=lambda step: end_if_told(comm)
+        ):
             certificate = None if bounds is None else bounds.certify(instant)
             if instant.step <= done:
                 continue
@@ -137,10 +150,13 @@ def _go_on(
             last, began, done = instant, now, instant.step
     except (NumericalFailure, InputError) as error:
         t = case.time.evolution().time(done + 1)
-        kept = f"; `--restart` goes on after the {done} steps in {steps.path}" if done > 0 else ""
+        ways = ""
         if done == 0:
             steps.remove()
-        error.args = (f"step {done + 1}, t = {t:.5g}: {error}{kept}",)
+        else:
+            shorter = f"--set time.steps={done} --set time.end={case.time.evolution().time(done)!r}"
+            ways = f"; `--restart` goes on after the {done} steps in {steps.path}; with `{shorter}` it ends with them"
+        error.args = (f"step {done + 1}, t = {t:.5g}: {error}{ways}",)
         raise
     assert last is not None
     return last

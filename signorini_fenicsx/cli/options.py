@@ -42,7 +42,8 @@ ForSignorini = Annotated[
 ]
 Predict = Annotated[bool, typer.Option(help="Start large problems from the sets of a coarser mesh.")]
 StartFrom = Annotated[
-    Path | None, typer.Option("--start-from", help="Results folder whose contact set is the first one.")
+    Path | None,
+    typer.Option("--start-from", help="Results folder whose contact set is the first one; in time u_0, too."),
 ]
 Rigorous = Annotated[bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")]
 Restart = Annotated[bool, typer.Option("--restart", help="Go on with a case in time after its last complete step.")]

@@ -94,12 +94,12 @@ def solve(
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
     _refuse_if_elastic(problem, {"--rigorous": rigorous, "--html": html})
-    only_steady = {"--rigorous": rigorous, "--html": html, "--start-from": start_from, "--for-signorini": for_signorini}
+    only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
     if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
         from signorini_fenicsx.cli.evolving import solve_in_time
 
         kept = {"restart": restart, "certify_steps": certify_steps}
-        solve_in_time(problem, comm, output, **kept, plot=plot, quiet=quiet, as_json=as_json)
+        solve_in_time(problem, comm, output, start_from, **kept, plot=plot, quiet=quiet, as_json=as_json)
         return
     if rigorous:
         on_root(comm, lambda: _check_provable(problem))
@@ -289,21 +289,30 @@ def export(
 ) -> None:
     """Write fields, tables and pictures of an earlier solution again without solving, by default into its folder.
 
-    Example:
+    Of a run in time it is the last step, and needs another folder.
+
+    Examples:
       mpirun -n 2 signorini export results/example2 --plot
+      signorini export results/membrane --output results/membrane-end --plot
     """
     from signorini_fenicsx.certificate.of_solution import certificate_of
     from signorini_fenicsx.cli.case_report import CaseReport
     from signorini_fenicsx.output.checkpoint import load_any_solution
     from signorini_fenicsx.output.writing import write_solution
+    from signorini_fenicsx.solving.solution import Solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
     solution = load_any_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
+    own = os.path.realpath(output or results) == os.path.realpath(results)
+    is_step = isinstance(solution, Solution) and solution.step is not None
+    if is_step and own and (results / "steps.csv").is_file():
+        raise InputError(f"{results}: is a run in time, whose last step would replace it; give --output")
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
-        certificate = certificate_of(solution, for_signorini=for_signorini) if solution.converged else None
+        certified = solution.converged and not is_step  # the bound of a step needs the steps before
+        certificate = certificate_of(solution, for_signorini=for_signorini) if certified else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
-        folder.publish(add=folder.target == Path(os.path.realpath(results)))
+        folder.publish(add=own)
         report.results(folder.target)
         report.summary(folder.target)

@@ -68,6 +68,15 @@ class Evolution:
         rate = self.steps / self.end
         return a * rate, tuple(w * rate for w in weights)
 
+    def problem(self, problem: Problem, step: int, dim: int) -> Problem:
+        """The problem of a step, without what it takes from those before, from one that `Problem.in_time` has read.
+
+        Raises:
+            InputError: If c or C was given in Python.
+        """
+        now, (a, _) = problem.at(self.time(step)), self.formula(step)
+        return replace(now, c=_plus(now.c, parsed(self.capacity, "xyz"[:dim]), a))
+
 
 class Steps:
     """The problems of the steps on a mesh.
@@ -86,8 +95,8 @@ class Steps:
         dim = spaces.mesh.geometry.dim
         self._spaces, self._evolution, self._problem = spaces, evolution, problem.in_time(dim)
         try:
-            self._capacity = parsed(evolution.capacity, "xyz"[:dim])
-            self.capacity = self._means("capacity", regional_datum(spaces, "capacity", self._capacity))
+            capacity = parsed(evolution.capacity, "xyz"[:dim])
+            self.capacity = self._means("capacity", regional_datum(spaces, "capacity", capacity))
             self.initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim]))
         except InputError as error:
             raise InputError(str(error).replace("[problem]", "[time]")) from None
@@ -108,14 +117,8 @@ class Steps:
         return u
 
     def problem(self, step: int) -> Problem:
-        """The problem of a step, without what it takes from those before.
-
-        Raises:
-            InputError: If c or C was given in Python.
-        """
-        problem = self._problem.at(self._evolution.time(step))
-        a, _ = self._evolution.formula(step)
-        return replace(problem, c=_plus(problem.c, self._capacity, a))
+        """The problem of a step, see `Evolution.problem`."""
+        return self._evolution.problem(self._problem, step, self._spaces.mesh.geometry.dim)
 
     def weights(self, step: int) -> tuple[float, ...]:
         """w_1, w_2, … of a step."""

@@ -100,6 +100,10 @@ def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options:
     sigma.x.scatter_forward()
     p = spaces.multiplier(p)
     data = project_data(spaces, problem)
+    if about.step is not None:
+        memory = fem.Function(spaces.Q, name="memory")
+        memory.x.array[:] = fetch_rows(comm, spaces.mesh.topology.original_cell_index, arrays["memory"])
+        data = data.after(memory)
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
     conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))
@@ -124,6 +128,7 @@ def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options:
         p=p,
         outcome=outcome_of(about, iterate, conditions),
         kkt=kkt,
+        step=about.step,
         **{key: getattr(about, key) for key in COSTS},
     )
 
@@ -135,7 +140,10 @@ def _read_problem(found: Checkpoint, dim: int) -> Problem:
         InputError: If the file does not have all data.
     """
     if isinstance(found.case, Case):
-        return found.case.data(dim)
+        problem, time = found.case.data(dim), found.case.time
+        if found.about.step is None or time is None:
+            return problem
+        return time.evolution().problem(problem.in_time(dim), found.about.step, dim)
     given = _given(found)
     return replace(made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
 

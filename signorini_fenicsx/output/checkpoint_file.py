@@ -30,7 +30,7 @@ from signorini_fenicsx.meshes.domain import AXES, Boundary
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.methods.history import Step
-from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, VALUES
+from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, STEP_LAYOUT, VALUES
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 
 type Arrays = dict[str, npt.NDArray]
@@ -93,12 +93,14 @@ class About(BaseModel):
         beta: β of the ROBIN facets.
         kkt: The KKT residuals when it was written; files of version 0.1 do not have them.
         physics: "elasticity", or None for a scalar problem.
+        step: Number of the step of a case in time; None for others.
     """
 
     model_config = ConfigDict(strict=True)
 
     name: str
     physics: Literal["elasticity"] | None = None
+    step: int | None = Field(default=None, ge=1)
     bound_changes: list[float] = []
     format: int = Field(default=1, ge=1, le=FORMAT)
     case: dict[str, Any] | None
@@ -240,7 +242,12 @@ def place_of(folder: Path) -> Path:
             return folder / OLD_FILE
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from None
-    raise InputError(f"{folder}: holds no {FOLDER}, so there is no solution to read")
+    why = "so there is no solution to read"
+    if (folder / "steps.csv").is_file():
+        why = "because an older version solved this case in time; solve it again"
+    elif (folder / "case.json").is_file():
+        why = "because its run was ended; `signorini solve --restart` goes on"
+    raise InputError(f"{folder}: holds no {FOLDER}, {why}")
 
 
 @contextlib.contextmanager
@@ -274,6 +281,10 @@ def _check_layout(found: Checkpoint) -> None:
     layout = (LAYOUT if about.physics is None else ELASTIC_LAYOUT) | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
+    if about.step is not None:
+        layout |= STEP_LAYOUT
+        if not isinstance(found.case, Case) or found.case.time is None or about.step > found.case.time.steps:
+            raise InputError("is damaged: its case has no such step")
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
     boundary = found.boundary

@@ -19,6 +19,8 @@ LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
     "facet_vertices": (np.int64, "facets", "dim"),
 }
 """Type and shape of the arrays of a file; a word stands for the same number everywhere."""
+STEP_LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {"memory": (np.float64, "cells")}
+"""What is added for a step of a problem in time: what it takes from the steps before, as a load."""
 ELASTIC_LAYOUT: dict[str, tuple[type, *tuple[str, ...]]] = {
     "points": (np.float64, "points", "dim"),
     "cells": (np.int64, "cells", "corners"),

@@ -20,7 +20,7 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.exchange import delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
-from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.elastic_case import ELASTICITY
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.discrete.elastic_problem import Coulomb
@@ -86,12 +86,14 @@ def _finish(folder: Path) -> None:
 def _about(solution: AnySolution) -> dict[str, Any]:
     """Everything that is the same on all ranks, see `checkpoint_file.About`."""
     domain = solution.spaces.domain
-    elastic: dict[str, Any] = {}
+    of_kind: dict[str, Any] = {}
     if isinstance(solution, ElasticSolution):
         part_names = solution.spaces.scalar.part_names
-        elastic = {"physics": ELASTICITY, "bound_changes": list(solution.bound_changes)}
+        of_kind = {"physics": ELASTICITY, "bound_changes": list(solution.bound_changes)}
     else:
         part_names = solution.spaces.part_names
+    if isinstance(solution, Solution) and solution.step is not None and isinstance(solution.source, Case):
+        of_kind = {"step": solution.step}
     return {
         "format": FORMAT,
         "name": solution.name,
@@ -106,7 +108,7 @@ def _about(solution: AnySolution) -> dict[str, Any]:
         "kkt": vars(solution.kkt),
         **{key: getattr(solution.outcome, key) for key in OUTCOME},
         **{key: getattr(solution, key) for key in COSTS},
-        **elastic,
+        **of_kind,
     }
 
 
@@ -139,6 +141,8 @@ def _arrays(solution: AnySolution) -> Arrays:
         inner, original = solution.spaces.inner, mesh.topology.original_cell_index
         pairs = np.column_stack([solution.spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
         arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
+    if isinstance(solution, Solution) and solution.data.memory is not None:
+        arrays["memory"] = order.sorted(solution.data.memory.x.array)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 
 

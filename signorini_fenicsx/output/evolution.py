@@ -16,6 +16,7 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.cell_shapes import arms
+from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import check_room
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
@@ -80,6 +81,7 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
     on_root(comm, tables)
     times = comm.bcast([row["t"] for row in rows])
     _write_series(folder, steps, times, solution)
+    write_checkpoint(folder, solution)
     if plot:
         with doing("drawing"):
             _draw(folder, steps, rows, times, solution)

@@ -7,6 +7,8 @@ places, the sums of their vertices, which each run that adds steps writes once. 
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -49,8 +51,13 @@ class StepFolder:
         self._saved: Spaces | None = None
         self._rows: dict[tuple[int, str], Indices] = {}
 
-    def begin(self, case: Case, *, restart: bool) -> int:
+    def begin(self, case: Case, start: Path | None = None, *, restart: bool) -> int:
         """Make the folder, or find out where to go on.
+
+        Args:
+            case: The case.
+            start: The results folder that gives u_0, or None.
+            restart: Whether to go on.
 
         Returns:
             The last step that is complete; 0 for none.
@@ -59,6 +66,8 @@ class StepFolder:
             InputError: If there are steps of another run, or there is nothing to go on with.
         """
         about = case.model_dump(mode="json", exclude_unset=True)
+        if start is not None:
+            about["start-from"] = os.path.realpath(start)
         return on_root(self._comm, lambda: self._begin(about, restart=restart))
 
     def _begin(self, about: Mapping[str, Any], *, restart: bool) -> int:
@@ -74,9 +83,14 @@ class StepFolder:
         except (OSError, ValueError):
             raise InputError(f"--restart: there is no {self.path} with steps to go on with") from None
         changed = [key for key in {**before, **about} if before.get(key) != about.get(key)]
+        if changed == ["time"] and _same_steps(before["time"], about["time"]):
+            changed = []
+        if "start-from" in changed:
+            raise InputError(f"--restart: {self.path} is of a run with another --start-from; give the same")
         if changed:
             raise InputError(f"--restart: {self.path} is of a case with another [{changed[0]}]; take the same case")
-        for entry in self.path.glob("*.part"):
+        beyond = self._places()[about["time"]["steps"] :]  # if there are to be fewer steps
+        for entry in [*self.path.glob("*.part"), *beyond]:
             delete(entry)
         return len(self._places())
 
@@ -177,6 +191,12 @@ class StepFolder:
             delete(self._beside)
 
         on_root(self._comm, end)
+
+
+def _same_steps(one: Row, other: Row) -> bool:
+    """Whether two sections [time] differ at most in the number of their steps."""
+    lengths = (time["end"] / time["steps"] for time in (one, other))
+    return math.isclose(*lengths, rel_tol=1e-9) and {**one, "end": 0, "steps": 0} == {**other, "end": 0, "steps": 0}
 
 
 def _places(spaces: Spaces) -> dict[str, Indices]:

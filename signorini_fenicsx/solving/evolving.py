@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.evolution import Evolution, Steps
 from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.methods.history import OnStep
 from signorini_fenicsx.solving.options import Options
@@ -60,6 +64,7 @@ def evolve(
     evolution: Evolution,
     options: Options | None = None,
     *,
+    start: Solution | None = None,
     past: Callable[[Solver], Past] | None = None,
     name: str = "problem",
     title: str = "",
@@ -86,6 +91,7 @@ def evolve(
         problem: The data; numbers and texts in x, y, z and t, or functions that do not depend on time.
         evolution: Times, initial values, capacity and scheme.
         options: Algorithm, backend and their parameters; None for the defaults.
+        start: Solution on any mesh of the domain; its contact set is the first one, and its u takes the place of u_0.
         past: Gives the step after which to go on; None for the beginning.
         name: Name of the results.
         title: A longer name in words.
@@ -102,11 +108,13 @@ def evolve(
     """
     options = options or Options()
     solver = place if isinstance(place, Solver) else Solver(place, gamma_s(boundary, problem))
+    if start is not None:
+        evolution = replace(evolution, initial=_carried(start, solver.spaces))
     steps = Steps(solver.spaces, problem, evolution)
-    start = Past(0, [], None) if past is None else past(solver)
-    u, segments = [*start.u, steps.start()][:2], start.segments
-    for step in range(start.step + 1, evolution.steps + 1):
-        solution = solver.solve(
+    known = Past(0, [], None if start is None else start.segments()) if past is None else past(solver)
+    u, segments = [*known.u, steps.start()][:2], known.segments
+    for step in range(known.step + 1, evolution.steps + 1):
+        found = solver.solve(
             steps.problem(step),
             options,
             start=segments if options.method.starts_from_sets else None,
@@ -116,7 +124,26 @@ def evolve(
             source=source,
             on_step=on_step,
         )
+        solution = replace(found, step=step)
         u, segments = [solution.u, *u[:1]], solution.segments()
         yield Instant(step, evolution.time(step), solution, steps)
         if step % COLLECT == 0:
             collect_garbage(solver.spaces.mesh.comm)  # UFL makes cycles when it estimates the degree of a new datum
+
+
+def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
+    """Another u_h in the centroids of these cells (collective).
+
+    Raises:
+        InputError: If a centroid is not in its mesh.
+    """
+    centroids = corners(spaces.mesh).mean(axis=1)
+    u = fem.Function(spaces.Q, name="u")
+    u.x.array[:] = solution.at(centroids).u
+    outside = spaces.mesh.comm.allreduce(int(np.count_nonzero(np.isnan(u.x.array))))
+    if outside > 0:
+        raise InputError(
+            f"the start, {solution.name}, has no u in the centroids of {outside} cells, which are outside of its mesh; "
+            "take one on the same mesh"
+        )
+    return u

@@ -85,6 +85,7 @@ class Solution(Solved):
         outcome: How the method ended, with σ_h and u_h; `converged` means here that the residuals are small as well.
         kkt: Residuals of the discrete Signorini problem.
         source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
+        step: Number of the step of a problem in time, from 1; None for others.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
@@ -100,6 +101,7 @@ class Solution(Solved):
     outcome: Outcome
     kkt: KKTResiduals
     source: object = None
+    step: int | None = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     order = 1
