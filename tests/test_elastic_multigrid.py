@@ -11,6 +11,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -89,6 +90,7 @@ def test_sets_predicted_from_coarser_meshes():
     assert 0 < warm.outcome.rough_steps < len(cold.outcome.history)
     np.testing.assert_array_equal(warm.touching, cold.touching)
     assert warm.norms() == pytest.approx(cold.norms(), rel=1e-9)
+    assert certify_elastic(warm).gap == pytest.approx(certify_elastic(cold).gap, rel=1e-10)  # no linear solver in it
 
 
 @pytest.mark.parallel([1, 3])
