@@ -34,6 +34,14 @@ def told_to_end(monkeypatch: pytest.MonkeyPatch, module: object, name: str, call
     monkeypatch.setattr(module, name, signalled)
 
 
+def test_objects_at_the_end():
+    """Python does not look through them when it ends."""
+    text = "import atexit, gc, sys; atexit.register(lambda: print('frozen', gc.get_freeze_count() > 1000)); "
+    text += "from signorini_fenicsx.cli.main import main; sys.argv = ['signorini', '--help']; main()"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("frozen True\n")
+
+
 def ended(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
     """Exit status of a command in this process."""
     monkeypatch.setattr(sys, "argv", ["signorini", *arguments])

@@ -1,5 +1,6 @@
 """The entry point of `signorini`. PETSc options go after `--`: `signorini solve example1 -- -ksp_monitor`."""
 
+import atexit
 import errno
 import gc
 import io
@@ -85,6 +86,7 @@ def main() -> None:
     comm = MPI.COMM_WORLD
     abort_all_on_exception(comm)
     gc.disable()  # see `parallel.collect_garbage`
+    atexit.register(gc.freeze)  # else Python's last act is to look through all objects, for more than 0.1 seconds
     if comm.rank != 0:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
     for stream in (sys.stdout, sys.stderr):
@@ -102,7 +104,6 @@ def main() -> None:
     with listening(), np.errstate(all="ignore"):  # values that are not finite are reported in a sentence
         status = _run(run)
     progress.follow(None)
-    gc.freeze()  # at its end Python would look through all objects, which takes longer than all else there
     sys.exit(status)
 
 

@@ -24,6 +24,7 @@ from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
+from signorini_fenicsx.discrete.cell_shapes import some_at_a_time
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output import elastic
@@ -272,11 +273,12 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     linear = fem.functionspace(mesh, ("DG", 1))
     sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
     u, magnitude = fem.Function(linear, name="u"), fem.Function(linear, name="sigma_norm")
-    nodes, values = linear.dofmap.list, solution.cell_flux.in_vertices()
-    sigma.x.array.reshape(-1, dim)[nodes] = values
-    u.x.array[nodes] = solution.u.x.array[:, None]
-    magnitude.x.array[nodes] = np.linalg.norm(values, axis=2)
-    del values
+    nodes, vectors = linear.dofmap.list, sigma.x.array.reshape(-1, dim)
+    for some in some_at_a_time(mesh):
+        values = solution.cell_flux.in_vertices(some)
+        vectors[nodes[some]] = values
+        magnitude.x.array[nodes[some]] = np.sqrt(np.einsum("cvi,cvi->cv", values, values))
+        u.x.array[nodes[some]] = solution.u.x.array[some, None]
     give_back_memory()  # the file takes more than the fields
     on_obstacle = _on_obstacle(solution)
     write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude, *_in(linear, on_obstacle)])
