@@ -74,7 +74,8 @@ def _made_precise(
         kkt = task.kkt(outcome.iterate, rule.penalty)
     if (violation := kkt.violation()) is None:
         return replace(outcome, kkt=kkt)
-    again = iterate_sets(precise(), rule, parameters, start=outcome.conditions, on_step=task.on_step)
+    start = outcome.conditions.and_cells(outcome.iterate.contact)
+    again = iterate_sets(precise(), rule, parameters, start=start, on_step=task.on_step)
     steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
     remark = f"by the saddle point, because the facet system left {violation}"
     return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
