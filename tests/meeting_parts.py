@@ -1,13 +1,14 @@
-"""Squares that are cut by several lines, as mesh files."""
+"""Squares that are cut by several lines, and cubes cut by a plane, as mesh files."""
 
 from pathlib import Path
 
 import meshio
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.meshes.checks import faces
-from signorini_fenicsx.meshes.grids import Share, square_grid
+from signorini_fenicsx.meshes.grids import Share, cube_grid, square_grid
 
 type Lines = dict[str, tuple[int, float, float]]
 
@@ -30,14 +31,31 @@ def crossed_square(folder: Path, n: int, text: str, lines: Lines | None = None) 
         along = x[:, :, 1 - axis]
         on = (x[:, :, axis] == 0.5) & (along > begin - 1e-9) & (along < end + 1e-9)
         parts[name] = edges[on.all(axis=1)]
+    sides = {name: [1 - axis, axis] for name, (axis, *_) in lines.items()}
+    return _case(folder / f"{n}", points, cells, parts, text, sides)
+
+
+def cut_cube(folder: Path, n: int, text: str) -> Case:
+    """A case on a cube of n³ cubes with "fault", z = 1/2, by the text of its file without geometry and sides."""
+    points, cells = cube_grid(3**0.5 / n, "right", Share())
+    facets = np.unique(faces(cells), axis=0)
+    fault = facets[(points[facets][:, :, 2] == 0.5).all(axis=1)]
+    return _case(folder / f"{n}", points, cells, {"fault": fault}, text, {"fault": [0, 0, 1]})
+
+
+def _case(
+    file: Path, points: Array, cells: Indices, parts: dict[str, Indices], text: str, sides: dict[str, list[int]]
+) -> Case:
+    kinds = {3: ("line", "triangle"), 4: ("triangle", "tetra")}[cells.shape[1]]
+    dim = points.shape[1]
     tags = [np.full(len(part), 2 + number) for number, part in enumerate(parts.values())]
-    blocks = [("triangle", cells), *(("line", part) for part in parts.values())]
+    blocks = [(kinds[1], cells), *((kinds[0], part) for part in parts.values())]
     physical = [np.ones(len(cells), dtype=np.int32), *(tag.astype(np.int32) for tag in tags)]
-    known = {name: np.array([2 + number, 1]) for number, name in enumerate(parts)} | {"body": np.array([1, 2])}
+    known = {name: np.array([2 + number, dim - 1]) for number, name in enumerate(parts)} | {"body": np.array([1, dim])}
     data = {"gmsh:physical": physical, "gmsh:geometrical": physical}
     mesh = meshio.Mesh(points, blocks, cell_data=data, field_data=known)
-    meshio.write(folder / f"{n}.msh", mesh, file_format="gmsh22", binary=False)
-    sides = ", ".join(f"{name} = [{1 - axis}, {axis}]" for name, (axis, *_) in lines.items())
-    path = folder / f"{n}.toml"
-    path.write_text(f'[geometry]\nfile = "{n}.msh"\n' + text.replace("SIDES", f"sides = {{{sides}}}"))
+    meshio.write(file.with_suffix(".msh"), mesh, file_format="gmsh22", binary=False)
+    named = ", ".join(f"{name} = {direction}" for name, direction in sides.items())
+    path = file.with_suffix(".toml")
+    path.write_text(f'[geometry]\nfile = "{file.name}.msh"\n' + text.replace("SIDES", f"sides = {{{named}}}"))
     return load_case(str(path))

@@ -291,6 +291,8 @@ def test_what_methods_refuse(folder: Path):
     assert solve_case(case.with_values({"problem.f": "3 + sin(9*x)*cos(3*y)"})).converged
     with pytest.raises(InputError, match=r"lists no part, and there is no"):
         case.with_values({"law": []})
+    with pytest.raises(InputError, match=r"law.0.g: the case has no \[\[law\]\]"):
+        load_case("example1").with_values({"law.0.g": 1})
     with pytest.raises(InputError, match=r"law.1.g: there is no number 1"):
         case.with_values({"law.1.g": 2})
 

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from meeting_parts import Lines, crossed_square
+from meeting_parts import Lines, crossed_square, cut_cube
 from mpi4py import MPI
 from random_bounds import difference
 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 
@@ -140,3 +140,34 @@ def test_between_two_conditions(tmp_path: Path, kind: str):
     solution = solve_case(case, domain=mesh)
     apart = difference(solution, solve_case(case, domain=refined_uniformly(refined_uniformly(mesh))))
     assert apart < certify(solution).sigma_bound < 1.3 * apart
+
+
+IN_SPACE = """
+[boundary]
+inner = ["fault"]
+SIDES
+[[law]]
+parts = ["fault"]
+kind = "signorini"
+[problem]
+f = "-2 - 76.8*((1 - 6*x + 6*x^2)*y^2*(1 - y)^2*2 + (1 - 6*y + 6*y^2)*x^2*(1 - x)^2*2 if z > 1/2 else 0)"
+u_D = "EXACT"
+[exact]
+u = "EXACT"
+"""
+
+
+@pytest.mark.parallel([1, 3])
+def test_refined_in_space(folder: Path):
+    """Both sides of a fault are refined alike where the error is, on any ranks."""
+    exact = "(z - 1/2)^2 + (76.8*x^2*(1 - x)^2*y^2*(1 - y)^2 if z > 1/2 else 0)"
+    if COMM.rank == 0:
+        cut_cube(folder, 4, IN_SPACE.replace("EXACT", exact))
+    COMM.Barrier()
+    case = load_case(str(folder / "4.toml"))
+    first = solve_case(case, COMM)
+    adapted, certificate = adapt_case(case, COMM, max_cells=2500, theta=0.3)
+    error = adapted.errors()["sigma_L2"]
+    assert error < 0.9 * first.errors()["sigma_L2"]
+    assert error < certificate.sigma_bound < 1.3 * error
+    assert adapted.spaces.domain.mesh.topology.index_map(3).size_global > 1.3 * 384

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import ufl
 from commands import read_rows, signorini
+from dolfinx.fem.petsc import LinearProblem
 from mpi4py import MPI
 
 from signorini_fenicsx import Boundary, Friction, InputError, Options, Problem, Solution, certify, load_solution, solve
@@ -45,6 +46,20 @@ def test_sphere():
         assert certificate.guaranteed  # ψ is enclosed, and kinks where it does not touch do not matter
         assert solution.on_obstacle()["contact_measure"] == pytest.approx(np.pi * RADIUS**2, rel=0.06)
     assert found[-1].on_obstacle()["force"] == pytest.approx(2 * np.pi * 0.680259411891719, rel=1e-3)
+
+
+def test_best_approximation():
+    """σ_h is nearly the best approximation in RT0 on the same mesh, so that rates are those of the meshes."""
+    for n, factor in ((2, 1.05), (3, 1.02)):
+        solution = sphere(n)
+        assert solution.data.exact is not None
+        space, sigma = solution.spaces.V, ufl.grad(solution.data.exact.ufl)
+        tau, dx = ufl.TestFunction(space), ufl.dx(metadata={"quadrature_degree": 12})
+        forms = ufl.inner(ufl.TrialFunction(space), tau) * dx, ufl.inner(sigma, tau) * dx
+        direct = {"ksp_type": "preonly", "pc_type": "lu"}
+        best = LinearProblem(*forms, petsc_options_prefix="best_", petsc_options=direct).solve()
+        least = solution.spaces.integrate(ufl.inner(best - sigma, best - sigma) * dx) ** 0.5
+        assert solution.errors()["sigma_L2"] < factor * least
 
 
 @pytest.mark.parallel([1, 3])
@@ -168,6 +183,13 @@ def test_refusals():
         on_square(Problem(f=1, obstacle="log(x - 0.5)"))
     with pytest.raises(InputError, match="no laws and no obstacle"):
         on_square(Problem(f=1))
+
+
+def test_precise_backend_of_thin_cells():
+    """The saddle point goes on from the cells in contact where the facet system is not precise enough."""
+    values = {"geometry.shape": "[0, 1] x [0, 1e-9]", "problem.f": "-10", "problem.obstacle": "-0.1"}
+    values |= {"problem.u_D": "0", "exact.u": "0", "solve.h": 0.2}
+    assert "by the saddle point" in solve_case(load_case("sphere").with_values(values), COMM).outcome.reason
 
 
 def test_no_proof():

@@ -258,6 +258,8 @@ def _below(branch: Any, section: str, key: str) -> Any:
         return branch[int(section)]
     if not isinstance(branch, dict):
         raise InputError(f"{key}: no such key in a case")
+    if section == "law" and section not in branch:
+        raise InputError(f"{key}: the case has no [[law]]")
     return branch.setdefault(section, {})
 
 

@@ -80,6 +80,17 @@ class SiteConditions:
         beta, value = (x[sites] if isinstance(x, np.ndarray) else x for x in (self.beta, self.value))
         return SiteConditions(self.kind[sites], beta, value)
 
+    def and_cells(self, contact: Mask | None) -> SiteConditions:
+        """These, and behind them the conditions of cells in contact with an obstacle or not; None without one."""
+        if contact is None:
+            return self
+        kind = np.where(contact, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
+        beta, value = (
+            np.append(x, np.full(len(contact), of_cells)) if isinstance(x, np.ndarray) else x
+            for x, of_cells in ((self.beta, 1.0), (self.value, 0.0))
+        )
+        return SiteConditions(np.append(self.kind, kind), beta, value)
+
     def values_where(self, sites: Mask) -> Array:
         """Values v on some sites."""
         return np.broadcast_to(self.value, self.kind.shape)[sites]

@@ -9,7 +9,7 @@ from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.meshes.domain import (
     Domain,
     Marks,
@@ -32,6 +32,8 @@ SKEW = np.eye(3) + 1e-6 * np.array(
 )
 """A small change of lengths, so that of two equally long edges the direction decides, not the numbers, which depend on
 the ranks."""
+OBLIQUE, ROUNDING = np.array([1.0, np.sqrt(2), np.sqrt(3)]), 1e-12
+"""A direction along which the centroids of the parts of a facet tell how it was cut, and what is rounding in that."""
 
 
 def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.int32]:
@@ -72,22 +74,20 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         cells: Owned cells to refine.
 
     Raises:
-        InputError: If there are inner parts in three dimensions.
         NumericalFailure: If moving the vertices to a curved boundary would flatten or invert a cell.
     """
     mesh = domain.mesh
     dim = mesh.topology.dim
     pairs = [facet_pairs(domain, name) for name in domain.parts if other_side(name) in domain.parts]
     named, across = (np.concatenate([NONE, *some]) for some in ([pair[side] for pair in pairs] for side in (0, 1)))
-    if pairs and dim == 3:
-        raise InputError("in space a mesh with parts inside the domain is not refined where the error is")
     mesh.topology.create_entities(1)
     mesh.topology.create_connectivity(dim, 1)
     edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
     fine, parent_cell, parent_facet = _bisected(mesh, edges)
     boundary, children, behind = _boundary_facets(mesh, fine, parent_cell, parent_facet)
-    while mesh.comm.allreduce(bool(len(uneven := _uneven(boundary, named, across))), MPI.LOR):
-        edges = np.union1d(edges, uneven).astype(np.int32)  # in the plane edges are facets
+    while mesh.comm.allreduce(bool(len(uneven := _uneven(fine, boundary, children, named, across))), MPI.LOR):
+        more = uneven if dim == 2 else dolfinx.mesh.compute_incident_entities(mesh.topology, uneven, 2, 1)
+        edges = np.union1d(edges, more).astype(np.int32)
         fine, parent_cell, parent_facet = _bisected(mesh, edges)
         boundary, children, behind = _boundary_facets(mesh, fine, parent_cell, parent_facet)
     nodes = fine.geometry.index_map()
@@ -112,18 +112,26 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
 
 
 def _uneven(
-    boundary: npt.NDArray[np.int32], named: npt.NDArray[np.int32], across: npt.NDArray[np.int32]
+    fine: dolfinx.mesh.Mesh,
+    boundary: npt.NDArray[np.int32],
+    children: npt.NDArray[np.int32],
+    named: npt.NDArray[np.int32],
+    across: npt.NDArray[np.int32],
 ) -> npt.NDArray[np.int32]:
-    """The inner facets of which one side is cut into more facets than the other, by their sides.
+    """The inner facets that are not cut alike on both sides, by their sides.
 
     Args:
+        fine: The refined mesh.
         boundary: The parent of each refined facet.
+        children: The nodes of each refined facet.
         named: The facets of the named sides.
         across: Those that lie on them.
     """
     number = max(named.max(initial=0), across.max(initial=0), boundary.max(initial=0)) + 1
-    count = np.bincount(boundary, minlength=number)
-    uneven = count[named] != count[across]
+    places = (fine.geometry.x[children].sum(axis=1) @ OBLIQUE) ** 2
+    count, size = (np.bincount(boundary, some, number) for some in (np.ones_like(places), places))
+    apart = np.abs(size[named] - size[across]) > ROUNDING * size[named]
+    uneven = apart | (count[named] != count[across])
     return np.concatenate([named[uneven], across[uneven]])
 
 
