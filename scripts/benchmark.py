@@ -195,7 +195,7 @@ def launch(case: str, h: str, mesh: Path, method: str, ranks: int, again: int = 
         command = [sys.executable, WORKERS / "fenicsx_worker.py", method, case, h, mesh, again]
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), *command]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, env=environment, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{method}, {ranks} ranks, h = {h}: {done.stderr[-2000:]}")

@@ -95,7 +95,7 @@ def test_exact_solutions(name: str):
     rates = {key: math.log2(before[key] / after[key]) for key in ("sigma_L2", "u_L2", "p_L2")}
     assert min(rates.values()) > 0.95, rates
     assert len(fine.outcome.history) <= 9
-    assert max(vars(fine.kkt).values()) < 1e-12
+    assert max(vars(fine.kkt).values()) < 1e-11
     (segments,) = fine.segments_of_parts().values()
     assert min(segment["facets"] for segment in segments.values()) > 4
     assert sum(segment["measure"] for segment in segments.values()) == pytest.approx(1)
@@ -176,7 +176,7 @@ def test_corners_that_coincide():
         for some in (corners, corners[1:3])
     )
     np.testing.assert_allclose(twice.sigma.x.array, once.sigma.x.array, atol=1e-12)
-    assert max(vars(twice.kkt).values()) < 1e-12
+    assert max(vars(twice.kkt).values()) < 1e-11
     for algorithm in ("alg1", "alg2", "qp", "vi"):
         closed = Problem(f, laws=[TwoSided(["bottom"], psi_upper="0.1*x", psi="0.1*x")], u_D="0.1*x")
         found = solve(domain, Boundary([]), closed, Options(algorithm=algorithm))

@@ -21,7 +21,7 @@ from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 
 COMM = MPI.COMM_WORLD
-ALWAYS = Tuning(direct_up_to=0, predict_from=0)
+ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)
 
 
 @pytest.mark.parallel([1, 2])
@@ -30,7 +30,7 @@ def test_prediction_changes_the_number_of_steps_only():
     cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
     for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases]:
         cold = solve_case(case.with_values({"solve.predict": False}), COMM)
-        warm = solve_case(case, COMM, tuning=Tuning(predict_from=300))
+        warm = solve_case(case, COMM, tuning=Tuning(predict_from=300, coarsen_from=300))
         np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
         for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)

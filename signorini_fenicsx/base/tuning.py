@@ -19,8 +19,8 @@ class Tuning:
             start with a factorisation is as fast.
         elastic_predict_from: The same for elastic systems, in unknowns.
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
-        coarsen_from: From this number of facets on, a coarser mesh gets a prediction itself; on smaller ones a
-            prediction costs more than it saves.
+        coarsen_from: From this number of facets on the sets are predicted on a coarser mesh first; on smaller meshes
+            that costs more than it saves.
         predict_obstacle_from: The same where there is an obstacle, whose contact moves by one cell per step.
         patience: A solve stops early if the sets that its iterates ask for are steady for this many iterations of the
             linear solver.

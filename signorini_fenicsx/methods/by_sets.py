@@ -43,7 +43,7 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
             if earlier is None and task.predict and task.data.obstacle is not None:
                 earlier = prediction.over_obstacle(spaces)
             elif earlier is None and worth_it:
-                earlier = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
+                earlier = prediction.from_coarser_mesh(spaces)
             if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
                 first = prediction.start(spaces, backend.chains, earlier)
                 predicted, steps = prediction.settle(inexact, spaces, backend.chains, first)

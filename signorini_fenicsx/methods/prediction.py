@@ -93,25 +93,25 @@ class Prediction:
             return Segments.of_sites(coarse, law.segments(conditions), obstacle=True)
         return None
 
-    def from_coarser_mesh(self, dim: int, factor: float = 1.0) -> Segments | None:
-        """The segments on a coarser mesh (collective).
+    def from_coarser_mesh(self, present: Spaces, factor: float = 1.0) -> Segments | None:
+        """The segments on a coarser mesh, from those on one that is coarser still (collective).
 
         Args:
-            dim: Dimension of the mesh.
-            factor: How much coarser than the problem's mesh the present mesh is; the next one is coarser still.
+            present: The spaces on the present mesh.
+            factor: How much coarser than the problem's mesh it is.
 
         Returns:
-            The set. None if there is no such mesh or no solution on it, and in 3D: there a mesh that coarse predicts
-            too little for its cost.
+            The set. None if the present mesh is small, or there is no coarser mesh or no solution on it, and in 3D:
+            there a mesh that coarse predicts too little for its cost.
         """
-        if self.coarser is None or dim == 3:
+        if self.coarser is None or present.mesh.topology.dim == 3:
+            return None
+        if present.V.dofmap.index_map.size_global < self.tuning.coarsen_from:
             return None
         factor *= self.tuning.coarsening
         with contextlib.suppress(InputError, NumericalFailure):
             spaces, data = self.coarser(factor)
-            start = None
-            if spaces.V.dofmap.index_map.size_global >= self.tuning.coarsen_from:
-                start = self.from_coarser_mesh(dim, factor)
+            start = self.from_coarser_mesh(spaces, factor)
             backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
             if backend.inexact is None:  # the user's options chose a direct solver
                 return None
