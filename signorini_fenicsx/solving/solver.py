@@ -287,12 +287,21 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
     _check_size(options, spaces)
     if start is None:
         return
-    if not same_domain(spaces.domain, start.spaces.domain):
-        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
+    check_domain(spaces, start)
     if not method.starts_from_sets:
         *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
         usable = f"{', '.join(others)} or {last}"
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+
+
+def check_domain(spaces: Spaces, start: Solution | Segments) -> None:
+    """Refuse a start that is on another domain (collective).
+
+    Raises:
+        InputError: If it is.
+    """
+    if not same_domain(spaces.domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
 
 
 def _check_size(options: Options, spaces: Spaces) -> None:
