@@ -1,11 +1,13 @@
 """Elastic contact against one linear solve with the known set, and against P2 displacements at the same energy error.
 
-uv run python scripts/elastic_benchmark.py [--quick]
+uv run python scripts/elastic_benchmark.py [--quick] [--iterations]
 
 A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
 one core, from the mesh to the fields; of ours and of the known set the better of two runs each, as the first one also
 pays for fresh memory. The energy error of a stress is (2(C(σ_h) − C))^½, that of a displacement
 (2(J(v) + C))^½: the exact C is between C(σ_h) and −J(v), and is taken as the middle of the two on the finest mesh.
+
+With --iterations it prints instead how many iterations CG with multigrid takes from ν = 0.3 to ν = 0.4999.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -21,6 +23,7 @@ from mpi4py import MPI
 from p2_contact import solve_p2
 
 from signorini_fenicsx.backends.elastic import ElasticBackend
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
@@ -28,10 +31,13 @@ from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.options import Options
 
 COMM = MPI.COMM_SELF
 GAP, YOUNG, POISSON = 0.02, 1.0, 0.3
+POISSONS = (0.3, 0.44, 0.45, 0.49, 0.4999)
 CELLS = {2: (16, 32, 64, 128), 3: (2, 4, 8)}
+FOR_ITERATIONS = {2: (16, 32, 64), 3: (4, 8)}
 QUICK = {2: (8, 16, 32), 3: (2, 4)}
 
 
@@ -68,18 +74,50 @@ def solved_with(domain: Domain, boundary: ElasticBoundary, problem: ElasticProbl
     ElasticBackend(spaces, elastic_data(spaces, problem)).solve(known)
 
 
+def pressed(dim: int, poisson: float = POISSON) -> tuple[ElasticBoundary, ElasticProblem]:
+    """The block's problem."""
+    last = "xyz"[dim - 1]
+    f, push = loads(dim)
+    free = [f"{last}1", "x1", *(["y0", "y1"] if dim == 3 else [])]
+    g_N = {f"{last}1": [str(x) for x in push]}
+    return ElasticBoundary([f"{last}0"], neumann=free), ElasticProblem(
+        YOUNG, poisson, f=[str(x) for x in f], g_N=g_N, gap=GAP
+    )
+
+
+def loads(dim: int) -> tuple[list[float], list[float]]:
+    """The force and the traction from above."""
+    return [0.0] * (dim - 1) + [-0.3], [0.0] * (dim - 1) + [-0.1]
+
+
+def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
+    """The most iterations that a set takes, for each mesh and ν."""
+    for dim, sizes in cells.items():
+        print(f"{dim}D: cells, unknowns; the most iterations of a set, and the seconds of all, for ν = {POISSONS}")
+        for n in sizes:
+            domain, found, dofs = block(dim, n), [], 0
+            for poisson in POISSONS:
+                boundary, problem = pressed(dim, poisson)
+                options = Options(predict=False, tuning=Tuning(elastic_direct_up_to={dim: 0}))
+                solution = solve_elastic(domain, boundary, problem, options)
+                most = max(step.linear_iterations for step in solution.outcome.history)
+                found.append(f"{most:3d} ({solution.timings['solve']:.1f} s)")
+                dofs = solution.outcome.dofs
+            print(f"  {n:4d} {dofs:8d}  {'  '.join(found)}", flush=True)
+
+
 def main() -> None:
     """Print a line for each method and mesh."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--quick", action="store_true", help="coarse meshes only")
-    for dim, sizes in (QUICK if options.parse_args().quick else CELLS).items():
-        last = "xyz"[dim - 1]
-        f, push = [0.0] * (dim - 1) + [-0.3], [0.0] * (dim - 1) + [-0.1]
-        free = [f"{last}1", "x1", *(["y0", "y1"] if dim == 3 else [])]
-        boundary = ElasticBoundary([f"{last}0"], neumann=free)
-        problem = ElasticProblem(
-            YOUNG, POISSON, f=[str(x) for x in f], g_N={f"{last}1": [str(x) for x in push]}, gap=GAP
-        )
+    options.add_argument("--iterations", action="store_true", help="iterations of CG only")
+    asked = options.parse_args()
+    if asked.iterations:
+        print_iterations(QUICK if asked.quick else FOR_ITERATIONS)
+        return
+    for dim, sizes in (QUICK if asked.quick else CELLS).items():
+        f, push = loads(dim)
+        boundary, problem = pressed(dim)
         rows = []
         for n in sizes:
             domain = block(dim, n)

@@ -20,6 +20,7 @@ from signorini_fenicsx.api import (
     Data,
     Domain,
     FacetBackend,
+    Friction,
     Iterate,
     Method,
     Options,
@@ -85,9 +86,9 @@ def test_kinds_of_data(folder: Path):
         ),
         Problem(
             f=20 * (x[0] - 0.6) * (1 + x[1]),
-            kappa={"east": ufl.as_matrix([[3, 0], [0, 3]]), "west": 1.0},
+            kappa={"east": np.diag([3, 3]), "west": np.float32(1)},
             psi=-0.01 * x[0],
-            u_D=0,
+            u_D=fem.Constant(mesh, 0.0),
         ),
     ]
     domain, boundary = domain_of(mesh, parts, regions), Boundary(["bottom"], ["right"])
@@ -258,6 +259,10 @@ def test_refusals():
             "cells are in more than one of one, two",
         ),
         (domain, bottom, Problem(f="40*(x - w)"), "unknown name 'w'"),
+        (domain, bottom, Problem(f=None), r"\[problem\] f: is a NoneType; data are numbers, texts, UFL, Functions or"),
+        (domain, bottom, Problem(f=1, kappa=[[1 + x[0], 0], [0, 1]]), r"kappa: is a list; data are .* ufl.as_matrix"),
+        (domain, bottom, Problem(f=lambda x: 1.0), r"f: the function of points of shape \(3, 1\) must give one value"),
+        (domain, bottom, Problem(f=ufl.TestFunction(fem.functionspace(mesh, ("P", 1)))), "f: is UFL with a test or"),
     ]:
         with pytest.raises(InputError, match=message):
             solve(given, boundary, problem)
@@ -274,6 +279,7 @@ def test_refusals():
         ([[1], [2, 3]], "must be an array of facet numbers"),
         (np.ones(8, dtype=bool), "must be an array of facet numbers"),
         ([10**6], "there is no facet 1000000; a rank has"),
+        (lambda x: True, r"the function of points of shape \(3, n\) must return n truth values"),
         ([-1] if COMM.rank == 0 else [], "there is no facet -1"),
     ]:
         with pytest.raises(InputError, match=message):
@@ -282,6 +288,10 @@ def test_refusals():
         domain_of(mesh, {}, {"west": None})
     with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
         Boundary("bottom")
+    with pytest.raises(InputError, match="start: must be a Solution of a scalar problem, not str"):
+        solve(domain, bottom, f, start="results")
+    with pytest.raises(InputError, match=r"laws: must be a list of laws, such as \[Friction"):
+        Problem(f=1.0, laws=Friction(["bottom"], g=1))
     with pytest.raises(InputError, match="algorithm: unknown name 'alg5'; use one of alg1"):
         Options(algorithm="alg5")
     with pytest.raises(InputError, match="eps: must be greater than 0"):

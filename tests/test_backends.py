@@ -11,19 +11,22 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends import hybrid
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import Solver
 
 COMM = MPI.COMM_WORLD
 MULTIGRID, DIRECT = Tuning(direct_up_to=0), Tuning(direct_up_to=10**6)
@@ -190,6 +193,33 @@ def test_bad_cells():
     np.testing.assert_array_equal(mixed.outcome.conditions.kind, facet.outcome.conditions.kind)
     for one, two in [(mixed.sigma, facet.sigma), (mixed.u, facet.u), (mixed.p, facet.p)]:
         np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9 * np.abs(one.x.array).max(initial=1.0))
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_factorisation_takes_over(monkeypatch: pytest.MonkeyPatch):
+    """A system of medium size is factorised if CG takes too many iterations.
+
+    It is from the second problem on if Γ_S has few facets, otherwise once the sets stand still.
+    """
+    case = load_case("example1").with_values({"geometry.mesh": "structured", "solve.h": 1 / 16})
+    domain = mesh_case(case, COMM)
+    expected = solve_case(case, COMM, domain=domain)
+    monkeypatch.setattr(hybrid, "MOST_ITERATIONS", 5)
+    for predict in (True, False):
+        found = solve_case(
+            case.with_values({"solve.predict": predict}), COMM, domain=domain, tuning=Tuning(predict_from=0)
+        )
+        assert found.outcome.linear_solver == expected.outcome.linear_solver == "preonly+cholesky+mumps"
+        np.testing.assert_array_equal(found.outcome.conditions.kind, expected.outcome.conditions.kind)
+        np.testing.assert_allclose(found.sigma.x.array, expected.sigma.x.array, atol=1e-12)
+    monkeypatch.undo()
+    few, many = Tuning(predict_from=0), Tuning(predict_from=0, condense_up_to=0)
+    for tuning, loads, expected in (few, (1, 1), "cf"), (many, (1, 1, 1, 3), "ccff"), (many, (1, 2, 3, 4), "cccc"):
+        solver, problem = Solver(domain, boundary_of(case)), case.data(2)
+        found = [solver.solve(replace(problem, f=f"{f}*(x - 0.3*{f})"), Options(tuning=tuning)) for f in loads]
+        assert [each.outcome.linear_solver for each in found] == [
+            {"c": "cg+mg", "f": "preonly+cholesky+mumps"}[e] for e in expected
+        ]
 
 
 def test_wrong_prediction_is_corrected():

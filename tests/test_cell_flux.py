@@ -16,6 +16,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.relaxation import _Gap
 from signorini_fenicsx.discrete.cell_flux import CellFlux, joined, mass_diagonal
+from signorini_fenicsx.discrete.cell_shapes import cell_nodes, corners
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.discrete.spaces import assembled, build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -53,6 +54,14 @@ def test_flux(shape: str):
         found = joined(spaces, spaces.outflow * flux.tested(each))[:owned]
         np.testing.assert_allclose(found, assembled(ufl.inner(image, tau) * ufl.dx)[:owned], rtol=0, atol=1e-13)
         np.testing.assert_allclose(mass_diagonal(spaces, each)[:owned], rows.getDiagonal().array_r, rtol=1e-12)
+
+
+def test_nodes_of_cells_are_kept():
+    """Some cells at a time must not cost a copy of the numbers of all; entries of one kind are together."""
+    mesh = create_unit_cube(MPI.COMM_SELF, 2, 3, 2)
+    assert cell_nodes(mesh) is cell_nodes(mesh)
+    assert corners(mesh, slice(3, 9)) == pytest.approx(mesh.geometry.x[mesh.geometry.dofmaps[0][3:9]])
+    assert corners(mesh).flags.f_contiguous
 
 
 @pytest.mark.parametrize("name", ["crack", "sphere", "wall"])

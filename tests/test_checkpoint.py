@@ -60,7 +60,7 @@ def test_read_on_any_number_of_ranks(folder: Path):
 @pytest.mark.parallel([1, 2])
 def test_start_from_another_solution(folder: Path):
     """A start from the solution takes one step, one from a coarser solution fewer than a cold start; same result."""
-    cold_case = load_case("example2").with_values({"solve.h": 2**-5})
+    cold_case = load_case("example2").with_values({"solve.h": 2**-5, "solve.predict": False})
     cold = solve_case(cold_case, COMM)
     kept(cold_case.with_values({"solve.h": 2**-4}), COMM, folder)
     start = load_solution(folder, COMM)
@@ -83,7 +83,7 @@ def test_start_from_another_solution(folder: Path):
 
 @pytest.mark.parallel(2)
 def test_a_failed_run_is_continued_and_exported(folder: Path):
-    few = ["solve", "example2", "--h", "1/16", "--output", "r"]
+    few = ["solve", "example2", "--h", "1/16", "--output", "r", "--set", "solve.predict=false"]
     assert signorini(folder, *few, "--set", "solve.max_iterations=1").returncode == 1
     done = signorini(folder, *few, "--start-from", "r.failed")
     assert done.returncode == 0, done.stderr

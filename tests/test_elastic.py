@@ -19,6 +19,7 @@ from signorini_fenicsx.discrete.johnson_mercier import (
     reference,
     to_matrices,
 )
+from signorini_fenicsx.discrete.laws import Wall
 from signorini_fenicsx.forms.elasticity import hellinger_reissner, strain, stress_product
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.solving.elastic import solve_elastic
@@ -198,7 +199,8 @@ def test_bad_input():
     for nu in (0.5, -1.0, "x"):
         assert "poisson: must be between -1 and 1/2" in complaint(held, poisson=nu)
     assert "f: not finite" in complaint(held, f=["1/(x - x)", "0"])
-    assert "f: has 3 components, not 2" in complaint(held, f=["1", "0", "0"])
+    assert "f: has 3 components, not 2" in complaint(held, f=np.array([1, 0, 0]))
+    assert "no traction is given on part 'y1', as no part is in Γ_N" in complaint(held, g_N={"y1": ["0", "1"]})
     assert "gap: not finite everywhere on Γ_C" in complaint(held, gap="1/(x - x)")
     assert "unknown part 'lid'" in complaint(ElasticBoundary(["y0"], fixed={"lid": "x"}))
     assert "inside the domain or in another part" in complaint(ElasticBoundary(["y0"], fixed={"y0": "x"}))
@@ -215,3 +217,5 @@ def test_bad_input():
         ElasticBoundary(["y0"], fixed={"x0": "xx"})
     with pytest.raises(InputError, match="unknown 'thin'"):
         ElasticProblem(1.0, 0.3, plane="thin")
+    with pytest.raises(InputError, match="laws: must be a list of laws Friction and Coulomb"):
+        ElasticProblem(1.0, 0.3, laws=[Wall(["y0"], beta=1)])

@@ -1,5 +1,7 @@
 """CG with multigrid for elastic systems: flat iterations, the same results, the way back to a factorisation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from elastic import box
@@ -9,6 +11,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -35,20 +38,20 @@ def iterations(solution: ElasticSolution) -> int:
     return max(step.linear_iterations for step in solution.outcome.history)
 
 
-@pytest.mark.parametrize(("dim", "nu", "most"), [(2, 0.3, 21), (2, 0.45, 31), (3, 0.3, 26), (3, 0.45, 36)])
+@pytest.mark.parametrize(("dim", "nu", "most"), [(2, 0.3, 21), (2, 0.4999, 28), (3, 0.3, 26), (3, 0.4999, 50)])
 def test_iterations_do_not_grow(dim: int, nu: float, most: int):
-    """From mesh to mesh they stay the same, down to a residual of 1e-13."""
-    found = [iterations(pressed(MPI.COMM_SELF, dim, n, nu)) for n in ((8, 16, 32) if dim == 2 else (3, 5))]
+    """From mesh to mesh they stay the same, down to a residual of 1e-13, and hardly more where nothing compresses."""
+    found = [iterations(pressed(MPI.COMM_SELF, dim, n, nu)) for n in ((8, 24) if dim == 2 else (3, 5))]
     assert max(found) <= most
     assert found[-1] <= 1.25 * found[0] + 2
 
 
 @pytest.mark.parallel([1, 2, 3])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_same_as_factorisation(dim: int):
+@pytest.mark.parametrize(("dim", "nu"), [(2, 0.4), (3, 0.4999)])
+def test_same_as_factorisation(dim: int, nu: float):
     """Sets and norms are those of a factorisation by one process."""
     n = {2: 6, 3: 2}[dim]
-    direct, found = pressed(MPI.COMM_SELF, dim, n, 0.45, DIRECT), pressed(COMM, dim, n, 0.45)
+    direct, found = pressed(MPI.COMM_SELF, dim, n, nu, DIRECT), pressed(COMM, dim, n, nu)
     assert (direct.outcome.linear_solver, iterations(found) > 1) == ("preonly+cholesky+mumps", True)
     sets = [[(step.no_flux, step.zero_trace) for step in one.outcome.history] for one in (direct, found)]
     assert sets[0] == sets[1]
@@ -60,11 +63,7 @@ def test_same_as_factorisation(dim: int):
 
 @pytest.mark.parallel([1, 2])
 def test_factorisation_where_iterations_would_be_too_many():
-    """Near ν = ½, or if CG stops before its tolerance, the system is factorised, and the summary says why."""
-    direct = pressed(COMM, 2, 4, 0.4999, DIRECT)
-    found = pressed(COMM, 2, 4, 0.4999)
-    assert found.outcome.linear_solver == "preonly+cholesky+mumps because poisson is 0.4999"
-    assert found.norms() == pytest.approx(direct.norms(), rel=1e-10)
+    """If CG stops before its tolerance, the system is factorised, and the summary says why."""
     PETSc.Options().setValue("facet_ksp_max_it", "3")
     try:
         found = pressed(COMM, 2, 4, 0.3)
@@ -77,16 +76,21 @@ def test_factorisation_where_iterations_would_be_too_many():
 
 @pytest.mark.parallel([1, 2])
 def test_sets_predicted_from_coarser_meshes():
-    """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result."""
+    """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result.
+
+    CG stops as soon as the next set is known, and its last solve is that of the loop.
+    """
     case = load_any_case("hertz")
     assert isinstance(case, ElasticCase)
     cold = solve_case(case, COMM, tuning=Tuning(elastic_predict_from=10**9))
-    warm = solve_case(case, COMM, tuning=Tuning(elastic_predict_from=1000))
+    warm = solve_case(case, COMM, tuning=replace(MULTIGRID, elastic_predict_from=1000))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
-    assert len(warm.outcome.history) < len(cold.outcome.history)
+    assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, 1)
+    assert 0 < warm.outcome.rough_steps < len(cold.outcome.history)
     np.testing.assert_array_equal(warm.touching, cold.touching)
-    assert warm.norms() == pytest.approx(cold.norms(), rel=1e-10)
+    assert warm.norms() == pytest.approx(cold.norms(), rel=1e-9)
+    assert certify_elastic(warm).gap == pytest.approx(certify_elastic(cold).gap, rel=1e-10)  # no linear solver in it
 
 
 @pytest.mark.parallel([1, 3])

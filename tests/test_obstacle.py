@@ -40,7 +40,9 @@ def test_sphere():
     assert np.log2(sigma[:-1] / sigma[1:]).min() > 0.95
     assert errors[-1]["missed_contact"] < 0.6 * errors[-2]["missed_contact"] < 0.1
     for solution, error in zip(found[1:], sigma[1:], strict=True):
-        assert 1 <= certify(solution).sigma_bound / error <= 1.1
+        certificate = certify(solution)
+        assert 1 <= certificate.sigma_bound / error <= 1.1
+        assert certificate.guaranteed  # ψ is enclosed, and kinks where it does not touch do not matter
         assert solution.on_obstacle()["contact_measure"] == pytest.approx(np.pi * RADIUS**2, rel=0.06)
     assert found[-1].on_obstacle()["force"] == pytest.approx(2 * np.pi * 0.680259411891719, rel=1e-3)
 
@@ -87,6 +89,27 @@ def energy_error(solution: Solution) -> float:
     difference = solution.sigma - sigma
     dx = ufl.dx(metadata={"quadrature_degree": 8})
     return solution.spaces.integrate(ufl.inner(difference, difference) / (1 + x[0]) * dx) ** 0.5
+
+
+def test_load_that_jumps_in_contact():
+    """It is a part of the force, and nothing is paid for it; ψ may be any smooth function."""
+    wave = "sin(2*x)*exp(y)"
+    jump = " - (2 if x > 0.4 else 1) - (20 if (x - 0.15)^2 + (y - 0.5)^2 < 0.01 else 0)"
+    u = f"{wave} + max(x - 0.4, 0)^2"
+    problem = Problem(f=f"3*{wave} {jump}", u_D=u, obstacle=wave, exact=u)
+    solution = on_square(problem, h=1 / 16)
+    certificate = certify(solution)
+    assert certificate.guaranteed
+    assert 1 <= certificate.sigma_bound / solution.errors()["sigma_L2"] <= 1.02
+    assert certificate.bound <= 1.15 * solution.errors()["sigma_L2"]
+
+
+def test_a_needle_of_the_obstacle_is_not_overlooked():
+    """Between all points of quadratures, where the obstacle touches and, lower, where it does not."""
+    needle = "exp(-1e6*((x - 0.4321)^2 + (y - 0.5678)^2))"
+    found = [certify(on_square(Problem(f=f, obstacle=f"-0.1 + 0.05*{needle}"), h=0.15)) for f in (-10, -0.2)]
+    assert [certificate.guaranteed for certificate in found] == [False, True]
+    assert found[0].unresolved[0][0] == "obstacle"
 
 
 GENERAL = Problem(

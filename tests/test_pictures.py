@@ -31,7 +31,7 @@ from signorini_fenicsx.output.gather import (
 )
 from signorini_fenicsx.output.pictures import draw_all, draw_sets, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_steps
-from signorini_fenicsx.output.pictures.elastic import foundation_of
+from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -238,6 +238,10 @@ def test_foundation_of_a_body():
     assert body.facets.condition[0] == Condition.ZERO_TRACE  # at the plane of symmetry
     np.testing.assert_allclose(surface[0], after[0], atol=1e-12)
     assert len(foundation_of(body, moved, 1.0, 0.1)) < len(surface)
+
+
+def test_rounding_is_not_drawn():
+    np.testing.assert_array_equal(without_rounding(np.array([0.1, 1e-9, 2e-15, -1e-16])), [0.1, 1e-9, 0.0, 0.0])
 
 
 def test_no_step_changes_the_first_sets():

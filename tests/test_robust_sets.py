@@ -195,6 +195,7 @@ def test_a_large_constant_hides_nothing():
     assert solve_case(coarse("alg1", f="0", u_D="1")).converged
     assert solve_case(coarse("alg1", f="0", psi="-1")).converged
     assert solve_case(coarse("alg1", f="0", psi="-1e20*x")).converged
+    assert solve_case(coarse("alg1", f="0", c="1", psi="-1 if y > 0.5 else 1e-16*x")).converged
 
 
 @pytest.mark.parametrize("given", [{}, {"f": "0", "u_D": "x"}, {"f": "0", "q_S": "-1"}])

@@ -57,6 +57,16 @@ def assert_same(one: Solution, other: Solution, tolerance: float) -> None:
         np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance * size, rtol=0)
 
 
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("backend", ["hybrid", "mixed"])
+def test_an_obstacle_that_comes_and_goes(folder: Path, backend: str):
+    domain, boundary = setting(folder)
+    solver, options = Solver(domain, boundary), Options(backend=backend, predict=False)
+    for obstacle in (None, -0.02, -0.01, None):
+        problem = Problem(f="20*(x - 0.6)", obstacle=obstacle)
+        assert_same(solver.solve(problem, options), solve(domain, boundary, problem, options), 1e-12)
+
+
 @pytest.mark.parallel([1, 2, 3])
 @pytest.mark.parametrize("backend", ["hybrid", "mixed"])
 def test_results_are_those_of_separate_solves(folder: Path, backend: str):

@@ -176,6 +176,12 @@ def test_bad_input():
         ({"end": 1.0, "steps": 1, "initial": "1/(x - x)"}, {}, r"\[time\] initial: not finite everywhere"),
         ({"end": 1.0, "steps": 1, "initial": "t"}, {}, "unknown name 't'"),
         ({"end": 1.0, "steps": 2}, {"c": "-3*t"}, r"\[problem\] c: must not be negative"),
+        (
+            {"end": 1.0, "steps": 2},
+            {"f": "x/(t - 0.5)"},
+            r"\[problem\] f: cannot be evaluated: .* by zero",
+        ),
+        ({"end": 1.0, "steps": 1}, {"psi": "(-2)^(t/2)"}, r"\[problem\] psi: cannot be evaluated: math domain"),
         ({"end": 1.0, "steps": 2}, {"c": lambda x: x[0]}, r"\[time\]: c and capacity must be numbers or texts"),
     ]:
         with pytest.raises(InputError, match=message):

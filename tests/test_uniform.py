@@ -10,6 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from signorini_fenicsx.base.rows import Order, fetch_rows, find_rows
+from signorini_fenicsx.meshes import meshing
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import build_domain, own_domain
@@ -54,6 +55,19 @@ def quality(x: np.ndarray) -> np.ndarray:
 
 def measure(x: np.ndarray) -> float:
     return float(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum()) / math.factorial(x.shape[2])
+
+
+def test_tries(monkeypatch: pytest.MonkeyPatch):
+    """In space Gmsh tries again until a mesh is nearly as coarse as it may be, and then no more."""
+    measured = meshing._diameter_in_time
+    found: list[float] = []
+    monkeypatch.setattr(meshing, "_diameter_in_time", lambda *given: found.append(measured(*given)) or found[-1])
+    cells, h = meshing._gmsh_mesh("lprism", 0.25, 1)[1], 0.25
+    *before, last = [meshing.NEAR * h <= each <= h for each in found]
+    assert last
+    assert not any(before)
+    assert 1 < len(found) < meshing.TRIALS
+    assert len(cells) > 8_000
 
 
 @pytest.mark.parallel([1, 3])

@@ -1,6 +1,6 @@
 """One timed run of this program, or of the same discrete problem by another solver; prints JSON.
 
-[mpirun -n N] python fenicsx_worker.py METHOD CASE H MESH
+[mpirun -n N] python fenicsx_worker.py METHOD CASE H MESH AGAIN
 """
 
 import json
@@ -128,12 +128,13 @@ def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, ob
 def main() -> None:
     """Solve a small problem with the same code first, so that no compilation is timed."""
     abort_all_on_exception(COMM)
-    method, name, h, mesh = sys.argv[1:]
+    method, name, h, mesh, again = sys.argv[1:]
     case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
     PETSc.Log.begin()
     small = case.with_values({"solve.h": 0.2})
     run(method, small, mesh_case(small, COMM), Tuning(direct_up_to=0, predict_from=0))
-    result = run(method, case, read_mesh(mesh, case.geometry.shape), Tuning())
+    results = [run(method, case, read_mesh(mesh, case.geometry.shape), Tuning()) for _ in range(int(again))]
+    result = min(results, key=lambda found: found["seconds"])
     if COMM.rank == 0:
         print(json.dumps(result))
 

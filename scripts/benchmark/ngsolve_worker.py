@@ -1,6 +1,6 @@
 """P1 with NGSolve and its sparse Cholesky factorisation; prints JSON.
 
-python ngsolve_worker.py MESH
+python ngsolve_worker.py MESH AGAIN
 """
 
 import json
@@ -103,4 +103,5 @@ def run(points: np.ndarray, cells: np.ndarray) -> dict[str, object]:
 
 if __name__ == "__main__":
     with np.load(sys.argv[1]) as file:
-        print(json.dumps(run(file["points"], file["cells"])))
+        runs = [run(file["points"], file["cells"]) for _ in range(int(sys.argv[2]))]
+    print(json.dumps(min(runs, key=lambda result: result["seconds"])))

@@ -1,7 +1,6 @@
 """The elastic backend: the facet system with a contact condition per facet vertex of Γ_C.
 
-Small systems are factorised, larger ones solved by CG with multigrid. Where ν is near ½ CG needs too many iterations,
-and large systems are factorised too.
+Small systems are factorised, larger ones solved by CG with multigrid.
 
 Where only contact holds the body, a set on the way may be too small for that. Then weak springs hold the free sites;
 under the load they give way so far that the next set is larger. No result has springs: its residuals would be large.
@@ -16,11 +15,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
-from signorini_fenicsx.backends.elastic_coarse import DEFAULTS, ElasticCoarse
+from signorini_fenicsx.backends.elastic_coarse import DEFAULTS, STIFF, ElasticCoarse
 from signorini_fenicsx.backends.elastic_system import ElasticSystem
 from signorini_fenicsx.backends.facets import FieldChange
 from signorini_fenicsx.backends.kept_factors import KeptFactors
-from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolveFailure, LinearSolver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, EarlyStop, LinearSolveFailure, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -32,8 +31,6 @@ from signorini_fenicsx.discrete.elastic_data import ElasticData
 from signorini_fenicsx.discrete.elastic_friction import law_of_sites
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 
-LARGEST_POISSON = 0.491
-"""Where ν is larger in the mean, a factorisation costs less than the iterations."""
 MOST_ITERATIONS = 400
 """CG that needs more gives way to a factorisation."""
 HELD = 1e-12
@@ -51,7 +48,7 @@ class ElasticBackend:
 
     name = "elastic"
     noun = ("vertex", "vertices")
-    inexact: Inexact | None = None
+    cheap = False
     precise: Callable[[], Backend[Iterate]] | None = None
 
     def __init__(
@@ -79,13 +76,14 @@ class ElasticBackend:
         self.dofs = self._operator.matrix.getSize()[0]
         self._remark = ""
         large = self.dofs > (tuning or Tuning()).elastic_direct_up_to[spaces.dim]
-        if large and (poisson := data.mean_poisson(spaces)) > LARGEST_POISSON:
-            large, self._remark = False, f" because poisson is {poisson:.4g}"
+        self._stiff = data.stiffness_of_volume(spaces) >= STIFF
         self._choose_solver(multigrid=large)
         self._x, self._b = self._operator.matrix.createVecs()
         self._x.set(0.0)
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
+        self._applied: SiteConditions | None = None
+        self._sprung = False
         self._springs = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
     @property
@@ -93,32 +91,48 @@ class ElasticBackend:
         """The law of each site; with friction by its present bounds."""
         return law_of_sites(self.spaces, self.friction)
 
+    @property
+    def inexact(self) -> Inexact | None:
+        """The backend itself if its linear solver iterates."""
+        return None if self._solver.ksp.getType() == "preonly" else self
+
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
         return self._solver.name() + self._remark
 
     def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve as `Backend.solve` says (collective).
+        """Solve as `Backend.solve` says, starting from the last solution (collective).
 
         Raises:
             InputError: If a condition is neither contact nor free.
             LinearSolveFailure: If the linear solver fails.
         """
-        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
-            raise InputError("elastic contact takes no penalty; use alg1 or alg2")
-        contact = conditions.kind == Condition.ZERO_TRACE
-        load = self.system.load.copy()
-        if conditions.has_values:
-            load[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
-        if loose := self._loose(contact):
-            self._factors.forget()
-        if not self._factors.solve(load, self._x, contact):
-            self._solve(load, contact, sprung=~contact & loose)
-        iterate = self._recovered(conditions)
-        if loose:
-            self._factors.forget()
-            self._x.set(0.0)  # so far away it is no start for the next solve
-        return iterate
+        self._solve(conditions)
+        return self._recovered(conditions)
+
+    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve as `Inexact.solve_until` says (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        self._early_stop.asks = lambda x: enough(*self._pairs(x, conditions))
+        try:
+            self._solve(conditions)
+        finally:
+            self._early_stop.asks = None
+        return self._pairs(self._x, conditions)
+
+    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
+        """None: there are no solves on patches."""
+
+    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
+        forces = x.duplicate()
+        self._operator.natural.mult(x, forces)
+        left = (forces.array_r - self.system.load)[self._unknowns] / self._measure
+        signs = np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
+        return conditions.clean(signs * x.array_r[self._unknowns], signs * left, 1.0)
 
     def _loose(self, contact: Mask) -> bool:
         """Whether these sites leave a rigid motion free (collective)."""
@@ -130,12 +144,37 @@ class ElasticBackend:
     def _choose_solver(self, *, multigrid: bool) -> None:
         self._solver = LinearSolver(self._operator.matrix, "facet_", defaults=MUMPS_WORKSPACE | DEFAULTS)
         self._solver.ksp.setTolerances(max_it=MOST_ITERATIONS)
-        make = partial(ElasticCoarse, self.spaces, self._operator.matrix)
+        make = partial(ElasticCoarse, self.spaces, self._operator.matrix, self._stiff)
         self._coarse = set_up(self._solver, make if multigrid else None)
+        self._early_stop = EarlyStop()
+        if self._solver.ksp.getType() != "preonly":
+            self._solver.ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, self.spaces.dim)
 
-    def _solve(self, load: Array, contact: Mask, *, sprung: Mask) -> None:
-        """Solve; if CG with multigrid fails, factorise now and from now on (collective)."""
+    def _solve(self, conditions: SiteConditions) -> None:
+        """Solve, unless the last solve under the same conditions converged (collective)."""
+        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
+            raise InputError("elastic contact takes no penalty; use alg1 or alg2")
+        stopped = (
+            self._solver.ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.CONVERGED_ITS
+        )  # early, or no Krylov method
+        if conditions.same(self._applied, self.comm) and not stopped:
+            return
+        self._applied = None
+        contact = conditions.kind == Condition.ZERO_TRACE
+        load = self.system.load.copy()
+        if conditions.has_values:
+            load[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
+        loose = self._loose(contact)
+        if loose or self._sprung:
+            self._factors.forget()
+            self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
+        if not self._factors.solve(load, self._x, contact):
+            self._solve_anew(load, contact, sprung=~contact & loose)
+        self._applied, self._sprung = conditions, loose
+
+    def _solve_anew(self, load: Array, contact: Mask, *, sprung: Mask) -> None:
+        """Set the solver up and solve; if CG with multigrid fails, factorise now and from now on (collective)."""
         essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
         self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
         self._b.array_w[:] = load

@@ -14,7 +14,7 @@ from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, LinearSolver
+from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, EarlyStop, LinearSolveFailure, LinearSolver
 from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
@@ -24,6 +24,8 @@ from signorini_fenicsx.discrete.spaces import Spaces
 
 FACTORISATION = 10
 """About as many solves take as long as a factorisation."""
+MOST_ITERATIONS = 100
+"""More iterations of CG cost more than a factorisation."""
 
 
 class HybridBackend(FacetBackend):
@@ -32,6 +34,9 @@ class HybridBackend(FacetBackend):
     Small systems are solved by MUMPS (Cholesky), larger ones by CG with auxiliary-space multigrid; PETSc options
     override both. With a factorisation the results are as precise as those of the saddle point, except κ∇u where κ is
     large and cells are badly shaped.
+
+    Systems in between begin with CG, because a factorisation takes as long as several solves. A factorisation takes its
+    place if CG takes too many iterations, and for the problems that follow if it will serve many of their sets.
     """
 
     name = "hybrid"
@@ -51,7 +56,7 @@ class HybridBackend(FacetBackend):
         Args:
             spaces: The discrete spaces.
             data: The data and their means over cells and facets.
-            tuning: Has the size from which multigrid is the default.
+            tuning: Has the sizes from which multigrid is the default.
             multigrid: Whether multigrid is the default at any size.
             prefix: Prefix of its PETSc options.
 
@@ -63,28 +68,42 @@ class HybridBackend(FacetBackend):
         self._system = FacetSystem(spaces, data, self._tuning)
         self._condensed: Condensed | None = None
         self._regret = math.inf
-        self.dofs = self._system.dofs
-        self._solver = LinearSolver(self._system.matrix, prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
-        self._ksp = self._solver.ksp
-        iterative = multigrid or self._system.large
-        auxiliary = partial(AuxiliarySpace, spaces, data, self._system.sources.s)
-        self._auxiliary = set_up(self._solver, auxiliary if iterative else None)
-        self._early_stop = _EarlyStop()
+        self.dofs, self._prefix = self._system.dofs, prefix
+        self._set_up(iterative=multigrid or self._system.large or self.dofs >= self._tuning.predict_from)
         self._earlier, self._renewed = EarlierSolutions(), False
-        if self._iterates:
-            self._ksp.addConvergenceTest(self._early_stop, prepend=True)
         self._applied: SiteConditions | None = None
         self._held: SiteConditions | None = None
+        self._moved = False  # since the data were last renewed
         self._iterations = 0
         self._offer_precise()
 
+    def _set_up(self, *, iterative: bool) -> None:
+        """Choose the solver and let the user's options change it (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        system = self._system
+        self._solver = LinearSolver(system.matrix, self._prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
+        self._ksp = self._solver.ksp
+        self._may_be_factorised = iterative and not system.large
+        if self._may_be_factorised:
+            self._ksp.setTolerances(max_it=MOST_ITERATIONS)
+        make = partial(AuxiliarySpace, self.spaces, self.data, system.sources.s) if iterative else None
+        self._auxiliary = set_up(self._solver, make)
+        self._early_stop = EarlyStop()
+        if self._iterates:
+            self._ksp.addConvergenceTest(self._early_stop, prepend=True)
+
     def renew(self, data: Data) -> bool:
         """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ or c (collective)."""
-        if self._iterates and not data.same_operator(self.data, self.spaces):
+        if self._may_be_factorised and (self._can_be_condensed() or not self._moved):
+            self._set_up(iterative=False)
+        elif self._iterates and not data.same_operator(self.data, self.spaces):
             return False
         system, given_flux = self._system, SiteConditions.everywhere(Condition.NO_FLUX, self.sites)
         same = system.renew(data)
-        self.data, self._applied = data, None
+        self.data, self._applied, self._moved = data, None, False
         if self._iterates:
             self._earlier.add(system.x)
             self._renewed = True
@@ -108,12 +127,20 @@ class HybridBackend(FacetBackend):
         Where sets stand still, one more solve for each right side is what it costs, and a factorisation for each change
         of the sets what it saves. It is given up, or made again, when as much was lost as the change costs.
         """
-        facets = self.spaces.Lambda.dofmap.index_map.size_global
-        factorised = self.precise is not None and self.data.holds(self.spaces) and self.data.obstacle is None
-        return factorised and facets <= self._tuning.condense_up_to and self._regret >= facets
+        factorised = self.precise is not None and not self._iterates
+        return factorised and self._can_be_condensed() and self._regret >= self._facets_of_gamma_s()
+
+    def _can_be_condensed(self) -> bool:
+        possible = self.data.holds(self.spaces) and self.data.obstacle is None
+        return possible and self._facets_of_gamma_s() <= self._tuning.condense_up_to
+
+    def _facets_of_gamma_s(self) -> int:
+        number: int = self.spaces.Lambda.dofmap.index_map.size_global
+        return number
 
     def _offer_precise(self) -> None:
-        if not self._iterates and self._ksp.getPC().getType() in ("cholesky", "lu"):
+        factorised = not self._iterates and self._ksp.getPC().getType() in ("cholesky", "lu")
+        if factorised or self._may_be_factorised:
             self.precise = partial(MixedBackend, self.spaces, self.data)
 
     @property
@@ -181,7 +208,8 @@ class HybridBackend(FacetBackend):
             self._applied, self._held, self._iterations = conditions, conditions, 1
             return
         else:
-            self._regret += 0.0 if conditions.same(self._held, self.comm) else FACTORISATION
+            if not conditions.same(self._held, self.comm):
+                self._regret, self._moved = self._regret + FACTORISATION, True
             self._held = conditions
             essential = self._system.apply(conditions)
             if self._renewed:
@@ -191,26 +219,11 @@ class HybridBackend(FacetBackend):
                 with self._solver.options():
                     self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
             self._applied, self._iterations = conditions, 0
-        self._solver.solve(self._system.b, self._system.x)
+        try:
+            self._solver.solve(self._system.b, self._system.x)
+        except LinearSolveFailure:
+            if not self._may_be_factorised:
+                raise
+            self._set_up(iterative=False)
+            self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._ksp.getIterationNumber()
-
-
-class _EarlyStop:
-    """A test that PETSc calls before its own test of convergence.
-
-    It holds no reference to the backend, because PETSc would keep the backend alive.
-
-    Attributes:
-        asks: Returns whether an iterate is good enough; None while there is no such test.
-    """
-
-    asks: Callable[[PETSc.Vec], bool] | None = None
-
-    def __call__(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
-        """Stop, or leave the decision to PETSc (collective)."""
-        stop = False
-        if self.asks is not None and iteration > 0:
-            x = ksp.buildSolution()
-            stop = self.asks(x)
-            x.destroy()  # only this reference; waiting for garbage collection, it would keep the solver alive
-        return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING

@@ -34,7 +34,7 @@ class Exchange:
 
     def send(self, rows: npt.NDArray) -> npt.NDArray:
         """The rows that arrive here; the same type and width on all ranks."""
-        return self._moved(rows[self._order], self._sent, self._received)
+        return self._moved(np.ascontiguousarray(rows[self._order]), self._sent, self._received)
 
     def answer(self, rows: npt.NDArray) -> npt.NDArray:
         """For each row that was sent, its answer; `rows` has an answer for each row that arrived."""

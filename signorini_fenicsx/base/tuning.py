@@ -10,12 +10,13 @@ class Tuning:
     """Sizes that were measured to be fast.
 
     Attributes:
-        direct_up_to: Facet systems with at most this many facets are factorised, which takes tenths of a second for any
-            κ and any cells. Larger ones are solved by CG with multigrid.
+        direct_up_to: Facet systems with at most this many facets are factorised where that is faster or CG fails; it
+            takes tenths of a second in the plane, seconds in space, for any κ and any cells. Larger ones are solved by
+            CG with multigrid.
         elastic_direct_up_to: For each dimension, the same for elastic systems, in unknowns. In space a factorisation
             fills in far more.
-        predict_from: From this number of facets of the mesh on the sets are predicted; on smaller meshes a cold start
-            takes tenths of a second.
+        predict_from: From this number of facets of the mesh on the sets are predicted, by CG; on smaller meshes a cold
+            start with a factorisation is as fast.
         elastic_predict_from: The same for elastic systems, in unknowns.
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
         coarsen_from: From this number of facets on, a coarser mesh gets a prediction itself; on smaller ones a
@@ -38,7 +39,7 @@ class Tuning:
 
     direct_up_to: int = 60_000
     elastic_direct_up_to: Mapping[int, int] = MappingProxyType({2: 500_000, 3: 60_000})
-    predict_from: int = 60_000
+    predict_from: int = 5_000
     elastic_predict_from: int = 15_000
     coarsening: float = 4.0
     coarsen_from: int = 30_000

@@ -24,18 +24,17 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.jets import cut_off, larger
 from signorini_fenicsx.discrete.nodes import facet_nodes, largest_around
 from signorini_fenicsx.discrete.points import (
     Points,
-    cut_off,
     facet_lattice,
     in_cells,
-    larger,
     owned_cells,
     quadratic_nodes,
 )
@@ -75,6 +74,7 @@ class Trace:
         cells: Owned cells on which v and exact may differ.
         at_dirichlet: Those of these cells where u_D itself enters.
         touching: Those of these cells where χ_t > 0, so that ψ itself enters.
+        altered: Those of these cells where not only an obstacle in Ω may make a difference.
         lowest: Lower bound of v − I_hψ per facet of Γ_S.
         feasible: Whether u_D ≥ ψ where Γ_D meets Γ_S.
         degree: Degree of a quadrature in `cells`.
@@ -86,6 +86,7 @@ class Trace:
     cells: Indices
     at_dirichlet: Indices
     touching: Indices
+    altered: Indices
     lowest: Array
     feasible: bool
     degree: int
@@ -126,8 +127,8 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
     v.x.array[:] = w.x.array + psi.x.array
     if data.u_D.number is not None and data.psi.number is not None:
-        nowhere, zero = np.empty(0, dtype=np.int32), np.zeros(len(spaces.facets))
-        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], nowhere, nowhere, nowhere, zero, feasible, 0)
+        nowhere, zero = (np.empty(0, dtype=np.int32),) * 4, np.zeros(len(spaces.facets))
+        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], *nowhere, zero, feasible, 0)
     return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
 
 
@@ -172,7 +173,7 @@ def _with_exact_data(
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
     height = w.x.array[facet_nodes(w.function_space, spaces.facets)].min(axis=1)
     degree = quadrature_degree(data.u_D, data.psi, data.kappa)
-    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, height, feasible, degree)
+    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, cells, height, feasible, degree)
 
 
 @dataclass(frozen=True)
@@ -255,12 +256,12 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     v = fem.Function(fem.functionspace(mesh, element), name="v")
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
-    of_cells, values = _weights(solution.data), np.empty(nodes.shape)
+    of_cells, values = _weights(solution.data), np.empty(nodes.shape, order="F")
     constant = solution.u.x.array - flux.slope * metric.moment / 2
     for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
-        cells, inverse, slope = points.cells, metric.inverse[points.cells], flux.slope[points.cells, None]
-        gradient = inverse @ flux.centroid[cells, :, None]
-        values[cells] = (points.arms @ gradient)[:, :, 0] + slope / 2 * squares_of(points.arms, inverse)
+        cells, inverse, slope = points.rows, metric.inverse[points.rows], flux.slope[points.rows, None]
+        gradient = times(flux.centroid[cells, None], inverse)[:, 0]
+        values[cells] = np.einsum("npi,ni->np", points.arms, gradient) + slope / 2 * squares_of(points.arms, inverse)
         values[cells] += constant[cells, None]
     values *= of_cells[:, None]
     for function, summands in ((v, values), (total, np.broadcast_to(of_cells[:, None], values.shape))):

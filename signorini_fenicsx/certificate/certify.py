@@ -50,6 +50,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux, load_left
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.hidden import hidden_parts, overlooked
 from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad
@@ -158,24 +159,24 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
     y, flux, level, remainder = admissible_flux(solution, metric, goal)
-    if goal.plain and data.obstacle is None:
+    force = None if data.obstacle is None else obstacle.Force.of(data, y, level, resolution)
+    if goal.plain and force is None:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
         contact = excess.gap(trace.above(excess.points), len(metric.volume))
     else:
-        trace, contact, load = _under_laws(solution, metric, goal, y, level)
-        resolution.by_quadrature |= not_polynomial(goal) | obstacle.not_quadratic(data)
+        trace, contact, load = _under_laws(solution, metric, goal, y, force)
+        resolution.by_quadrature |= not_polynomial(goal)
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, force)
     if reaction is not None:
         contact = contact + reaction.gap
-    mismatch = _mismatch(spaces, data, trace, flux)
-    mismatch = _with_deviation(spaces, metric, flux, mismatch, deviation)
-    beside = resolution.near_boundary(trace, metric)
+    mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), deviation)
+    beside = hidden_parts(resolution, trace, metric, force)
     seen = np.array([(beside**2).sum(), (mismatch + contact + oscillation**2).sum()])
     near, known = comm.allreduce(seen).tolist()
     if not near <= known:
-        resolution.overlooked(beside)
+        overlooked(resolution, beside)
     left = resolution.load_left(lambda load: load_left(spaces, data, metric, load))
     oscillation = _with_more(oscillation, left, metric, comm)
     indicator = fem.Function(spaces.Q, name="indicator")
@@ -234,11 +235,11 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
 
 
 def _under_laws(
-    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, level: fem.Function
+    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, force: obstacle.Force | None
 ) -> tuple[Trace, Array, list[FacetLoad]]:
     """v, twice the gap on Γ_S and of an obstacle per owned cell, and the loads η − y·n (collective)."""
     spaces, data = solution.spaces, solution.data
-    forces = None if data.obstacle is None else obstacle.force(spaces, y, data.source(level))
+    forces = None if force is None else force.largest
     on = OnGammaS.of(solution, goal, metric, y)
     trace = law_trace(solution, metric, y, on, forces)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
@@ -259,7 +260,7 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
         for points in cell_quadrature(mesh, cells, degree):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
-            mismatch[points.cells] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
+            mismatch[points.rows] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
     return mismatch
 
 

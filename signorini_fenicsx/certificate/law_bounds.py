@@ -13,7 +13,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import SAMPLES
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.points import FacetPoints, Points, cut_off, facet_lattice, larger, quadratic_nodes
+from signorini_fenicsx.discrete.jets import cut_off, larger
+from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
 ROUNDING = 1e-12

@@ -195,28 +195,33 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
             known.append(datum)
+    altered = _cells_with(changed, linear)
     if data.obstacle is not None:
         trace.bounds.append(bound(data.obstacle, linear))
         if not is_quadratic(data.obstacle.psi):
             changed.append(trace.bounds[-1].near)
             known.append(data.obstacle.psi)
-    near = sum((each.x.array for each in changed), np.zeros_like(moved.x.array))
-    cells, at_dirichlet = (
-        np.flatnonzero(some[linear.dofmap.list].any(axis=1)).astype(np.int32) for some in (near, near_dirichlet.x.array)
-    )
     if spaces.inner.present:
         feasible = jumps_obey(trace, on.goal.parts, spaces) and feasible
     return Trace(
         v=v,
         exact=trace if trace.bounds or changed else None,
         above=partial(trace.on_gamma_s, spaces),
-        cells=cells,
-        at_dirichlet=at_dirichlet,
+        cells=_cells_with(changed, linear),
+        at_dirichlet=_cells_with([near_dirichlet], linear),
         touching=np.empty(0, dtype=np.int32),
+        altered=altered,
         lowest=np.full(len(spaces.facets), np.inf),
         feasible=feasible,
         degree=quadrature_degree(*known),
     )
+
+
+def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indices:
+    """The owned cells where the sum of linear functions ≥ 0 is not 0."""
+    size = space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts
+    total = sum((each.x.array for each in functions), np.zeros(size))
+    return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
 
 
 def _bounds(on: OnGammaS, part: PartLaw) -> list[str | None]:

@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import times
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.points import FacetPoints, facet_type
 
@@ -67,8 +68,8 @@ class Projection:
 def projected(values: Array, cell: basix.CellType, degree: int, points: Array, weights: Array) -> Projection:
     """Project functions with mean 0, given by values in the points of a quadrature, shape (n, points)."""
     basis = _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0]
-    coefficients = values @ (weights[:, None] * basis)
-    rest = values - coefficients @ basis.T
+    coefficients = np.asfortranarray(values @ (weights[:, None] * basis))
+    rest = values - np.asfortranarray(coefficients @ basis.T)
     return Projection(coefficients, rest**2 @ weights)
 
 
@@ -131,15 +132,18 @@ def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
     return _Reference(np.einsum("q,aqi,bqj->ijab", weights, fluxes, fluxes), len(answers))
 
 
-def _local_norms(reference: _Reference, metric: CellMetric, cells: npt.NDArray[np.intp], moments: Array) -> Array:
+def _local_norms(
+    reference: _Reference, metric: CellMetric, cells: npt.NDArray[np.intp] | slice, moments: Array
+) -> Array:
     """Smallest ‖κ_h^-½ τ‖ on some cells, for moments of shape (cells, moments) on the reference cell."""
     jacobian = metric.jacobian[cells]
     dim, number = jacobian.shape[1], moments.shape[1]
-    pulled = jacobian.transpose(0, 2, 1) @ metric.inverse[cells] @ jacobian
+    pulled = times(times(jacobian.transpose(0, 2, 1), metric.inverse[cells]), jacobian)
     pulled /= (math.factorial(dim) * metric.volume[cells])[:, None, None]
     size = reference.products.shape[-1]
-    energy = (pulled.reshape(-1, dim * dim) @ reference.products.reshape(dim * dim, -1)).reshape(-1, size, size)
-    force = (energy[:, :, :number] @ moments[:, :, None])[:, :, 0]
+    entries = reference.products.reshape(dim * dim, -1).T @ pulled.T.reshape(dim * dim, -1)
+    energy = entries.reshape(size, size, -1).T  # symmetric, as `pulled` is
+    force = np.einsum("cab,cb->ca", energy[:, :, :number], moments)
     squares = np.einsum("ca,ca->c", force[:, :number], moments)
     if size > number:
         answer = np.linalg.solve(energy[:, number:, number:], force[:, number:, None])[:, :, 0]
@@ -179,24 +183,27 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
     """
     dim, number = metric.jacobian.shape[1], len(metric.volume)
     determinant = math.factorial(dim) * metric.volume
-    reference = _reference(cell, at_facets=True)
-    moments, rest = np.zeros((number, reference.moments)), np.zeros(number)
+    norms, rest, within = np.zeros(number), np.zeros(number), np.zeros((number, dim))
     if load is not None:
-        moments[:, :dim] = -determinant[:, None] * load.coefficients
+        within = -determinant[:, None] * load.coefficients
         rest += metric.diameter / np.pi * np.sqrt(determinant * load.rest)
-    at_facets = np.zeros(number, dtype=bool)
+        reference = _reference(cell, at_facets=False)
+        for first in range(0, number, AT_ONCE):
+            cells = slice(first, first + AT_ONCE)
+            norms[cells] = _local_norms(reference, metric, cells, within[cells])
+    at_facets = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *(each.points.cells for each in on_facets)]))
+    reference = _reference(cell, at_facets=True)
+    moments = np.zeros((len(at_facets), reference.moments))
+    moments[:, :dim] = within[at_facets]
     for each in on_facets:
         points = each.points
-        cells, scale = points.cells, points.scale
+        scale = points.scale
         projection = projected(each.values, facet_type(dim), OF_FLUX, points.points, points.weights)
         of_facet = projection.coefficients.shape[1]
         columns = dim + of_facet * points.local[:, None] + np.arange(of_facet)
-        moments[cells[:, None], columns] = scale[:, None] * projection.coefficients
-        constant = facet_constants(metric, cells, scale / math.factorial(dim - 1))
+        moments[np.searchsorted(at_facets, points.cells)[:, None], columns] = scale[:, None] * projection.coefficients
+        constant = facet_constants(metric, points.cells, scale / math.factorial(dim - 1))
         rest += points.per_cell(constant * (np.sqrt(scale * projection.rest) + each.missed), number)
-        at_facets[cells] = True
-    norms = np.zeros(number)
-    for chosen, kind in ((~at_facets, _reference(cell, at_facets=False)), (at_facets, reference)):
-        for some in np.array_split(np.flatnonzero(chosen), np.count_nonzero(chosen) // AT_ONCE + 1):
-            norms[some] = _local_norms(kind, metric, some, moments[some, : kind.moments])
+    for some in np.array_split(np.arange(len(at_facets)), len(at_facets) // AT_ONCE + 1):
+        norms[at_facets[some]] = _local_norms(reference, metric, at_facets[some], moments[some])
     return (norms + rest) / np.sqrt(metric.low)

@@ -50,7 +50,8 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
     mesh = spaces.mesh
     dim = mesh.topology.dim
     number = mesh.topology.index_map(dim).size_local
-    jacobian, longest, first, second = np.empty((number, dim, dim)), np.empty(number), *np.triu_indices(dim + 1, 1)
+    jacobian, longest = np.empty((number, dim, dim), order="F"), np.empty(number)
+    first, second = np.triu_indices(dim + 1, 1)
     kappa_h = data.matrices(spaces)
     inverse = np.broadcast_to(inverses(kappa_h), (number, dim, dim))
     for some in some_at_a_time(mesh):

@@ -1,7 +1,8 @@
 """An obstacle u ≥ ψ in Ω in the bound.
 
-Let y ∈ RT0 have λ = −∇·y − f_h ≥ 0 in each cell, and v ≥ ψ in Ω. For the obstacle problem with the load f_h, whose
-solution ũ has the force λ̃ = −∇·κ∇ũ − f_h,
+Let y ∈ RT0 have −∇·y ≥ f_h in each cell, and v ≥ ψ in Ω. The force λ has to be ≥ 0 in each point and not only in the
+mean. So it can take f as it is: let f̃ = f in the cells where −∇·y ≥ f in all points, f̃ = f_h in the others, and
+λ = −∇·y − f̃. For the obstacle problem with the load f̃, whose solution ũ has the force λ̃ = −∇·κ∇ũ − f̃,
 
     ½‖κ^½∇v − κ^-½y‖² + (λ, v − ψ) = ½|∇(v − ũ)|² + ½‖y − κ∇ũ‖² + (λ̃, v − ψ) + (λ, ũ − ψ).
 
@@ -9,16 +10,19 @@ Proof. The difference of both sides is (∇(v − ũ), κ∇ũ − y) + (λ, v �
 and (λ̃, ũ − ψ) = 0. So all cancel. The last two terms on the right are ≥ 0. With laws on Γ_S these add what they add
 without an obstacle.
 
-With a term cu, λ = −∇·y − f_h + c_h u*, and both sides have the terms of `reaction`.
+With a term cu, λ = −∇·y − f̃ + c_h u*, and both sides have the terms of `reaction`.
 
 The variational inequalities of u and ũ, each tested with the other one, give |∇(u − ũ)| ≤ osc as without an obstacle:
-both are taken over the same functions v ≥ ψ.
+both are taken over the same functions v ≥ ψ. osc is that of f − f̃. So in contact f may jump and is not paid for. Only
+the range of f is needed there, which intervals enclose, and (λ, v − ψ) is bounded with the largest λ of each cell.
 
 v is the maximum of ψ and of a function that is quadratic on each cell, by Bernstein coefficients not below those of
 I_hψ. In vertices all of whose cells touch it is lowered by as much as I_hψ may be above ψ, so that v is ψ itself there.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
@@ -29,6 +33,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.law_bounds import Bound
 from signorini_fenicsx.certificate.relaxation import Edges
+from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.obstacle import Obstacle
@@ -45,14 +50,36 @@ def force(spaces: Spaces, y: fem.Function, source: fem.Function) -> Array:
     return np.maximum(-divergence - source.x.array, 0.0)
 
 
+@dataclass(frozen=True)
+class Force:
+    """λ, per owned cell.
+
+    Attributes:
+        largest: Upper bound of λ.
+        takes_f: Mask of the cells where f̃ = f.
+    """
+
+    largest: Array
+    takes_f: Mask
+
+    @classmethod
+    def of(cls, data: Data, y: fem.Function, level: fem.Function, resolution: Resolution) -> Force:
+        """That of a flux, with u* as `level` (collective)."""
+        largest = force(resolution.spaces, y, data.source(level))
+        takes_f = np.zeros(len(largest), dtype=bool)
+        if data.f.number is not None:
+            return cls(largest, takes_f)
+        most = largest + data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
+        cells = np.flatnonzero(largest > 0).astype(np.int32)
+        f = resolution.range_of("f", cells, most[cells])
+        takes_f[cells] = f.hi <= most[cells]
+        largest[cells] = np.where(takes_f[cells], most[cells] - f.lo, largest[cells])
+        return cls(largest, takes_f)
+
+
 def is_quadratic(psi: Datum) -> bool:
     """Whether ψ is its own quadratic interpolant."""
     return psi.polynomial is not None and psi.polynomial <= 2
-
-
-def not_quadratic(data: Data) -> set[str]:
-    """The name of the obstacle if integrals of v rely on quadrature."""
-    return {"obstacle"} if data.obstacle is not None and not is_quadratic(data.obstacle.psi) else set()
 
 
 def coefficients(psi: Datum, space: fem.FunctionSpace, edges: Edges) -> Array:
@@ -111,7 +138,7 @@ def bound(obstacle: Obstacle, linear: fem.FunctionSpace) -> Bound:
 
 
 def gap(obstacle: Obstacle, spaces: Spaces, trace: Trace, forces: Array) -> Array:
-    """2(λ, v − ψ) per owned cell (collective)."""
+    """2(λ, v − ψ) per owned cell, at most, with `forces` ≥ λ (collective)."""
     found = np.zeros(len(forces))
     cells = np.flatnonzero(forces > 0).astype(np.int32)
     far, near = np.setdiff1d(cells, trace.cells), np.intersect1d(cells, trace.cells)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import basix
 import numpy as np
@@ -35,6 +35,7 @@ from signorini_fenicsx.certificate.local_fluxes import (
     projected,
 )
 from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.obstacle import Force
 from signorini_fenicsx.certificate.reaction import ReactionTerms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
@@ -106,6 +107,7 @@ def load_oscillation(
     reaction: ReactionTerms | None,
     memory: Callable[[CellPoints], Array] | None,
     resolution: Resolution,
+    force: Force | None = None,
 ) -> Array:
     """osc_T per owned cell (collective).
 
@@ -117,6 +119,7 @@ def load_oscillation(
         reaction: The terms of cu.
         memory: What a step in time takes from those before; None if it is constant on each cell.
         resolution: Records what quadrature may have missed.
+        force: The force of an obstacle; where it takes f as it is, f − f_h is no load.
     """
     mesh = spaces.mesh
     on_facets = [*on_signorini]
@@ -127,10 +130,10 @@ def load_oscillation(
         g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
         on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
-    load, cell = _load(spaces, data, metric, resolution), mesh.basix_cell()
+    load, cell = _load(spaces, data, metric, resolution, force), mesh.basix_cell()
     if memory is not None and data.memory is not None:
         known = data.memory.x.array
-        remembered = _projected(spaces, lambda points: memory(points) - known[points.cells, None], OF_MEMORY)
+        remembered = _projected(spaces, lambda points: memory(points) - known[points.rows, None], OF_MEMORY)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
         return load_norms(cell, metric, load, on_facets)
@@ -169,18 +172,23 @@ def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int)
     return Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("coefficients", "rest")))
 
 
-def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution) -> Projection | None:
+def _load(
+    spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, force: Force | None
+) -> Projection | None:
     """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective)."""
     if data.f.number is not None:
         return None
     cell, f_h = spaces.mesh.basix_cell(), data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
     degree = quadrature_degree(data.f, power=2)
-    load = _projected(spaces, lambda points: data.f.values(points) - f_h[points.cells, None], degree)
+    load = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
+    cells = owned_cells(spaces.mesh)
+    if force is not None:
+        load.coefficients[force.takes_f], load.rest[force.takes_f] = 0.0, 0.0
+        cells = cells[~force.takes_f]
     if not resolution.encloses("f"):
         return load
-    nodes, volume = (
-        f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)),
-        1 / math.factorial(metric.jacobian.shape[1]),
-    )
+    nodes = f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
+    volume = 1 / math.factorial(metric.jacobian.shape[1])
     seen = np.sqrt(load.rest / volume)
-    return replace(load, rest=resolution.on_cells("f", nodes, seen, metric) ** 2 * volume)
+    load.rest[cells] = resolution.on_cells("f", nodes[cells], seen[cells], metric, cells) ** 2 * volume
+    return load

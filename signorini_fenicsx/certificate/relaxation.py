@@ -21,6 +21,7 @@ from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.small_matrices import gathered
 from signorini_fenicsx.discrete.nodes import Jumps
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
@@ -49,8 +50,9 @@ class Edges:
 
     def to_bernstein(self, values: Array) -> None:
         """Turn values in the middle nodes into Bernstein coefficients, in place."""
-        first, second = self.ends.T
-        values[self.middle] = 2 * values[self.middle] - (values[first] + values[second]) / 2
+        means = gathered(values, self.ends).sum(axis=1)
+        means /= 2
+        values[self.middle] = 2 * values.take(self.middle) - means
 
 
 def all_edges(space: fem.FunctionSpace) -> Edges:
@@ -261,6 +263,11 @@ class _Gap:
     def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> tuple[Array, float, float]:
         """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).
 
+        Args:
+            residual: 0 in the other nodes; changed in place.
+            free: The free nodes.
+            steps: Their number.
+
         Returns:
             The change of w, by how much it reduces the gap, and by how much its last step does.
         """
@@ -273,11 +280,13 @@ class _Gap:
             earlier, size = size, self._comm.allreduce(residual @ scaled)
             if size == 0:
                 break
-            direction = scaled + size / earlier * direction
-            image = np.where(free, self._times(direction), 0.0)
+            direction *= size / earlier
+            direction += scaled
+            image = self._times(direction)
+            image *= free
             length = size / self._comm.allreduce(direction @ image)
             change += length * direction
-            residual = residual - length * image
+            residual -= length * image
             last = length * size / 2
             gained += last
         return change, gained, last

@@ -12,10 +12,7 @@ certificate replaces each expression e by a polynomial p; d = e − p is the dif
 
 - *κ*, with P2 interpolant κ̃ and S = sup |κ − κ̃| on T: ‖κ^½∇v − κ^-½y‖ ≤ ρ^½‖κ̃^½∇v − κ̃^-½y‖ + S‖y‖/(κ_min^½ κ̃_min),
   ρ = 1 + S/κ̃_min, since κ^½∇v − κ^-½y = κ^½κ̃⁻¹(κ̃∇v − y) + κ^-½(κ − κ̃)κ̃⁻¹y.
-- *u_D and ψ* near Γ_D and Γ_S, where v contains u_D and ψ themselves: ‖κ^½∇(χd)‖_T ≤ κ_max^½ (‖∇d‖ + |T|^½ |∇χ| sup|d|)
-  with d the difference between them and their P2 interpolants. Integrals over these cells use d in the points of a
-  quadrature. If these points show less than a third of ∇d, and the rest may be more than all other terms of the bound,
-  u_D or ψ is not resolved.
+- *u_D, ψ and an obstacle*, where v contains them themselves: see `hidden`.
 
 For loads, quadrature is used where three conditions hold: its points show at least a third of d, quadratures of two
 degrees agree about the mean of d, and d does not jump. Elsewhere ‖d‖ and the mean come from the enclosures.
@@ -34,34 +31,30 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.enclosures import Enclosure, cell_vertices, enclose, facet_vertices
+from signorini_fenicsx.certificate.enclosures import Enclosure, cell_vertices, enclose
 from signorini_fenicsx.certificate.interpolants import (
     POINTS,
     bernstein,
     edge_order,
-    in_nodes,
     mean_above,
     quadratic_of,
-    seen_slope,
 )
 from signorini_fenicsx.certificate.local_fluxes import facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.data import Data
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.given import Rows
-from signorini_fenicsx.discrete.points import FacetPoints
+from signorini_fenicsx.discrete.points import FacetPoints, cell_quadrature
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
-from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, interpolated
+from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated
 
 type Indices = npt.NDArray[np.int32]
 
 EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
 LOADS = ("f", "g_N", "q_S", "c")
-SEEN = 0.25
-"""Enclosures of u_D and ψ stop where the part that is not quadratic is about half of this share of the error."""
 AGREED = 0.1
 """Two quadratures agree about a mean if they differ by at most this share of the root mean square."""
 OVERLOOKED = 3.0
@@ -109,23 +102,48 @@ class Resolution:
 
     def encloses(self, name: str) -> bool:
         """Whether enclosures are needed and possible: not for polynomials, and not for data given in Python."""
-        return self._tree(name) is not None
+        return self.tree(name) is not None
 
-    def on_cells(self, name: str, nodes: Array, seen: Array, metric: CellMetric) -> Array:
-        """Root mean square of a load minus p per owned cell (collective).
+    def on_cells(self, name: str, nodes: Array, seen: Array, metric: CellMetric, cells: Indices) -> Array:
+        """Root mean square of a load minus p on some owned cells (collective).
 
         Args:
             name: Name of the load.
             nodes: Values of p in the nodes of P2, shape (cells, nodes).
             seen: The root mean square by quadrature, shape (cells,).
-            metric: Metric of the owned cells.
+            metric: Metric of all owned cells.
+            cells: The cells.
         """
-        vertices = cell_vertices(self.spaces.mesh)
-        tolerance = self.flux(metric) / self.volume ** (1 / vertices.shape[2])
-        norm, mean = self._load(name, vertices, quadratic_of(vertices, nodes), seen, tolerance, self._cells())
-        self.load = self.load + mean
-        self.missed += np.where(norm > seen, (metric.diameter / np.pi * norm) ** 2 * metric.volume / metric.low, 0.0)
+        vertices = cell_vertices(self.spaces.mesh)[cells]
+        tolerance = self.flux(metric)[cells] / self.volume ** (1 / vertices.shape[2])
+        norm, mean = self._load(name, vertices, quadratic_of(vertices, nodes), seen, tolerance, cells)
+        of_load, missed = np.zeros((2, len(self.missed))), np.zeros(len(self.missed))
+        of_load[:, cells] = mean.lo, mean.hi
+        self.load = self.load + Interval(*of_load)
+        missed[cells] = np.where(norm > seen, norm, 0.0)
+        self.missed += (metric.diameter / np.pi * missed) ** 2 * metric.volume / metric.low
         return norm
+
+    def range_of(self, name: str, cells: Indices, limit: Array) -> Interval:
+        """Range of a datum on some owned cells, as narrow as is needed to see whether it is ≤ a limit (collective).
+
+        Of data given in Python the range in the points of a quadrature.
+        """
+        datum, lo, hi = self._datum(name), np.empty(len(cells)), np.empty(len(cells))
+        for points in cell_quadrature(self.spaces.mesh, cells, quadrature_degree(datum)):
+            seen, rows = datum.values(points), np.searchsorted(cells, points.cells)
+            lo[rows], hi[rows] = seen.min(axis=1), seen.max(axis=1)
+        tree = self.data.trees.get(name)
+        if not self.given_as_text(name) or not isinstance(tree, TREES):
+            return Interval(lo, hi)
+        below = np.flatnonzero(hi <= limit)
+        least, most = (2 * lo - limit)[below], limit[below]
+        vertices = cell_vertices(self.spaces.mesh)[cells[below]]
+        middle = constant((least + most) / 2, vertices.shape[2])
+        comm, scale = self.spaces.mesh.comm, self.scale()
+        found = enclose(tree, vertices, middle, (most - least) / 2, comm, scale=scale, by="sup")
+        lo[below], hi[below] = found.range.lo, found.range.hi
+        return Interval(lo, hi)
 
     def on_facets(self, name: str, points: FacetPoints, nodes: Array, seen: Array, metric: CellMetric) -> Array:
         """L² norm of a flux minus p per facet, with arguments like those of `on_cells` (collective)."""
@@ -143,7 +161,7 @@ class Resolution:
         self, name: str, vertices: Array, p: Quadratic, seen: Array, tolerance: Array, cells: Indices
     ) -> tuple[Array, Interval]:
         """Root mean square and mean of a load minus p; `seen` and 0 where quadrature is good enough (collective)."""
-        tree, comm, scale = self._tree(name), self.spaces.mesh.comm, self._scale()
+        tree, comm, scale = self.tree(name), self.spaces.mesh.comm, self.scale()
         assert tree is not None
         enough = np.maximum(OVERLOOKED * seen, tolerance)
         first = enclose(tree, vertices, p, enough, comm, scale=scale)
@@ -187,58 +205,22 @@ class Resolution:
                 deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * found.sup)
             for i, j in entries:
                 coefficients[cells, :, i, j] = of_p
-        root = np.linalg.cholesky(_of_all(metric.inverse, number))[:, None]
+        root = np.linalg.cholesky(of_all_cells(metric.inverse, number))[:, None]
         ratios = np.linalg.eigvalsh(root.transpose(0, 1, 3, 2) @ coefficients @ root)[:, :, 0].min(axis=1, initial=1.0)
         low = ratios - np.linalg.norm(metric.inverse, axis=(1, 2)) * deviation
         lost = ~(low > 0)
         if lost.any():
             self.lost.add("kappa")
-        self._note("kappa", vertices[lost].mean(axis=1), np.flatnonzero(lost))
+        self.note("kappa", vertices[lost].mean(axis=1), np.flatnonzero(lost))
         low, deviation = np.where(lost, metric.low, low), np.where(lost, 0.0, deviation)
         return replace(metric, low=low, kappa_min=metric.kappa_min / metric.low * low), deviation
-
-    def near_boundary(self, trace: Trace, metric: CellMetric) -> Array:
-        """Bound of ‖κ^½∇(χd)‖_T for u_D and ψ together, per owned cell (collective).
-
-        v contains ψ where it touches, and where it was raised to ψ. It cannot have been raised on facets where
-        v − I_hψ ≥ sup |ψ − I_hψ|.
-        """
-        extra = np.zeros(len(metric.volume))
-        above = self._facets_of_psi(trace)
-        touching = np.union1d(trace.touching, self.spaces.cells[above]).astype(np.int32)
-        for name, cells in (("u_D", trace.at_dirichlet), ("psi", touching)):
-            tree = self._tree(name)
-            if tree is None:
-                continue
-            vertices, inverse = cell_vertices(self.spaces.mesh)[cells], _of_all(metric.inverse, len(extra))[cells]
-            strip = self.spaces.mesh.comm.allreduce(metric.volume[cells].sum())
-            kappa_max = (2 - metric.low[cells]) / np.linalg.eigvalsh(inverse)[:, 0]
-            steep = SEEN / 2 * self.error / np.sqrt(max(strip, 1e-300) * kappa_max)
-            p = quadratic_of(vertices, in_nodes(tree, vertices))
-            found = self.enclosed(name, tree, vertices, p, steep, cells, "tilt")
-            decay = 2 * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
-            hidden = found.tilt > OVERLOOKED * seen_slope(tree, vertices, p)
-            more = np.sqrt(kappa_max * metric.volume[cells]) * (found.tilt + decay * found.sup)
-            extra[cells] += np.where(hidden, more, 0.0)
-        return extra
-
-    def _facets_of_psi(self, trace: Trace) -> npt.NDArray[np.bool_]:
-        """Mask of the facets of Γ_S where ψ may be larger than the quadratic v."""
-        tree = self._tree("psi")
-        if tree is None:
-            return np.zeros(len(self.spaces.facets), dtype=bool)
-        vertices = facet_vertices(self.spaces.mesh, self.spaces.facets)
-        p = quadratic_of(vertices, in_nodes(tree, vertices))
-        tolerance = np.maximum(trace.lowest, 0.0)
-        comm, scale = self.spaces.mesh.comm, self._scale()
-        found = enclose(tree, vertices, p, np.where(tolerance > 0, tolerance, np.inf), comm, scale=scale, by="sup")
-        return np.asarray(found.sup > tolerance)
 
     def flux(self, metric: CellMetric) -> Array:
         """A flux size per owned cell that makes only the share SHARE of the error."""
         return SHARE * self.error * np.sqrt(np.maximum(metric.kappa_min, 0.0) / self.volume)
 
-    def _tree(self, name: str) -> Tree | None:
+    def tree(self, name: str) -> Tree | None:
+        """The expression of a datum that has to be enclosed; None for polynomials and for data given in Python."""
         tree = self.data.trees.get(name)
         if not self.given_as_text(name) or not isinstance(tree, TREES):
             return None
@@ -247,11 +229,18 @@ class Resolution:
 
     def given_as_text(self, name: str) -> bool:
         """Whether a datum is a number or a tree; otherwise it is added to `by_quadrature`."""
-        is_number = getattr(self.data, name).number is not None
+        is_number = self._datum(name).number is not None
         known = is_number or any(key.partition(".")[0] == name for key in self.data.trees)
         if not known:
             self.by_quadrature.add(name)
         return known
+
+    def _datum(self, name: str) -> Datum:
+        if name == "obstacle":
+            assert self.data.obstacle is not None
+            return self.data.obstacle.psi
+        datum: Datum = getattr(self.data, name)
+        return datum
 
     def of_regions(self, name: str) -> Iterator[tuple[Tree | Rows, Indices]]:
         """What κ or c was given as, for all owned cells or for those of each region."""
@@ -282,27 +271,21 @@ class Resolution:
     ) -> Enclosure:
         """Enclose a datum minus quadratics on simplices of these cells; places that are not resolved are kept."""
         assert tree is not None
-        found = enclose(tree, vertices, p, tolerance, self.spaces.mesh.comm, scale=self._scale(), by=by)
-        self._note(name, found.place[~found.resolved], cells[~found.resolved])
+        found = enclose(tree, vertices, p, tolerance, self.spaces.mesh.comm, scale=self.scale(), by=by)
+        self.note(name, found.place[~found.resolved], cells[~found.resolved])
         return found
 
-    def _scale(self) -> float:
+    def scale(self) -> float:
+        """Size of the domain, for `enclose`."""
         return float(np.ptp(self.spaces.domain.box(), axis=0).max())
 
-    def _note(self, name: str, places: Array, cells: npt.NDArray[np.integer]) -> None:
+    def note(self, name: str, places: Array, cells: npt.NDArray[np.integer]) -> None:
+        """Record places on some cells where a datum is not resolved."""
         self.unresolved += [(name, tuple(place)) for place in places.tolist()]
         self.coarse[cells] = True
 
     def _cells(self) -> Indices:
         return np.arange(len(self.coarse), dtype=np.int32)
-
-    def overlooked(self, beside: Array) -> None:
-        """Record that quadrature may overlook u_D or ψ in the cells where `beside` is large (collective)."""
-        comm = self.spaces.mesh.comm
-        worst = beside >= comm.allreduce(beside.max(initial=0.0), MPI.MAX) / 4
-        names = ", ".join(name for name in ("u_D", "psi") if self.encloses(name))
-        self.lost.add(names)
-        self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
 
     def load_left(self, measure: Callable[[Interval], float]) -> float:
         """What the means of the loads add to the bound, by `measure`; without Γ_D nothing, they rely on quadrature."""
@@ -328,7 +311,7 @@ class Resolution:
             size[np.isnan(size)] = np.inf
             worst = size >= comm.allreduce(size.max(initial=0.0), MPI.MAX) / 4
             names = ", ".join(name for name in LOADS if self.encloses(name)) or "u_D"
-            self._note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
+            self.note(names, cell_vertices(self.spaces.mesh)[worst].mean(axis=1), np.flatnonzero(worst))
         everything = sorted(entry for entries in comm.allgather(sorted(self.unresolved)[:PLACES]) for entry in entries)
         return tuple(everything[:PLACES])
 
@@ -337,6 +320,6 @@ class Resolution:
         self.coarse[:] &= bool(self.lost)
 
 
-def _of_all(matrices: Array, number: int) -> Array:
+def of_all_cells(matrices: Array, number: int) -> Array:
     """One matrix per cell; `matrices` may hold one for all cells."""
     return np.broadcast_to(matrices, (number, *matrices.shape[1:]))

@@ -102,6 +102,7 @@ def main() -> None:
     with listening(), np.errstate(all="ignore"):  # values that are not finite are reported in a sentence
         status = _run(run)
     progress.follow(None)
+    gc.freeze()  # at its end Python would look through all objects, which takes longer than all else there
     sys.exit(status)
 
 

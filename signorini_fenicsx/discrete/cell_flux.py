@@ -19,7 +19,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
 from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.spaces import Spaces
@@ -48,12 +48,12 @@ class CellFlux:
         mesh, dofs = spaces.mesh, spaces.V.dofmap.list
         outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
         dim, cells = mesh.topology.dim, len(dofs)
-        centroid, slope = np.empty((cells, dim)), np.empty(cells)
+        centroid, slope = np.empty((cells, dim), order="F"), np.empty(cells)
         for some in some_at_a_time(mesh):
-            through = outflow[some] * sigma.x.array[dofs[some]]
+            through = outflow[some] * gathered(sigma.x.array, dofs[some])
             through /= dim * volumes[some, None]
             slope[some] = np.einsum("ce->c", through)
-            centroid[some] = -(through[:, None] @ arms(mesh, some))[:, 0]
+            centroid[some] = -np.einsum("ce,cei->ci", through, arms(mesh, some))
         return cls(spaces, centroid, slope)
 
     @property
@@ -71,9 +71,8 @@ class CellFlux:
 
     def at(self, points: Points) -> Array:
         """σ in points, shape (n, points, dim)."""
-        cells = points.cells
-        values: Array = self.slope[cells, None, None] * points.arms
-        values += self.centroid[cells, None]
+        values: Array = self.slope[points.rows, None, None] * points.arms
+        values += self.centroid[points.rows, None]
         return values
 
     def squares(self, weight: Weight, moments: Array | None = None) -> Array:
@@ -93,9 +92,10 @@ class CellFlux:
     def tested(self, weight: Weight) -> Array:
         """(Bσ, φ_i)_T / a_i of each cell, shape (cells, dim + 1)."""
         mesh, dim = self.spaces.mesh, self.centroid.shape[1]
-        tested, images = np.empty(self.spaces.outflow.shape), self.centroid[:, None] @ _as_matrix(weight, dim)
+        images = times(self.centroid[:, None], _as_matrix(weight, dim))[:, 0]
+        tested = np.empty(self.spaces.outflow.shape, order="F")
         for some in some_at_a_time(mesh):
-            tested[some] = -(images[some] @ arms(mesh, some).transpose(0, 2, 1))[:, 0]
+            tested[some] = -np.einsum("ci,cvi->cv", images[some], arms(mesh, some))
         tested += (mean_moments(_squared_arms(self.spaces, weight)) * self.slope)[:, None]
         tested /= dim
         return tested

@@ -1,6 +1,11 @@
-"""The cells of a mesh, which are simplices, as NumPy arrays."""
+"""The cells of a mesh, which are simplices, as NumPy arrays.
+
+The entries of one kind, such as the first coordinates of all first vertices, are one after the other in memory, as
+`base/small_matrices.py` has them.
+"""
 
 from collections.abc import Iterator
+from weakref import WeakKeyDictionary
 
 import dolfinx.mesh
 import numpy as np
@@ -11,13 +16,30 @@ from signorini_fenicsx.base.small_matrices import squares_of
 
 type Entities = npt.NDArray[np.int32]
 
-AT_ONCE = 32_768
+AT_ONCE = 8_192
 """Number of cells."""
+
+_NODES: WeakKeyDictionary[dolfinx.mesh.Mesh, Entities] = WeakKeyDictionary()
+
+
+def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Entities:
+    """Numbers of the vertices of the cells of this rank, shape (cells, dim + 1).
+
+    They are kept with the mesh: DOLFINx copies them all whenever it is asked, also for some cells at a time.
+    """
+    nodes = _NODES.get(mesh)
+    if nodes is None:
+        nodes = _NODES[mesh] = mesh.geometry.dofmaps[0]
+    return nodes
 
 
 def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
     """Vertices of cells of this rank, by default of all, shape (cells, dim + 1, dim)."""
-    return mesh.geometry.x[mesh.geometry.dofmaps[0][cells], : mesh.topology.dim]
+    x, nodes, dim = mesh.geometry.x, cell_nodes(mesh)[cells], mesh.topology.dim
+    found = np.empty((*nodes.shape, dim), order="F")
+    for vertex, of_vertex in enumerate(nodes.T):
+        found[:, vertex] = x.take(of_vertex, axis=0)[:, :dim]  # far faster than x[of_vertex]
+    return found
 
 
 def arms(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
@@ -29,7 +51,7 @@ def arms(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Arra
 
 def some_at_a_time(mesh: dolfinx.mesh.Mesh) -> Iterator[slice]:
     """All cells of this rank, so many at a time that arrays of them stay in the cache of the processor."""
-    number = len(mesh.geometry.dofmaps[0])
+    number = len(cell_nodes(mesh))
     return (slice(first, min(first + AT_ONCE, number)) for first in range(0, number, AT_ONCE))
 
 
@@ -38,7 +60,7 @@ def squared_arms(mesh: dolfinx.mesh.Mesh, matrix: Array) -> Array:
 
     B is a matrix per cell, or one for all.
     """
-    squares, dim = np.empty(mesh.geometry.dofmaps[0].shape), mesh.topology.dim
+    squares, dim = np.empty(cell_nodes(mesh).shape, order="F"), mesh.topology.dim
     of_cells = np.broadcast_to(matrix, (len(squares), dim, dim))
     for some in some_at_a_time(mesh):
         squares[some] = squares_of(arms(mesh, some), of_cells[some])

@@ -269,7 +269,7 @@ def _exact(spaces: Spaces, given: Given | None) -> Datum | None:
 
 
 def _trees(problem: Problem) -> dict[str, Tree | Rows]:
-    given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S")}
+    given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S", "obstacle")}
     for name, whole in (("kappa", problem.kappa), ("c", problem.c)):
         of_regions = {f"{name}.{key}": value for key, value in whole.items()} if isinstance(whole, Mapping) else None
         given |= {name: whole} if of_regions is None else of_regions

@@ -6,15 +6,18 @@ which compiles it once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeGuard
 
 import basix
 import basix.ufl
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from ufl.algorithms.analysis import extract_arguments
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
@@ -64,7 +67,7 @@ class Datum:
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""
-        return np.full(points.shape, self.number) if self.number is not None else self._values(points)
+        return np.full(points.shape, self.number, order="F") if self.number is not None else self._values(points)
 
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of a scalar, see `points` (collective)."""
@@ -187,26 +190,69 @@ def datum_of(spaces: Spaces, name: str, given: Given, *, continuous: bool = True
     if isinstance(given, Expr):
         if any(domain != spaces.mesh.ufl_domain() for domain in extract_domains(given)):
             raise InputError(f"[problem] {name}: is UFL on another mesh; write it on `domain.mesh`")
+        if extract_arguments(given):
+            raise InputError(f"[problem] {name}: is UFL with a test or trial function; data have none")
         datum = Datum(given)
-    elif isinstance(given, TREES):
-        datum = _Text(to_ufl(given, x), given)
-    elif isinstance(given, tuple | list):
-        rows = [list(row) for row in given]
-        datum = _Text(ufl.as_matrix([[to_ufl(entry, x) for entry in row] for row in rows]), rows)
-    elif callable(given):
-        probe = np.asarray(given(np.zeros((3, 1))))
-        variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
-        element = basix.ufl.element(
-            "P", spaces.mesh.basix_cell(), 2, variant, shape=probe.shape[:-1], discontinuous=not continuous
-        )
-        function = fem.Function(fem.functionspace(spaces.mesh, element), name=name)
-        function.interpolate(lambda x: np.reshape(given(x), (-1, x.shape[1])))
-        datum = Datum(function)
-    else:
+    elif isinstance(given, int | float):
         datum = Datum(ufl.as_ufl(given))
+    elif isinstance(given, TREES):
+        datum = _Text(_in_ufl(name, given, x), given)
+    elif _is_matrix(given):
+        datum = _Text(ufl.as_matrix([[_in_ufl(name, entry, x) for entry in row] for row in given]), given)
+    elif callable(given):
+        datum = Datum(_interpolated(spaces, name, given, continuous=continuous))
+    else:
+        texts = "numbers, texts, square matrices of them, UFL (by ufl.as_matrix)" if matrix else "numbers, texts, UFL"
+        kind = type(given).__name__
+        raise InputError(f"[problem] {name}: is a {kind}; data are {texts}, Functions or functions of points")
     if datum.shape not in shapes:
         raise InputError(f"[problem] {name}: has shape {datum.shape}, not {' or '.join(map(str, shapes))}")
     return datum
+
+
+def _in_ufl(name: str, tree: Tree, x: Expr) -> Expr:
+    """A tree as UFL in these coordinates.
+
+    Raises:
+        InputError: If a part without coordinates cannot be evaluated, such as 1/(t − 1) at t = 1.
+    """
+    try:
+        return to_ufl(tree, x)
+    except (ArithmeticError, ValueError) as error:
+        raise InputError(f"[problem] {name}: cannot be evaluated: {error}") from None
+
+
+def _is_matrix(given: object) -> TypeGuard[list[list[Tree]]]:
+    """Whether it is a list of equally long rows of trees."""
+    if not isinstance(given, list) or not all(isinstance(row, list) and row for row in given):
+        return False
+    return len({len(row) for row in given}) == 1 and all(isinstance(entry, TREES) for row in given for entry in row)
+
+
+def _interpolated(
+    spaces: Spaces, name: str, given: Callable[[Array], npt.ArrayLike], *, continuous: bool
+) -> fem.Function:
+    """A function of points as a function on the mesh (collective).
+
+    Raises:
+        InputError: If it does not give one value for each point.
+    """
+
+    def values(x: Array) -> Array:
+        found = np.asarray(given(x))
+        if found.shape[-1:] != x.shape[1:]:
+            raise InputError(
+                f"[problem] {name}: the function of points of shape {x.shape} must give one value for each, "
+                f"not an array of shape {found.shape}"
+            )
+        return found
+
+    shape = values(np.zeros((3, 1))).shape[:-1]
+    variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
+    element = basix.ufl.element("P", spaces.mesh.basix_cell(), 2, variant, shape=shape, discontinuous=not continuous)
+    function = fem.Function(fem.functionspace(spaces.mesh, element), name=name)
+    function.interpolate(lambda x: values(x).reshape(-1, x.shape[1]))
+    return function
 
 
 def conductivity_of(spaces: Spaces, given: Given | Mapping[str, Given]) -> Datum:
@@ -241,7 +287,8 @@ def regional_datum(spaces: Spaces, key: str, given: Given | Mapping[str, Given],
     ).tolist()
     if without > 0 or not parts:
         missing = [name for name in regions if name not in given]
-        raise InputError(f"[problem] {key}: {without} cells have no value; regions without one: {', '.join(missing)}")
+        which = f"; regions without one: {', '.join(missing)}" if missing else ", as they are in no region"
+        raise InputError(f"[problem] {key}: {without} cells have no value{which}")
     if several > 0:
         raise InputError(f"[problem] {key}: {several} cells are in more than one of {', '.join(given)}")
     identity = ufl.Identity(spaces.mesh.geometry.dim)

@@ -19,7 +19,7 @@ from signorini_fenicsx.discrete.elastic_friction import FrictionBounds, friction
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.discrete.given import parsed
-from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX, Cells, SplitQuadrature
+from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX, SplitQuadrature
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.discrete.vector_datum import VectorDatum, vector_datum_of
 from signorini_fenicsx.meshes.domain import AXES
@@ -79,14 +79,13 @@ class ElasticData:
         young, poisson = self.young.values(points), self.poisson.values(points)
         return (1 + poisson) / young, poisson / (1 + poisson) if self.in_space else poisson
 
-    def mean_poisson(self, spaces: ElasticSpaces) -> float:
-        """The mean of ν over the domain (collective)."""
-        sums = np.zeros(2)
+    def stiffness_of_volume(self, spaces: ElasticSpaces) -> float:
+        """The largest λ/μ, without limit as ν → ½; in plane stress λ is that in the plane (collective)."""
+        largest = 0.0
         for cells in blocks_of_cells(spaces):
-            points, measure = self.points(spaces, cells), Cells(spaces.vertices[cells]).measure
-            sums += measure @ self.poisson.values(points).mean(axis=1), measure.sum()
-        of_poisson, volume = spaces.mesh.comm.allreduce(sums).tolist()
-        return float(of_poisson / volume)
+            _, theta = self.moduli(self.points(spaces, cells))
+            largest = max(largest, float((2 * theta / (1 - spaces.dim * theta)).max(initial=0.0)))
+        return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
 
     def moments_of_f(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
         """(f, φ_v) for the hats of the vertices of cells with these |T|, shape (cells, d + 1, d) (collective)."""
@@ -236,7 +235,8 @@ def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum]) -> 
     known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
     for name, datum in g_N.items():
         if name and name not in known:
-            raise InputError(f"[problem] g_N: no traction is given on part '{name}', only on {', '.join(known)}")
+            where = f"only on {', '.join(known)}" if known else "as no part is in Γ_N"
+            raise InputError(f"[problem] g_N: no traction is given on part '{name}', {where}")
         part = spaces.part(name) if name else facets
         here = np.searchsorted(facets.facets, part.facets)
         moments[here] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")

@@ -81,9 +81,11 @@ class ElasticProblem:
     laws: Sequence[ElasticLaw] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what is neither strain nor stress, and parts with two laws."""
+        """Refuse what is neither strain nor stress, other laws, and parts with two laws."""
         if self.plane not in list(Plane):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
+        if not isinstance(self.laws, Sequence) or not all(isinstance(law, Coulomb | Friction) for law in self.laws):
+            raise InputError('laws: must be a list of laws Friction and Coulomb, such as [Coulomb(["bottom"], 0.3)]')
         twice = [part for part in self.rough if self.rough.count(part) > 1]
         if twice:
             raise InputError(f"laws: part '{twice[0]}' has two laws")

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
@@ -11,9 +12,9 @@ from signorini_fenicsx.expressions import TREES, Tree, exactly, read, substitute
 
 type Rows = Sequence[Sequence[Tree]]
 type Entries = Sequence[Sequence[float | str | Tree]]
-type Given = float | str | Tree | Entries | Expr | Callable[[Array], npt.ArrayLike]
-"""A number; an expression as a case file has it, as text or read, or a matrix of them; a UFL expression on the mesh, or
-a `fem.Function`; or a function of points of shape (3, n)."""
+type Given = float | str | Tree | Entries | Array | Expr | Callable[[Array], npt.ArrayLike]
+"""A number; an expression as a case file has it, as text or read, or a matrix of them, also an array; a UFL expression
+on the mesh, or a `fem.Function`; or a function of points of shape (3, n)."""
 
 
 def parsed(given: Any, names: str) -> Any:
@@ -24,6 +25,8 @@ def parsed(given: Any, names: str) -> Any:
     """
     if isinstance(given, Mapping):
         return {name: parsed(value, names) for name, value in given.items()}
+    if isinstance(given, np.ndarray | np.generic):
+        return parsed(given.tolist(), names)
     if isinstance(given, tuple | list):
         return [parsed(entry, names) for entry in given]
     if isinstance(given, str):

@@ -166,7 +166,7 @@ def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Arr
 def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
     """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective).
 
-    Where c > 0 a load cu of a constant u drives nothing.
+    Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load.
     """
     comm = spaces.mesh.comm
     lowest, highest = data.dirichlet_extent(spaces)
@@ -174,7 +174,8 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
         comm.allreduce(np.abs(values.x.array).max(initial=0.0), MPI.MAX)
         for values in (data.source(u), data.f_h, data.sigma_lift)
     )
-    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or source > ROUNDING * f_h or flux > 0)
+    loaded = source > ROUNDING * f_h > 0
+    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or loaded or flux > 0)
 
 
 def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:

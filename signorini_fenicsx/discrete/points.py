@@ -1,8 +1,4 @@
-"""Points in cells and boundary facets, and what functions are there, as NumPy arrays.
-
-A *jet* is the value of a function and, where it is wanted, its gradient: an array whose last axis has 1 or 1 + dim
-entries. Jets are added as arrays are.
-"""
+"""Points in cells and boundary facets, and what functions are there, as NumPy arrays; see `jets`."""
 
 from __future__ import annotations
 
@@ -23,10 +19,10 @@ from ufl.algorithms.analysis import extract_type
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.small_matrices import determinants, inverses
+from signorini_fenicsx.base.small_matrices import determinants, gathered, inverses, times
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 
-AT_ONCE = 200_000
+AT_ONCE = 100_000
 """Number of points in cells that are in memory at the same time."""
 
 
@@ -60,9 +56,19 @@ class Points(ABC):
     def among(self, cells: Mask) -> Self:
         """Those that lie in some of the cells; `cells` is a mask."""
 
-    @abstractmethod
     def of_ufl(self, value: Expr) -> Array:
         """Values of UFL, shape (n, points, *its shape) (collective)."""
+        is_zero = isinstance(value, ufl.constantvalue.Zero)  # the gradient of a constant, without a mesh
+        return np.zeros((*self.shape, *value.ufl_shape)) if is_zero else self._of_ufl(value)
+
+    @abstractmethod
+    def _of_ufl(self, value: Expr) -> Array:
+        """The same for what is not 0 (collective)."""
+
+    @property
+    def rows(self) -> Entities | slice:
+        """The cells, to take what arrays have for them; nothing is copied where they follow one another."""
+        return self.cells
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -72,19 +78,17 @@ class Points(ABC):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        x: Array = _barycentric(self.points) @ self.vertices
-        return x
+        return np.asarray(np.einsum("pv,nvi->npi", _barycentric(self.points), self.vertices))
 
     @cached_property
     def corners(self) -> Array:
         """Vertices of the cells, shape (n, dim + 1, dim)."""
-        return corners(self.mesh, self.cells)
+        return corners(self.mesh, self.rows)
 
     @cached_property
     def arms(self) -> Array:
         """The points less the centroids of their cells, shape (n, points, dim)."""
-        arms: Array = (self.barycentric - 1 / self.barycentric.shape[2]) @ self.corners
-        return arms
+        return np.asarray(np.einsum("npv,nvi->npi", self.barycentric - 1 / self.barycentric.shape[2], self.corners))
 
     @cached_property
     def slopes(self) -> Array:
@@ -113,24 +117,24 @@ class Points(ABC):
 
     def linear(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is linear on each cell by its values in the vertices, shape (n, points, …)."""
-        nodes = function.x.array[function.function_space.dofmap.list[self.cells]]
-        value = self.barycentric @ nodes[:, :, None]
+        nodes = gathered(function.x.array, function.function_space.dofmap.list[self.rows])
+        value = np.einsum("npv,nv->np", self.barycentric, nodes)[:, :, None]
         if not gradient:
             return value
-        slope = nodes[:, None] @ self.slopes
+        slope = times(nodes[:, None], self.slopes)
         return np.concatenate([value, np.broadcast_to(slope, (*self.shape, slope.shape[2]))], axis=2)
 
     def quadratic(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is quadratic on each cell by its Bernstein coefficients, shape (n, points, …)."""
-        nodes = function.x.array[function.function_space.dofmap.list[self.cells]]
+        nodes = gathered(function.x.array, function.function_space.dofmap.list[self.rows])
         number = self.barycentric.shape[2]
         first, second = np.array(basix.topology(self.mesh.basix_cell())[1]).T
-        form = np.empty((len(nodes), number, number))  # the function is Σ form_vw λ_v λ_w
+        form = np.empty((len(nodes), number, number), order="F")  # the function is Σ form_vw λ_v λ_w
         form[:, range(number), range(number)] = nodes[:, :number]
         form[:, first, second] = form[:, second, first] = nodes[:, number:]
-        half = self.barycentric @ form
-        value = (half * self.barycentric).sum(axis=2, keepdims=True)
-        return np.concatenate([value, 2 * half @ self.slopes], axis=2) if gradient else value
+        half = np.einsum("npv,nvw->npw", self.barycentric, form)
+        value = np.einsum("npv,npv->np", half, self.barycentric)[:, :, None]
+        return np.concatenate([value, 2 * times(half, self.slopes)], axis=2) if gradient else value
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,12 @@ class CellPoints(Points):
         return self.corners
 
     @cached_property
+    def rows(self) -> Entities | slice:
+        """The cells, to take what arrays have for them; nothing is copied where they follow one another."""
+        consecutive = len(self.cells) > 0 and bool((np.diff(self.cells) == 1).all())
+        return slice(int(self.cells[0]), int(self.cells[-1]) + 1) if consecutive else self.cells
+
+    @cached_property
     def barycentric(self) -> Array:
         """Of the points, shape (1, points, dim + 1)."""
         return _barycentric(self.points)[None]
@@ -151,8 +161,7 @@ class CellPoints(Points):
         """Those in some of the cells; `cells` is a mask."""
         return replace(self, cells=self.cells[cells[self.cells]])
 
-    def of_ufl(self, value: Expr) -> Array:
-        """Values of UFL, shape (cells, points, *its shape) (collective)."""
+    def _of_ufl(self, value: Expr) -> Array:
         expression = fem.Expression(_on_mesh(self.mesh, value), self.points)
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
         return values.reshape(*self.shape, *value.ufl_shape)
@@ -191,8 +200,8 @@ class FacetPoints(Points):
         reference = [basix.geometry(cell)[vertices] for vertices in basix.topology(cell)[-2]]
         return np.stack([x[0] + self.points @ (x[1:] - x[0]) for x in reference])
 
-    def of_ufl(self, value: Expr) -> Array:
-        """Values of UFL, which may have the normal in it, shape (facets, points, *its shape) (collective).
+    def _of_ufl(self, value: Expr) -> Array:
+        """The value may have the normal in it.
 
         As points of the cells: where DOLFINx has the points of a facet depends on the numbers of its vertices.
         """
@@ -244,7 +253,7 @@ class BesideFacets(FacetPoints):
     @cached_property
     def x(self) -> Array:
         """The points, shape (n, points, dim)."""
-        return self.barycentric @ self.corners
+        return np.asarray(np.einsum("npv,nvi->npi", self.barycentric, self.corners))
 
     @cached_property
     def _in_cell(self) -> Array:
@@ -266,24 +275,6 @@ def _barycentric(points: Array) -> Array:
 def _on_mesh(mesh: dolfinx.mesh.Mesh, value: Expr) -> Expr:
     """The same, for a number too, which knows no mesh."""
     return fem.Constant(mesh, 1.0) * value
-
-
-def product(a: Array, b: Array) -> Array:
-    """The jet of a product of two functions, from theirs."""
-    found = a[..., :1] * b + b[..., :1] * a
-    found[..., :1] = a[..., :1] * b[..., :1]
-    return found
-
-
-def cut_off(cut: Array, jet: Array) -> Array:
-    """The jet of χ times a function; 0 where χ is 0, whatever the function is there."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        return np.where(cut[..., :1] > 0, product(cut, jet), 0.0)
-
-
-def larger(a: Array, b: Array) -> Array:
-    """The jet of the larger of two functions."""
-    return np.where(a[..., :1] >= b[..., :1], a, b)
 
 
 def quadratic_nodes(cell: basix.CellType) -> Array:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.given import Given, at_time, parsed
 from signorini_fenicsx.discrete.laws import Law
 
@@ -25,6 +26,9 @@ class Problem:
         obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
         exact: The exact u, where it is known.
         laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
+
+    Raises:
+        InputError: If `laws` is not a list of laws.
     """
 
     f: Given
@@ -37,6 +41,11 @@ class Problem:
     obstacle: Given | None = None
     exact: Given | None = None
     laws: Sequence[Law] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a law that is not in a list."""
+        if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
+            raise InputError('laws: must be a list of laws, such as [Friction(["left"], g=1)]')
 
     def at(self, t: float) -> "Problem":
         """The problem at a time, from one that `in_time` has read."""

@@ -157,7 +157,7 @@ class Spaces:
         point = np.zeros((1, self.mesh.topology.dim))  # ∇·φ is constant
         divergence = fem.Expression(ufl.div(ufl.TestFunction(self.V)), point)
         cells = np.arange(len(self.cell_measures), dtype=np.int32)
-        return divergence.eval(self.mesh, cells)[:, 0] * self.cell_measures[:, None]
+        return np.asfortranarray(divergence.eval(self.mesh, cells)[:, 0] * self.cell_measures[:, None])
 
     @cached_property
     def length(self) -> float:

@@ -61,7 +61,7 @@ def vector_datum_of(spaces: Spaces, name: str, given: Any, *, continuous: bool =
         if given.ufl_shape != (dim,):
             raise InputError(f"[problem] {name}: has shape {given.ufl_shape}, not ({dim},)")
         entries = [given[i] for i in range(dim)]
-    elif isinstance(given, Sequence) and not isinstance(given, str):
+    elif isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         entries = list(given)
     elif callable(given):
         entries = [lambda x, i=i: np.asarray(given(x))[i] for i in range(dim)]

@@ -1,5 +1,6 @@
 """Trees as UFL. Constant sub-expressions stay Python floats, so that errors such as 1/0 are found while reading."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import ufl
@@ -39,7 +40,7 @@ class _Symbolic:
 
     def power(self, base: Value, exponent: Value) -> Value:
         if isinstance(base, float) and isinstance(exponent, float):
-            return float(base**exponent)
+            return math.pow(base, exponent)  # refuses a root of a negative number
         if isinstance(exponent, float) and exponent.is_integer() and abs(exponent) <= MAX_INTEGER_POWER:
             exponent = int(exponent)  # UFL estimates quadrature degrees from integer powers
         return ufl.as_ufl(base) ** exponent

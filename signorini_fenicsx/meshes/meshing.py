@@ -43,7 +43,10 @@ seconds."""
 COARSEST = 5_000
 """Smallest number of cells of a mesh that is refined uniformly; it resolves the shape well, and Gmsh makes it fast."""
 TRIALS = 4
-"""Meshes of a shape in space of which the coarsest is refined; together they have fewer cells than the refined mesh."""
+"""Most meshes of a shape in space of which the coarsest is refined; together they have fewer cells than that."""
+NEAR = 0.985
+"""A mesh is taken at once if its largest diameter is at least this share of the one asked for: a mesh with exactly that
+diameter would have about 5 % fewer cells in space, which save less time than another mesh takes."""
 GOOD = 0.6
 """Gmsh improves tetrahedra of a worse quality before they are refined; its default is 0.3."""
 OWN_CURVATURE = 8.0
@@ -293,7 +296,8 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
 
     If the mesh will be refined uniformly, twice the diameters of the cells of the next mesh count instead: children of
     a tetrahedron may be longer than half of it, but this happens only in the first refinement. A few tetrahedra that
-    are too long decide then about all, so several meshes are tried, and that with the fewest cells is taken.
+    are too long decide then about all, so several meshes are tried, and that with the fewest cells is taken, or the
+    first one that is nearly as coarse as it may be.
     """
     shape = shape_of(shape_name)
     trials = TRIALS if shape.dim == 3 and levels > 0 else 1
@@ -319,7 +323,7 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
             achieved = _diameter_in_time(shape_name, *mesh, levels)
             if achieved <= h and (best is None or len(mesh[1]) < len(best[1])):
                 best = mesh
-            trials -= 1
+            trials = 0 if NEAR * h <= achieved <= h else trials - 1
             size *= (0.99 if trials > 0 else 0.94) * h / achieved
         return best
     finally:

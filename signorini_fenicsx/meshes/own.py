@@ -74,6 +74,9 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
         InputError: On all ranks, if one of them gets neither numbers of such entities nor a function.
     """
     if callable(chosen):
+        probe = np.asarray(chosen(np.zeros((3, 2))))
+        if probe.shape != (2,) or probe.dtype != bool:
+            raise InputError(f"{key}: the function of points of shape (3, n) must return n truth values")
         locate = dolfinx.mesh.locate_entities if dim == mesh.topology.dim else dolfinx.mesh.locate_entities_boundary
         return np.unique(locate(mesh, dim, chosen))
     index_map = mesh.topology.index_map(dim)

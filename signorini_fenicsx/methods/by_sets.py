@@ -9,6 +9,7 @@ import numpy as np
 from signorini_fenicsx.backends.contract import Backend, Iterate
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.conditions import SiteConditions
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
@@ -45,7 +46,8 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
             elif earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces.mesh.topology.dim)
             if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
-                predicted, steps = prediction.settle(inexact, spaces, backend.chains, earlier)
+                first = prediction.start(spaces, backend.chains, earlier)
+                predicted, steps = prediction.settle(inexact, spaces, backend.chains, first)
             elif earlier is not None:
                 predicted = prediction.transferred(earlier, spaces, prediction.law(backend.chains))
         if predicted is not None:
@@ -74,7 +76,19 @@ def _made_precise(
         kkt = task.kkt(outcome.iterate, rule.penalty)
     if (violation := kkt.violation()) is None:
         return replace(outcome, kkt=kkt)
-    again = iterate_sets(precise(), rule, parameters, start=outcome.conditions, on_step=task.on_step)
+    backend = precise()
+    again = iterate_sets(
+        backend, rule, parameters, start=_conditions_of(outcome, backend, rule, task), on_step=task.on_step
+    )
     steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
     remark = f"by the saddle point, because the facet system left {violation}"
     return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
+
+
+def _conditions_of(outcome: Outcome, backend: Backend[Iterate], rule: SetRule, task: Task) -> SiteConditions:
+    """The conditions of an outcome on all sites of a backend, with an obstacle those of the cells too."""
+    contact = outcome.iterate.contact
+    if contact is None:
+        return outcome.conditions
+    on_facets = rule.law(task.data.laws.chains, task.eps).segments(outcome.conditions)
+    return rule.law(backend.chains, task.eps).conditions(np.append(on_facets, (~contact).astype(np.int8)))

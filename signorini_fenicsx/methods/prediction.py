@@ -82,7 +82,7 @@ class Prediction:
             coarse, data = self.coarser(factor)
             start = self.over_obstacle(coarse, factor)
             backend = HybridBackend(coarse, data, tuning=self.tuning, prefix="coarse_")
-            law, conditions = self.law(backend.chains), self._start(coarse, backend.chains, start)
+            law, conditions = self.law(backend.chains), self.start(coarse, backend.chains, start)
             for _ in range(MOST_STEPS):
                 pairs = backend.solve(conditions)
                 wanted = self.wanted(law, conditions, pairs.p, pairs.flux)
@@ -115,13 +115,14 @@ class Prediction:
             backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
             if backend.inexact is None:  # the user's options chose a direct solver
                 return None
-            conditions, _ = self.settle(backend.inexact, spaces, backend.chains, start)
+            first = self.start(spaces, backend.chains, start)
+            conditions, _ = self.settle(backend.inexact, spaces, backend.chains, first)
             PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
             return Segments(spaces, self.law(backend.chains).segments(conditions))
         return None
 
     def settle(
-        self, backend: Inexact, spaces: Spaces, chains: Chains, start: Segments | None
+        self, backend: Inexact, spaces: Spaces, chains: Chains, conditions: SiteConditions
     ) -> tuple[SiteConditions, int]:
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
@@ -131,7 +132,7 @@ class Prediction:
             backend: Solves from its last solution.
             spaces: Its spaces.
             chains: The law of each facet.
-            start: Segments to start from, on any mesh of the same domain; None for the algorithm's own start.
+            conditions: Those to start from.
 
         Returns:
             The last conditions, and the number of solves that were stopped early. If the sets repeated, the backend
@@ -141,7 +142,6 @@ class Prediction:
             LinearSolveFailure: If the linear solver breaks down.
         """
         comm, law = spaces.mesh.comm, self.law(chains)
-        conditions = self._start(spaces, chains, start)
         changed: list[int] = []
         while len(changed) < 3 or changed[-1] < changed[-3]:
             watch = _Watch(self, law, conditions, comm)
@@ -153,7 +153,7 @@ class Prediction:
             conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
         return conditions, len(changed)
 
-    def _start(self, spaces: Spaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
+    def start(self, spaces: Spaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
         """Those of another mesh, or the algorithm's own start (collective)."""
         law = self.law(chains)
         if earlier is not None:

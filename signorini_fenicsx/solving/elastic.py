@@ -22,6 +22,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.history import OnStep, Outcome, Step
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
@@ -84,12 +85,17 @@ def solve_elastic(
         motions = check_rigid_motions(spaces, data)
         held_by_contact = motions.shape[1] > 0
         backend = ElasticBackend(spaces, data, options.tuning, motions)
-    if start is None and remesh is not None and options.predict and backend.dofs >= options.tuning.elastic_predict_from:
+    large = options.predict and backend.dofs >= options.tuning.elastic_predict_from
+    if start is None and remesh is not None and large:
         with watch.phase("prediction"):
             start = _on_coarser_mesh(remesh, boundary, problem, options)
+    first, rough_steps = _first(backend, start, held_by_contact=held_by_contact), 0
+    if large and backend.inexact is not None:
+        with watch.phase("prediction"):
+            first, rough_steps = _settled(backend, options, first)
     with watch.phase("solve"):
-        first = _first(backend, start, held_by_contact=held_by_contact)
         outcome, changes = _with_friction(backend, options, first, on_step)
+        outcome = replace(outcome, rough_steps=rough_steps)
     data = replace(data, friction=backend.friction)
     with watch.phase("kkt"):
         kkt = elastic_kkt(spaces, data, spaces.split.values(outcome.iterate.sigma), outcome.iterate.p)
@@ -126,6 +132,14 @@ def _on_coarser_mesh(
     with contextlib.suppress(InputError, NumericalFailure):
         return solve_elastic(remesh(factor), boundary, problem, options, remesh=coarser)
     return None
+
+
+def _settled(backend: ElasticBackend, options: Options, first: SiteConditions | None) -> tuple[SiteConditions, int]:
+    """Conditions from solves that stop as soon as the next ones are known, and the number of these (collective)."""
+    rule = RULES[str(options.algorithm)]
+    prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
+    first = first or backend.chains.conditions(rule.first(backend.chains))
+    return prediction.settle(backend, backend.spaces.scalar, backend.chains, first)
 
 
 def _with_friction(

@@ -70,7 +70,7 @@ class Solver:
         self._boundary = boundary
         self._known = Known()
         self._backend: Backend[Iterate] | None = None
-        self._made_for: tuple[object, Tuning] | None = None
+        self._made_for: tuple[object, Tuning, bool] | None = None
 
     @collector_off()
     def solve(
@@ -146,7 +146,8 @@ class Solver:
 
     def _kept_backend(self, options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
         """The backend of the last solve with these data, or a new one (collective)."""
-        wanted, kept, self._backend = (options.backend, options.tuning), self._backend, None
+        wanted = options.backend, options.tuning, data.obstacle is not None  # with an obstacle the cells are sites too
+        kept, self._backend = self._backend, None
         renewed = wanted == self._made_for and isinstance(kept, Renewable) and kept.renew(data)
         backend = kept if kept is not None and renewed else options.make_backend(spaces, data)
         self._backend, self._made_for = backend, wanted
@@ -287,19 +288,21 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
     _check_size(options, spaces)
     if start is None:
         return
-    check_domain(spaces, start)
+    check_start(spaces, start)
     if not method.starts_from_sets:
         *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
         usable = f"{', '.join(others)} or {last}"
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
 
 
-def check_domain(spaces: Spaces, start: Solution | Segments) -> None:
-    """Refuse a start that is on another domain (collective).
+def check_start(spaces: Spaces, start: object) -> None:
+    """Refuse a start that is no solution of a scalar problem, or on another domain (collective).
 
     Raises:
         InputError: If it is.
     """
+    if not isinstance(start, Solution | Segments):
+        raise InputError(f"start: must be a Solution of a scalar problem, not {type(start).__name__}")
     if not same_domain(spaces.domain, start.spaces.domain):
         raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
 

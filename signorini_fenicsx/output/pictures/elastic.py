@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.laws import Friction
@@ -121,10 +122,11 @@ def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Shee
     """−σ_nn along each part of Γ_C, linear on each facet, and the gap."""
     sheet = Sheet([4.6], [2.0] * len(parts), title=scene.caption)
     lines: dict[object, Line2D] = {}
+    pressure = without_rounding(table.pressure)
     for index, name in enumerate(parts):
         mine = table.part == index
         axes = sheet.panel(index, 0, aspect=4.6 / 2)
-        axes.plot(table.along[mine], table.pressure[mine], color=style.CONTACT, label=r"pressure $-\sigma_{nn}$")
+        axes.plot(table.along[mine], pressure[mine], color=style.CONTACT, label=r"pressure $-\sigma_{nn}$")
         axes.set(xlabel=f"${scene.labels[name]}$", ylabel="pressure", title=name)
         other = axes.twinx()
         other.grid(False)
@@ -137,6 +139,11 @@ def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Shee
         lines |= {line.get_label(): line for line in (*axes.lines, *other.lines)}
     sheet.legend_below(list(lines.values()))
     return sheet
+
+
+def without_rounding(values: Array) -> Array:
+    """The same with 0 for what is rounding beside the largest; else it fills the panel of a part without contact."""
+    return np.where(np.abs(values) > TIE * np.abs(values).max(initial=0.0), values, 0.0)
 
 
 def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:

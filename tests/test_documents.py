@@ -1,0 +1,78 @@
+"""README and docs: every command, key and name that they show exists."""
+
+import ast
+import dataclasses
+import inspect
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from pydantic import BaseModel
+
+import signorini_fenicsx
+from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cli.app import app
+from signorini_fenicsx.discrete.laws import LAWS
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"```\{?(sh|toml|python|code-cell)\b[^\n]*\n(.*?)```", re.DOTALL)
+
+
+def blocks(kind: str) -> list[tuple[Path, str]]:
+    """The blocks of a kind, with their pages."""
+    return [(page, text) for page in PAGES for name, text in BLOCK.findall(page.read_text("utf-8")) if name == kind]
+
+
+def commands() -> list[str]:
+    """Each command of the program that a page shows, in a block or within a sentence."""
+    lines = [line for _, text in blocks("sh") for line in text.splitlines()]
+    for page in PAGES:
+        lines += re.findall(
+            r"`((?:uv run )?signorini [^`]+)`", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+        )
+    shown = [re.search(r"(?:^|run |-n \d )signorini (\w.*)", " ".join(line.split(" #")[0].split())) for line in lines]
+    return sorted({match[1] for match in shown if match})
+
+
+@pytest.mark.parametrize("command", commands())
+def test_commands(command: str):
+    """The program has the command, and it takes the options; nothing runs."""
+    name, *arguments = shlex.split(command.split(" -- ")[0])
+    program = typer.main.get_command(app)
+    program.commands[name].make_context(name, arguments, resilient_parsing=not arguments)
+
+
+def test_keys_of_case_files():
+    """Each key that a page shows in a case file is one of a case, also those behind `# `."""
+    models = [definition for model in (Case, ElasticCase) for definition in schemas(model)]
+    known = {name for definition in models for name in definition.get("properties", {})}
+    known |= {field.name for law in LAWS.values() for field in dataclasses.fields(law)}
+    for page, text in blocks("toml"):
+        if re.search(r"\[(problem|boundary|dam)\]", text):
+            shown = set(re.findall(r"(?m)^(?:# )?(\w+) = ", text))
+            assert shown - known == set(), page
+
+
+def schemas(model: type[BaseModel]) -> list[dict[str, Any]]:
+    """The JSON schemas of a model and of its parts."""
+    schema = model.model_json_schema()
+    return [schema, *schema["$defs"].values()]
+
+
+def test_names_in_python():
+    """Blocks of Python can be parsed; the names that they import exist, and the keywords of calls are known."""
+    for page, text in blocks("python") + blocks("code-cell"):
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ImportFrom) and node.module == "signorini_fenicsx":
+                assert [alias.name for alias in node.names if not hasattr(signorini_fenicsx, alias.name)] == [], page
+            name = getattr(getattr(node, "func", None), "id", "")
+            if isinstance(node, ast.Call) and name in signorini_fenicsx.__all__:
+                signature = inspect.signature(getattr(signorini_fenicsx, name))
+                given = {keyword.arg for keyword in node.keywords if keyword.arg}
+                open_ended = any(each.kind == each.VAR_KEYWORD for each in signature.parameters.values())
+                assert open_ended or given <= set(signature.parameters), f"{page.name}: {name} {given}"
