@@ -19,7 +19,7 @@ from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.methods.history import OnStep
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import Solver, gamma_s
+from signorini_fenicsx.solving.solver import Solver, check_start, gamma_s
 
 COLLECT = 50
 """Python's garbage is collected after so many steps; a step makes some hundred kilobytes."""
@@ -135,8 +135,9 @@ def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
     """Another u_h in the centroids of these cells (collective).
 
     Raises:
-        InputError: If a centroid is not in its mesh.
+        InputError: If it is on another domain, or a centroid is not in its mesh.
     """
+    check_start(spaces, solution)
     centroids = corners(spaces.mesh).mean(axis=1)
     u = fem.Function(spaces.Q, name="u")
     u.x.array[:] = solution.at(centroids).u

@@ -288,14 +288,23 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
     _check_size(options, spaces)
     if start is None:
         return
-    if not isinstance(start, Solution | Segments):
-        raise InputError(f"start: must be a Solution of a scalar problem, not {type(start).__name__}")
-    if not same_domain(spaces.domain, start.spaces.domain):
-        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
+    check_start(spaces, start)
     if not method.starts_from_sets:
         *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
         usable = f"{', '.join(others)} or {last}"
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+
+
+def check_start(spaces: Spaces, start: object) -> None:
+    """Refuse a start that is no solution of a scalar problem, or on another domain (collective).
+
+    Raises:
+        InputError: If it is.
+    """
+    if not isinstance(start, Solution | Segments):
+        raise InputError(f"start: must be a Solution of a scalar problem, not {type(start).__name__}")
+    if not same_domain(spaces.domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
 
 
 def _check_size(options: Options, spaces: Spaces) -> None:
