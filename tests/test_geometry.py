@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.meshes.shapes import SHAPES, shape_of
 
 RECTANGLE = "[-2, -1] x [0.5, 3]"
@@ -43,6 +44,16 @@ def test_vertices_on_the_curve(shape: str, part: str, radius: float):
     vertices = dolfinx.mesh.entities_to_geometry(domain.mesh, 1, domain.facets[part])
     r = np.linalg.norm(domain.mesh.geometry.x[vertices.ravel()], axis=1)
     np.testing.assert_allclose(r, radius, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("shape", "radius"), [("ball", 1.0), ("annulus", 0.5)])
+def test_searches_reach_the_curve_and_not_far_beyond(shape: str, radius: float):
+    """Facets are at most as far from the curve as `curve_gap` says; a gap as large as the body made searches slow."""
+    domain = build_domain(MPI.COMM_SELF, shape, radius, mesh="unstructured")
+    mesh, dim = domain.mesh, domain.mesh.topology.dim
+    middles = dolfinx.mesh.compute_midpoints(mesh, dim - 1, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    distance = np.abs(np.linalg.norm(middles, axis=1)[:, None] - [1.0, radius]).min(axis=1)
+    assert distance.max() <= curve_gap(domain) <= 0.25 * radius
 
 
 def test_too_fine():

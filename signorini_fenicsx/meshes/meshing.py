@@ -34,9 +34,9 @@ from signorini_fenicsx.meshes.memory import check_memory
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 
-CURVATURE = 1.0
-"""`Domain.curvature` of named shapes: radii of curvature R are at least 1/8, and a chord of length h is at most h²/(8R)
-from its circle."""
+CURVATURE = 0.25
+"""`Domain.curvature` of named shapes: radii of curvature R are at least 1/2, and a chord of length h ≤ R is at most
+h²/(7R) from its circle; the ball has R = 1, and its triangles are at most h²/4 from it. More makes searches slow."""
 REFINED_FROM = 60_000
 """Meshes with at least this many facets are made by uniform refinement, in parallel; Gmsh makes smaller ones in
 seconds."""

@@ -33,7 +33,7 @@ def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[float]:
     """Scale meshes of a domain to a size around 1 inside this context, because DOLFINx searches with fixed tolerances.
 
     Yields:
-        The factor, a power of 2, so that scaling is exact; 1 for named shapes.
+        The factor, a power of 2, so that scaling is exact; 1/4 for named shapes.
     """
     factor = 2.0 ** round(math.log2(domain.curvature))
     for mesh in meshes:
