@@ -39,6 +39,9 @@ def test_sizes_are_those_of_the_mesh():
     }
     assert dam.parts["face"]["measure"] == pytest.approx(8 * 2**0.5, rel=1e-12)
     assert dam.regions.keys() == {"shell", "core"}
+    few, many = (expected(load_case("membrane").with_values({"time.steps": steps}), 1) for steps in (1, 80))
+    assert many.solver_seconds == pytest.approx(80 * few.solver_seconds)
+    assert many.run_seconds > few.run_seconds
 
 
 def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -15,7 +15,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import load_any_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.methods.history import Step
@@ -30,13 +31,14 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
 )
 from signorini_fenicsx.output.pictures import draw_all, draw_sets, scene_of, style, traces
-from signorini_fenicsx.output.pictures.curves import draw_steps
+from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps
 from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.streams import on_grid
 from signorini_fenicsx.output.pictures.water import Water
+from signorini_fenicsx.output.writing import write_solution
 
 COMM = MPI.COMM_WORLD
 PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
@@ -238,6 +240,20 @@ def test_foundation_of_a_body():
     assert body.facets.condition[0] == Condition.ZERO_TRACE  # at the plane of symmetry
     np.testing.assert_allclose(surface[0], after[0], atol=1e-12)
     assert len(foundation_of(body, moved, 1.0, 0.1)) < len(surface)
+
+
+@pytest.mark.parallel([1])
+@pytest.mark.filterwarnings("error:Data has no positive values")
+@pytest.mark.parametrize(("name", "h"), [("example1", 0.5), pytest.param("cube", 1.0, marks=pytest.mark.slow)])
+def test_without_any_load(name: str, h: float, tmp_path: Path):
+    """u, σ and the error are 0, and so have no logarithm and no streamlines."""
+    case = load_case(name).with_values({"problem.f": 0, "solve.h": h})
+    rows: list[AdaptRow] = []
+    solution, certificate = adapt_case(case, max_cells=200, on_row=rows.append)
+    assert certificate.bound == 0
+    write_solution(solution, tmp_path, certificate=certificate, plot=True, fields=False)
+    draw_bounds(tmp_path / "adapt.png", rows, -0.5, name)
+    assert {f"{each}.png" for each in (*PICTURES, "adapt")} <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_rounding_is_not_drawn():

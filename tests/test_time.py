@@ -153,6 +153,14 @@ def test_nothing_grows():
     assert left[1] - left[0] < 100
 
 
+def test_at_rest_u_is_rounding():
+    """Until ψ rises above 0 at t = 1.5; nothing drives u before, and its rounding is no load of the next step."""
+    problem = Problem(f=0, psi="t - 1.5", c="x")
+    found = [each.solution.norms()["u_L2"] for each in evolve(square(0.25), BOTTOM, problem, Evolution(2.0, 8))]
+    assert max(found[:6]) < 1e-15
+    assert min(found[6:]) > 0.01
+
+
 def test_the_example():
     failed, tried = doctest.testmod(evolving)
     assert failed == 0

@@ -82,11 +82,12 @@ def read_header(path: Path) -> Header:
         OSError: If it cannot be read.
     """
     with path.open("rb") as file:
-        version = np.lib.format.read_magic(file)
-        read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-        if read is None:
-            raise ValueError(f"{path.name} is not an array")
-        shape, by_columns, kind = read(file)
+        try:
+            version = np.lib.format.read_magic(file)
+            known = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            shape, by_columns, kind = known[version](file)
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"{path.name} is not an array: {error}") from None
         header = Header(tuple(int(length) for length in shape), kind, file.tell())
     if by_columns and len(shape) > 1:
         raise ValueError(f"{path.name} has its columns one after the other")

@@ -68,7 +68,7 @@ class Expected:
         unknowns: Unknowns of the linear system: one per facet in the hybrid backend, d² in elasticity.
         exact: Whether the numbers are those of the mesh, not estimates.
         memory: Bytes for all ranks together.
-        solver_seconds: Seconds from the assembled problem to the solution.
+        solver_seconds: Seconds from the assembled problem to the solution; in time for all steps together.
         run_seconds: Seconds of the whole run without Gmsh.
     """
 
@@ -116,6 +116,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
         sides = (dim + 1) * len(mesh.cells)
         facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
     cost = ELASTIC[dim] if isinstance(case, ElasticCase) else SCALAR[dim]
+    steps = case.time.steps if isinstance(case, Case) and case.time is not None else 1
     return Expected(
         dim=dim,
         parts=parts,
@@ -125,8 +126,8 @@ def expected(case: AnyCase, ranks: int) -> Expected:
         unknowns=cost.unknowns * facets,
         exact=exact,
         memory=ranks * PROCESS_BYTES + cost.memory * facets,
-        solver_seconds=facets / cost.solver_rate / ranks,
-        run_seconds=START_SECONDS + facets / cost.run_rate / ranks,
+        solver_seconds=steps * facets / cost.solver_rate / ranks,
+        run_seconds=START_SECONDS + facets * (1 / cost.run_rate + (steps - 1) / cost.solver_rate) / ranks,
     )
 
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.data_values import check_means
+from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, regional_datum
 from signorini_fenicsx.discrete.elastic_friction import FrictionBounds, friction_bounds
 from signorini_fenicsx.discrete.elastic_problem import NORMAL, ElasticProblem, Plane
@@ -219,6 +219,7 @@ def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Fu
         places = spaces.unknowns(facets, k)
         lift.x.array[places] = along
         unknowns.append(places.ravel())
+    check_nodes(spaces.scalar, "gap", gap, spaces.contact.facets, "on Γ_C")
     moments = facet_moments(spaces, "gap", gap, spaces.contact, "on Γ_C")
     lift.x.array[spaces.sites] = moments.ravel() / spaces.site_measure
     return np.concatenate(unknowns)

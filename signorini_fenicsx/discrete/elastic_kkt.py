@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import la
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces, linear_values
@@ -20,6 +22,7 @@ class ElasticKKT(Residuals):
     """Residuals of the elastic problem, each the share that it is of the stress, so that no unit enters.
 
     p stands for g − u_n, in means weighted by the hats of facet vertices; L = |Ω|^(1/d); S = ‖σ‖. All are 0 if σ = 0.
+    Without loads a body at rest has only rounding in σ; then S is the stress of a strain with the largest |u_D| or |g|.
 
     Attributes:
         primal: 2μ‖[p]_-‖/(√L S) on Γ_C, what penetrates the foundation.
@@ -62,6 +65,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     sums = np.array([volume, square, unbalanced, _jumps(spaces, data, stresses)])
     volume, square, unbalanced, jumps = comm.allreduce(sums).tolist()
     norm, length = np.sqrt(square), volume ** (1 / dim)
+    norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
     if norm == 0:
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[contact.cells], dim) / length
@@ -75,6 +79,16 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     squares = comm.allreduce(squares)
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
+
+
+def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:
+    """‖σ‖ for a strain with the largest |u_D| or |g|, if nothing but these is given and σ is rounding of it; else 0."""
+    largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, data.tractions)])
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    stiff, given, loads = largest.tolist()
+    size = stiff * given * np.sqrt(volume) / volume ** (1 / len(data.f.components))
+    at_rest = loads == 0 and all(each.number == 0 for each in data.f.components) and norm <= LINEAR * size
+    return size if at_rest else 0.0
 
 
 def subcell_squares(stresses: Array) -> Array:

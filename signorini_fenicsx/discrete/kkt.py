@@ -166,7 +166,8 @@ def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Arr
 def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
     """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective).
 
-    Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load.
+    Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load. In time neither
+    does an earlier u that is only rounding.
     """
     comm = spaces.mesh.comm
     lowest, highest = data.dirichlet_extent(spaces)
@@ -174,8 +175,18 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
         comm.allreduce(np.abs(values.x.array).max(initial=0.0), MPI.MAX)
         for values in (data.source(u), data.f_h, data.sigma_lift)
     )
-    loaded = source > ROUNDING * f_h > 0
+    loaded = source > ROUNDING * f_h and not _is_at_rest(spaces, data)
     return bool(highest - lowest > ROUNDING * max(highest, -lowest) or loaded or flux > 0)
+
+
+def _is_at_rest(spaces: Spaces, data: Data) -> bool:
+    """Whether f is 0 and u was 0 in the steps before, if there are any, up to the rounding of data (collective)."""
+    if data.f.number != 0:
+        return False
+    f_h, c_h = data.f_h.x.array, np.zeros(1) if data.c_h is None else data.c_h.x.array
+    before = np.divide(np.abs(f_h), c_h, where=c_h > 0, out=np.zeros(len(f_h)))
+    largest = spaces.mesh.comm.allreduce(before.max(initial=0.0), MPI.MAX)
+    return bool(largest <= ROUNDING * np.abs(data.extent(spaces)).max())
 
 
 def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:

@@ -96,6 +96,8 @@ def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> No
             axes.loglog(x, bounds, look, label=refinement, markersize=4)
     ends = np.array([rows[0].unknowns, max(row.unknowns for row in rows)])
     axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** best, "k:", label=f"slope ${best:.2g}$")
+    if not any(0 < row.bound < np.inf for row in rows):  # a bound of 0, or none, has no logarithm
+        axes.set_yscale("linear")
     axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
     sheet.legend_below(axes.get_legend_handles_labels()[0])
     sheet.save(path)

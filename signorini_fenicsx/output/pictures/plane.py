@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
@@ -195,8 +196,8 @@ class Plane:
 
 
 def log_norm(indicator: Array) -> LogNorm:
-    """A logarithmic scale of four decades up to the largest η_T."""
-    largest = max(float(indicator.max()), 1e-300)
+    """A logarithmic scale of four decades up to the largest η_T, or up to rounding if all are 0."""
+    largest = float(indicator.max()) or ROUNDING
     return LogNorm(max(float(indicator.min()), 1e-4 * largest), largest)
 
 

@@ -177,8 +177,8 @@ class Space:
 
         def build(plotter: pyvista.Plotter) -> None:
             self._add_contact(plotter, opacity=0.3)
-            if lines.n_points:
-                tubes = lines.tube(radius=0.005 * self.extent, n_sides=8)
+            tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
+            if tubes.n_points:  # without flux each line is a point, which has no tube
                 _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
 
         self._show(axes, title, "streamlines", build, self.views[0])
