@@ -156,7 +156,7 @@ def test_failed_run_keeps_its_state_and_earlier_results(folder: Path):
     before = (folder / "results" / "example1" / "summary.json").read_text()
     bad = signorini(folder, "solve", "example1", "--h", "1/8", "--set", "solve.max_iterations=1")
     assert bad.returncode == 1
-    assert bad.stderr.count("facets still change after 1 iterations") == 1
+    assert bad.stderr.count("facets still change after 1 iteration") == 1
     assert (folder / "results" / "example1" / "summary.json").read_text() == before
     failed = json.loads((folder / "results" / "example1.failed" / "summary.json").read_text())
     assert failed["converged"] is False

@@ -329,7 +329,7 @@ def test_safeguard_ends_cycles():
 
 
 def test_failure_is_told():
-    with pytest.raises(NumericalFailure, match="facets still change after 1 iterations"):
+    with pytest.raises(NumericalFailure, match="facets still change after 1 iteration"):
         on_grid("staircase", 12, solve__max_iterations=1)
 
 

@@ -246,7 +246,7 @@ def test_failed_runs_are_recorded_and_do_not_stop_the_others(folder: Path):
         done = signorini(folder, "study", "study.toml", *arguments)
         assert done.returncode == 1
         assert done.stderr.count("2 of 4 runs") == 1
-        assert "facets still change after 1 iterations" in done.stderr
+        assert "facets still change after 1 iteration" in done.stderr
         changed = stamps(results).items() - before.items()
         assert bool(changed) is again
         rows = read_rows(results / "table.csv")

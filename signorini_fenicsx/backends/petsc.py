@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.text import counted
 
 MUMPS_WORKSPACE = {"mat_mumps_icntl_14": "100"}
 """MUMPS gets twice the workspace that it estimates: on several ranks and small meshes the estimate can be too small."""
@@ -117,7 +118,7 @@ class LinearSolver:
         if reason < 0:
             raise LinearSolveFailure(
                 f"the linear solver {self.name()} stopped with PETSc's reason {reason} "
-                f"after {self.ksp.getIterationNumber()} iterations"
+                f"after {counted(self.ksp.getIterationNumber(), 'iteration')}"
             )
 
     def name(self) -> str:

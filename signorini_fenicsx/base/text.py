@@ -38,6 +38,11 @@ def did_you_mean(wrong: str, known: Iterable[str]) -> str:
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun, in the plural but for one."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def json_text(values: Mapping[str, Any]) -> str:
     """Values as JSON, with null for numbers that are not finite."""
     return json.dumps(_without_nan(values), indent=2, allow_nan=False)

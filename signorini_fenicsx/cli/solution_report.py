@@ -6,6 +6,7 @@ import math
 from decimal import ROUND_CEILING, Context, Decimal
 from typing import TYPE_CHECKING, Any
 
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import AnySolution
@@ -59,7 +60,7 @@ class SolutionReport(CaseReport):
         else:
             facets, touching = f"{summary['signorini_facets']} Γ_S", f"{summary['contact_facets']} facets"
         lines = {
-            "converged": f"{summary['reason']} after {summary['iterations']} iterations{rough}",
+            "converged": f"{summary['reason']} after {counted(summary['iterations'], 'iteration')}{rough}",
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             "contact": f"{touching}, measure {summary['contact_measure']:.6g}",

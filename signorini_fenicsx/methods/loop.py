@@ -25,6 +25,7 @@ from mpi4py import MPI
 from signorini_fenicsx.backends.contract import Backend, Pairs
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.discrete.chains import Chains
 from signorini_fenicsx.discrete.conditions import Kinds, SiteConditions
@@ -117,7 +118,8 @@ def iterate_sets[I: Pairs](
         if changing == 0:
             return end(f"the {site} sets repeat", converged=True)
         if len(history.steps) == parameters.max_iterations:
-            return end(f"{changing} {sites} still change after {parameters.max_iterations} iterations", converged=False)
+            ended = counted(parameters.max_iterations, "iteration")
+            return end(f"{changing} {sites} still change after {ended}", converged=False)
         conditions = safeguard.allowed(conditions, wanted)
 
 

@@ -19,6 +19,7 @@ from signorini_fenicsx.backends.petsc import (
     take_options,
 )
 from signorini_fenicsx.base.signals import pass_on
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.discrete.data import Data
@@ -152,7 +153,9 @@ class PenaltyNewton:
             refuse_options(error)
             return f"PETSc: {petsc_reason(error)}"
         reason = self._snes.getConvergedReason()
-        return None if reason > 0 else f"SNES reason {reason} after {self._snes.getIterationNumber()} iterations"
+        if reason > 0:
+            return None
+        return f"SNES reason {reason} after {counted(self._snes.getIterationNumber(), 'iteration')}"
 
     def _iterate(self) -> Iterate:
         """A copy of the current fields, with the exact values that their facet conditions prescribe."""

@@ -3,6 +3,7 @@
 import base64
 import html as text
 
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -24,14 +25,14 @@ def html(solution: Solution) -> str | None:
     """A table of the main results and the overview (collective; None on all ranks but 0)."""
     spaces, outcome = solution.spaces, solution.outcome
     facets, measure = solution.contact()
-    picture = figure(solution)
+    iterations, picture = counted(len(outcome.history), "iteration"), figure(solution)
     if picture is None:
         return None
     rows = {
         "algorithm": f"{solution.method.title} ({solution.options.algorithm_name})",
         "mesh": f"h = {spaces.domain.h:.4g}, {spaces.Q.dofmap.index_map.size_global} cells",
         "contact": f"{facets} of {spaces.Lambda.dofmap.index_map.size_global} facets, measure {measure:.6g}",
-        "converged" if solution.converged else "failed": f"{outcome.reason}, {len(outcome.history)} iterations",
+        "converged" if solution.converged else "failed": f"{outcome.reason}, {iterations}",
         "largest KKT residual": f"{max(vars(solution.kkt).values()):.1e}",
     }
     cells = "".join(

@@ -4,6 +4,7 @@ from typing import ClassVar
 
 from dolfinx import fem
 
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.options import Options
@@ -54,5 +55,6 @@ class Solved:
         mesh = self.u.function_space.mesh
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         ended = "converged" if self.converged else "failed"
-        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {len(self.outcome.history)} iterations"
+        iterations = counted(len(self.outcome.history), "iteration")
+        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {iterations}"
         return f"<{type(self).__name__} of {self.name}: {about}>"

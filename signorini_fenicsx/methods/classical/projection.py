@@ -12,6 +12,7 @@ import dolfinx.mesh
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.discrete.spaces import Spaces
 
@@ -122,4 +123,4 @@ def iterate_projection(
         x = new
         gradient = evaluate(x)
         record(x)
-    return x, f"a step still has size {change:.1e} after {max_iterations} iterations" + step.warning()
+    return x, f"a step still has size {change:.1e} after {counted(max_iterations, 'iteration')}" + step.warning()

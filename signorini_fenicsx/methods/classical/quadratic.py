@@ -30,6 +30,7 @@ from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import touching
@@ -96,7 +97,7 @@ def quadratic_programme(task: Task) -> Outcome:
         iterate=iterate,
         conditions=conditions,
         history=recorder.steps,
-        reason=f"PIQP: {status} in {iterations} iterations",
+        reason=f"PIQP: {status} in {counted(iterations, 'iteration')}",
         converged=status == piqp.PIQP_SOLVED.name,
         backend="mixed",
         dofs=V.dofmap.index_map.size_global + Q.dofmap.index_map.size_global,

@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.history import Outcome, Recorder
@@ -59,7 +60,7 @@ def minimisation_uzawa(task: Task) -> Outcome:
     parameters = Parameters(max_iterations=task.max_iterations)
     iterate, conditions = nothing_yet(spaces)
     recorder = Recorder(spaces, iterate, conditions, task.on_step)
-    failure: str | None = f"the mass balance does not hold after {task.max_iterations} iterations"
+    failure: str | None = f"the mass balance does not hold after {counted(task.max_iterations, 'iteration')}"
     for _ in range(task.max_iterations):
         inner = iterate_sets(system, ALGORITHM_1, parameters, start=conditions)
         iterate, conditions = inner.iterate, inner.conditions
