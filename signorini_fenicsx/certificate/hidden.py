@@ -35,7 +35,7 @@ def hidden_parts(resolution: Resolution, trace: Trace, metric: CellMetric, force
 
     Args:
         resolution: Encloses the data.
-        trace: V.
+        trace: Has v.
         metric: Metric of the owned cells.
         force: λ, None without an obstacle.
     """
