@@ -14,7 +14,7 @@ from signorini_fenicsx.certificate.admissible_trace import SAMPLES
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.jets import cut_off, larger
-from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, quadratic_nodes
+from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 
 ROUNDING = 1e-12
@@ -86,11 +86,16 @@ class LawTrace:
 
     def on_gamma_s(self, spaces: Spaces, points: FacetPoints) -> Array:
         """Its values in points of all facets of Γ_S; inside the domain its jump (collective)."""
-        found = self.jet(points)[:, :, 0]
+        found = self._on_facets(points)
         if spaces.inner.present:
             across, order = points.across(spaces.inner.rows, spaces.inner.facets)
-            found[spaces.inner.rows] -= np.take_along_axis(self.jet(across)[:, :, 0], order, axis=1)
+            found[spaces.inner.rows] -= np.take_along_axis(self._on_facets(across), order, axis=1)
         return found
+
+    def _on_facets(self, points: FacetPoints) -> Array:
+        if self.u_D[0].number is not None:
+            return self.jet(points)[:, :, 0]
+        return from_inside(lambda beside: self.jet(beside)[:, :, 0], points)
 
     def _kept(self, points: Points, *, gradient: bool = False) -> Array:
         """The sum of all χ_b(b − I_hb) (collective)."""

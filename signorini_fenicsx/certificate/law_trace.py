@@ -43,7 +43,14 @@ from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.boundary_laws import PartLaw
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.nodes import Jumps, extreme_around, facet_nodes, largest_around, set_means
+from signorini_fenicsx.discrete.nodes import (
+    Jumps,
+    extreme_around,
+    facet_nodes,
+    largest_around,
+    quadratic_on_sides,
+    set_means,
+)
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
@@ -64,7 +71,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
     floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
-    u_D = data.u_D.at_nodes(space, quadratic_nodes(mesh.basix_cell()))
+    u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
     tips, meets = (np.empty(0, dtype=np.intp),) * 2 if jumps is None else (jumps.tips, jumps.meets)

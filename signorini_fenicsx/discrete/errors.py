@@ -12,6 +12,7 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
+    BESIDE,
     BesideFacets,
     FacetPoints,
     cell_quadrature,
@@ -22,8 +23,6 @@ from signorini_fenicsx.discrete.spaces import Spaces
 
 EXACT_CONTACT = 1e-12
 """An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
-BESIDE = 1e-9
-"""The sides of a facet inside the domain are that share of the way from it to the centroids of its cells."""
 
 
 def exact_errors(

@@ -16,8 +16,16 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.matrices import identity_with
-from signorini_fenicsx.discrete.points import Entities, facet_lattice
+from signorini_fenicsx.discrete.points import (
+    Entities,
+    facet_lattice,
+    facet_type,
+    from_inside,
+    in_facets,
+    quadratic_nodes,
+)
 from signorini_fenicsx.discrete.spaces import Spaces
 
 
@@ -59,6 +67,17 @@ def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
         each.x.scatter_forward()
     found = count.x.array > 0
     function.x.array[found] = total.x.array[found] / count.x.array[found]
+
+
+def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -> fem.Function:
+    """A datum by its values in the nodes of quadratics; on a cut in the domain by those of each side (collective)."""
+    dim, inner = spaces.mesh.topology.dim, spaces.inner
+    function = datum.at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell()))
+    if inner.present and datum.number is None:
+        facets = np.concatenate([spaces.facets[inner.rows], inner.facets])
+        points = in_facets(spaces.mesh, facets, quadratic_nodes(facet_type(dim)))
+        set_means(function, facet_nodes(space, facets), from_inside(datum.values, points))
+    return function
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -24,6 +24,8 @@ from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 
 AT_ONCE = 100_000
 """Number of points in cells that are in memory at the same time."""
+BESIDE = 1e-9
+"""The sides of a facet inside the domain are that share of the way from it to the centroids of its cells."""
 
 
 @dataclass(frozen=True)
@@ -265,6 +267,15 @@ class BesideFacets(FacetPoints):
     def of(cls, points: FacetPoints, share: float) -> Self:
         """Those beside some points."""
         return cls(points.mesh, points.cells, points.points, points.weights, points.facets, points.local, share)
+
+
+def from_inside(values: Callable[[FacetPoints], Array], points: FacetPoints) -> Array:
+    """Values in points of facets as limits from inside their cells, by two points beside each (collective).
+
+    Data that jump on a cut through the domain have the value of one side on the cut itself.
+    """
+    near, far = (values(BesideFacets.of(points, share)) for share in (BESIDE, 2 * BESIDE))
+    return 2 * near - far
 
 
 def _barycentric(points: Array) -> Array:
