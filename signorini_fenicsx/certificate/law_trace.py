@@ -20,6 +20,7 @@ jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import basix
 import numpy as np
@@ -66,7 +67,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     v = averaged(solution, metric)
     space = v.function_space
     edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
-    on_dirichlet = fem.locate_dofs_topological(space, mesh.topology.dim - 1, spaces.dirichlet_facets)
+    on_dirichlet = _given(space, spaces, data.u_D)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
@@ -119,6 +120,25 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     if obstacle is not None:
         lower_inside(v, floor, obstacle, edges)
     return _with_exact_data(on, data, v, u_D, feasible=feasible)
+
+
+def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[Any]:
+    """Nodes of this rank where v_2 is I_hu_D: those of Γ_D, and inside edges of cuts with both ends there (collective).
+
+    On these edges χ_D is 1, so v is u_D there, and v_1 could not move it.
+    """
+    dim = space.mesh.topology.dim
+    on_dirichlet = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
+    if not spaces.inner.present or u_D.number is not None:
+        return on_dirichlet
+    given = fem.Function(space)
+    given.x.array[on_dirichlet] = 1.0
+    nodes = facet_nodes(space, np.concatenate([spaces.facets[spaces.inner.rows], spaces.inner.facets]))
+    ends = given.x.array[nodes[:, :dim]][:, np.array(basix.topology(facet_type(dim))[1])]
+    given.x.array[nodes[:, dim:][(ends > 0).all(axis=2)]] = 1.0
+    given.x.scatter_reverse(la.InsertMode.add)
+    given.x.scatter_forward()
+    return np.flatnonzero(given.x.array)
 
 
 def _without(ends: list[Array], where: Mask) -> list[Array]:
@@ -209,6 +229,8 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             changed.append(trace.bounds[-1].near)
             known.append(data.obstacle.psi)
     if spaces.inner.present:
+        if changed:
+            _move_jumps(trace, on)
         feasible = jumps_obey(trace, on.goal.parts, spaces) and feasible
     return Trace(
         v=v,
@@ -222,6 +244,28 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
         feasible=feasible,
         degree=quadrature_degree(*known),
     )
+
+
+def _move_jumps(trace: LawTrace, on: OnGammaS) -> None:
+    """Change v_1 on the named side of cuts where the jump of v is beyond a bound in sampled points (collective).
+
+    It is 0 on Γ_D, so it has to grow from there as fast as what is lacking does.
+    """
+    spaces, linear = on.spaces, trace.moved.function_space
+    lattice, corners = facet_lattice(spaces.mesh, spaces.facets, SAMPLES), facet_nodes(linear, spaces.facets)
+    room = 1 - lattice.linear(trace.near_dirichlet)[:, :, 0]
+    for part in on.goal.parts:
+        rows = np.intersect1d(part.rows, spaces.inner.rows)
+        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
+            if name is None:
+                continue
+            bounds = part.data[name].values(facet_lattice(spaces.mesh, spaces.facets[rows], SAMPLES))
+            short = sign * (bounds - trace.on_gamma_s(spaces, lattice)[rows])
+            free = room[rows] > 0
+            steep = np.where(free, short, 0.0) / np.where(free, room[rows], 1.0)
+            lacking = ROOM[1] * np.maximum(steep.max(axis=1, initial=0.0), 0.0)
+            trace.moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
+            trace.moved.x.array[trace.near_dirichlet.x.array > 0] = 0.0
 
 
 def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indices:
