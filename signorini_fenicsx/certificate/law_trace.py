@@ -15,6 +15,7 @@ stays on that side of them where the piece of the graph is that `Goal.pieces` ch
 
 On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
 jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
+u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D − I_hu_D) puts the jump beyond a bound.
 """
 
 from __future__ import annotations
