@@ -155,10 +155,8 @@ class ElasticBackend:
         """Solve, unless the last solve under the same conditions converged (collective)."""
         if conditions.counts(self.comm)[Condition.ROBIN] > 0:
             raise InputError("elastic contact takes no penalty; use alg1 or alg2")
-        stopped = (
-            self._solver.ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.CONVERGED_ITS
-        )  # early, or no Krylov method
-        if conditions.same(self._applied, self.comm) and not stopped:
+        reason = self._solver.ksp.getConvergedReason()  # CONVERGED_ITS: stopped early, or no Krylov method
+        if conditions.same(self._applied, self.comm) and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
             return
         self._applied = None
         contact = conditions.kind == Condition.ZERO_TRACE

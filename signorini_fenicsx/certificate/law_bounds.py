@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -125,21 +126,27 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
     return SAFE * mesh.comm.allreduce(max(needed, float(steep)), MPI.MAX)
 
 
+def bounds_of_jumps(parts: Sequence[PartLaw], spaces: Spaces) -> Iterator[tuple[npt.NDArray[np.intp], float, Array]]:
+    """Each bound of a jump: the rows of its facets, 1 for lower and −1 for upper, its values in sampled points."""
+    for part in parts:
+        rows = np.intersect1d(part.rows, spaces.inner.rows)
+        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
+            if name is not None:
+                lattice = facet_lattice(spaces.mesh, spaces.facets[rows], SAMPLES)
+                yield rows, sign, part.data[name].values(lattice)
+
+
 def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> bool:
     """Whether jumps are between their bounds in sampled points (collective).
 
     They are so in all points if the bounds are quadratic, by their coefficients: the box has them in middle nodes, and
     the vertices are among the points.
     """
-    mesh, inner = spaces.mesh, spaces.inner.rows
+    mesh = spaces.mesh
     found = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
     short, size = 0.0, np.abs(found).max(initial=0.0)
-    for part in parts:
-        rows = np.intersect1d(part.rows, inner)
-        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
-            if name is not None:
-                bound = part.data[name].values(facet_lattice(mesh, spaces.facets[rows], SAMPLES))
-                short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
-                size = max(size, np.abs(bound).max(initial=0.0))
+    for rows, sign, bound in bounds_of_jumps(parts, spaces):
+        short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
+        size = max(size, np.abs(bound).max(initial=0.0))
     worst, largest = (mesh.comm.allreduce(float(number), MPI.MAX) for number in (short, size))
     return bool(worst <= ROUNDING * largest)

@@ -37,7 +37,7 @@ from signorini_fenicsx.certificate.admissible_trace import (
     Trace,
     averaged,
 )
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, depth, jumps_obey
+from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
@@ -255,18 +255,12 @@ def _move_jumps(trace: LawTrace, on: OnGammaS) -> None:
     spaces, linear = on.spaces, trace.moved.function_space
     lattice, corners = facet_lattice(spaces.mesh, spaces.facets, SAMPLES), facet_nodes(linear, spaces.facets)
     room = 1 - lattice.linear(trace.near_dirichlet)[:, :, 0]
-    for part in on.goal.parts:
-        rows = np.intersect1d(part.rows, spaces.inner.rows)
-        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
-            if name is None:
-                continue
-            bounds = part.data[name].values(facet_lattice(spaces.mesh, spaces.facets[rows], SAMPLES))
-            short = sign * (bounds - trace.on_gamma_s(spaces, lattice)[rows])
-            free = room[rows] > 0
-            steep = np.where(free, short, 0.0) / np.where(free, room[rows], 1.0)
-            lacking = ROOM[1] * np.maximum(steep.max(axis=1, initial=0.0), 0.0)
-            trace.moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
-            trace.moved.x.array[trace.near_dirichlet.x.array > 0] = 0.0
+    for rows, sign, limit in bounds_of_jumps(on.goal.parts, spaces):
+        short, free = sign * (limit - trace.on_gamma_s(spaces, lattice)[rows]), room[rows] > 0
+        steep = np.where(free, short, 0.0) / np.where(free, room[rows], 1.0)
+        lacking = ROOM[1] * steep.max(axis=1, initial=0.0)
+        trace.moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
+        trace.moved.x.array[trace.near_dirichlet.x.array > 0] = 0.0
 
 
 def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indices:
