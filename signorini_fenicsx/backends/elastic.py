@@ -17,10 +17,9 @@ from petsc4py import PETSc
 from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
 from signorini_fenicsx.backends.elastic_coarse import DEFAULTS, STIFF, ElasticCoarse
 from signorini_fenicsx.backends.elastic_system import ElasticSystem
+from signorini_fenicsx.backends.facet_solver import FacetSolver
 from signorini_fenicsx.backends.facets import FieldChange
 from signorini_fenicsx.backends.kept_factors import KeptFactors
-from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, EarlyStop, LinearSolveFailure, LinearSolver
-from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
@@ -32,7 +31,7 @@ from signorini_fenicsx.discrete.elastic_friction import law_of_sites
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 
 MOST_ITERATIONS = 400
-"""CG that needs more gives way to a factorisation."""
+"""If CG needs more, it gives way to a factorisation."""
 HELD = 1e-12
 """Sites hold a motion of size 1 if the squares of its means add up to more."""
 SPRING = 1e-6
@@ -74,10 +73,11 @@ class ElasticBackend:
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]
-        self._remark = ""
         large = self.dofs > (tuning or Tuning()).elastic_direct_up_to[spaces.dim]
-        self._stiff = data.stiffness_of_volume(spaces) >= STIFF
-        self._choose_solver(multigrid=large)
+        stiff = data.stiffness_of_volume(spaces) >= STIFF
+        make = partial(ElasticCoarse, spaces, self._operator.matrix, stiff) if large else None
+        self._solver = FacetSolver(self._operator.matrix, "facet_", DEFAULTS, make, MOST_ITERATIONS)
+        self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, spaces.dim)
         self._x, self._b = self._operator.matrix.createVecs()
         self._x.set(0.0)
         self._largest = 0.0, 0.0
@@ -94,11 +94,11 @@ class ElasticBackend:
     @property
     def inexact(self) -> Inexact | None:
         """The backend itself if its linear solver iterates."""
-        return None if self._solver.ksp.getType() == "preonly" else self
+        return self if self._solver.iterates else None
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name() + self._remark
+        return self._solver.name()
 
     def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says, starting from the last solution (collective).
@@ -116,11 +116,8 @@ class ElasticBackend:
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        self._early_stop.asks = lambda x: enough(*self._pairs(x, conditions))
-        try:
+        with self._solver.stopping(lambda x: enough(*self._pairs(x, conditions))):
             self._solve(conditions)
-        finally:
-            self._early_stop.asks = None
         return self._pairs(self._x, conditions)
 
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
@@ -141,22 +138,11 @@ class ElasticBackend:
         rows = self._motions[contact]
         return bool(np.linalg.eigvalsh(self.comm.allreduce(rows.T @ rows))[0] <= HELD)
 
-    def _choose_solver(self, *, multigrid: bool) -> None:
-        self._solver = LinearSolver(self._operator.matrix, "facet_", defaults=MUMPS_WORKSPACE | DEFAULTS)
-        self._solver.ksp.setTolerances(max_it=MOST_ITERATIONS)
-        make = partial(ElasticCoarse, self.spaces, self._operator.matrix, self._stiff)
-        self._coarse = set_up(self._solver, make if multigrid else None)
-        self._early_stop = EarlyStop()
-        if self._solver.ksp.getType() != "preonly":
-            self._solver.ksp.addConvergenceTest(self._early_stop, prepend=True)
-        self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, self.spaces.dim)
-
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
         if conditions.counts(self.comm)[Condition.ROBIN] > 0:
             raise InputError("elastic contact takes no penalty; use alg1 or alg2")
-        reason = self._solver.ksp.getConvergedReason()  # CONVERGED_ITS: stopped early, or no Krylov method
-        if conditions.same(self._applied, self.comm) and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
+        if conditions.same(self._applied, self.comm) and self._solver.converged:
             return
         self._applied = None
         contact = conditions.kind == Condition.ZERO_TRACE
@@ -172,23 +158,16 @@ class ElasticBackend:
         self._applied, self._sprung = conditions, loose
 
     def _solve_anew(self, load: Array, contact: Mask, *, sprung: Mask) -> None:
-        """Set the solver up and solve; if CG with multigrid fails, factorise now and from now on (collective)."""
+        """Set the solver up and solve (collective)."""
         essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
         self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
         self._b.array_w[:] = load
         for vector in (self._b, self._x):
             vector.array_w[essential] = 0.0
-        if self._coarse is not None:
+        if self._solver.levels is not None:
             with self._solver.options():
-                self._coarse.update(self._data.fixed, essential)
-        try:
-            self._solver.solve(self._b, self._x)
-        except LinearSolveFailure as failure:
-            if self._coarse is None:
-                raise
-            self._remark = f" because {failure}"
-            self._choose_solver(multigrid=False)
-            self._solver.solve(self._b, self._x)
+                self._solver.levels.update(self._data.fixed, essential)
+        self._solver.solve(self._b, self._x)
         self._factors.keep(essential, contact)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:

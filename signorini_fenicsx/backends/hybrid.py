@@ -4,18 +4,15 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-from petsc4py import PETSc
-
 from signorini_fenicsx.backends.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.backends.condensed import Condensed
 from signorini_fenicsx.backends.contract import Inexact, Iterate
 from signorini_fenicsx.backends.earlier import EarlierSolutions
+from signorini_fenicsx.backends.facet_solver import FacetSolver
 from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.backends.patch import Patch
-from signorini_fenicsx.backends.petsc import MUMPS_WORKSPACE, EarlyStop, LinearSolveFailure, LinearSolver
-from signorini_fenicsx.backends.two_level import set_up
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
@@ -25,7 +22,7 @@ from signorini_fenicsx.discrete.spaces import Spaces
 FACTORISATION = 10
 """About as many solves take as long as a factorisation."""
 MOST_ITERATIONS = 100
-"""More iterations of CG cost more than a factorisation."""
+"""If CG needs more and the system is not large, it gives way to a factorisation."""
 
 
 class HybridBackend(FacetBackend):
@@ -65,11 +62,14 @@ class HybridBackend(FacetBackend):
         """
         super().__init__(spaces, data)
         self._tuning = tuning or Tuning()
-        self._system = FacetSystem(spaces, data, self._tuning)
+        self._system = system = FacetSystem(spaces, data, self._tuning)
         self._condensed: Condensed | None = None
         self._regret = math.inf
-        self.dofs, self._prefix = self._system.dofs, prefix
-        self._set_up(iterative=multigrid or self._system.large or self.dofs >= self._tuning.predict_from)
+        self.dofs = system.dofs
+        iterative = multigrid or system.large or self.dofs >= self._tuning.predict_from
+        make = partial(AuxiliarySpace, spaces, data, system.sources.s) if iterative else None
+        most = None if system.large else MOST_ITERATIONS
+        self._solver = FacetSolver(system.matrix, prefix, DEFAULTS, make, most)
         self._earlier, self._renewed = EarlierSolutions(), False
         self._applied: SiteConditions | None = None
         self._held: SiteConditions | None = None
@@ -77,34 +77,16 @@ class HybridBackend(FacetBackend):
         self._iterations = 0
         self._offer_precise()
 
-    def _set_up(self, *, iterative: bool) -> None:
-        """Choose the solver and let the user's options change it (collective).
-
-        Raises:
-            InputError: If PETSc refuses an option.
-        """
-        system = self._system
-        self._solver = LinearSolver(system.matrix, self._prefix, defaults=MUMPS_WORKSPACE | DEFAULTS)
-        self._ksp = self._solver.ksp
-        self._may_be_factorised = iterative and not system.large
-        if self._may_be_factorised:
-            self._ksp.setTolerances(max_it=MOST_ITERATIONS)
-        make = partial(AuxiliarySpace, self.spaces, self.data, system.sources.s) if iterative else None
-        self._auxiliary = set_up(self._solver, make)
-        self._early_stop = EarlyStop()
-        if self._iterates:
-            self._ksp.addConvergenceTest(self._early_stop, prepend=True)
-
     def renew(self, data: Data) -> bool:
         """Go on with other data, see `Renewable`; multigrid has to be set up again for another κ or c (collective)."""
-        if self._may_be_factorised and (self._can_be_condensed() or not self._moved):
-            self._set_up(iterative=False)
-        elif self._iterates and not data.same_operator(self.data, self.spaces):
+        if self._solver.gives_way and (self._can_be_condensed() or not self._moved):
+            self._solver.factorise()
+        elif self._solver.iterates and not data.same_operator(self.data, self.spaces):
             return False
         system, given_flux = self._system, SiteConditions.everywhere(Condition.NO_FLUX, self.sites)
         same = system.renew(data)
         self.data, self._applied, self._moved = data, None, False
-        if self._iterates:
+        if self._solver.iterates:
             self._earlier.add(system.x)
             self._renewed = True
         self._offer_precise()
@@ -127,7 +109,7 @@ class HybridBackend(FacetBackend):
         Where sets stand still, one more solve for each right side is what it costs, and a factorisation for each change
         of the sets what it saves. It is given up, or made again, when as much was lost as the change costs.
         """
-        factorised = self.precise is not None and not self._iterates
+        factorised = self.precise is not None and not self._solver.iterates
         return factorised and self._can_be_condensed() and self._regret >= self._facets_of_gamma_s()
 
     def _can_be_condensed(self) -> bool:
@@ -139,19 +121,13 @@ class HybridBackend(FacetBackend):
         return number
 
     def _offer_precise(self) -> None:
-        factorised = not self._iterates and self._ksp.getPC().getType() in ("cholesky", "lu")
-        if factorised or self._may_be_factorised:
+        if self._solver.factorises or self._solver.gives_way:
             self.precise = partial(MixedBackend, self.spaces, self.data)
-
-    @property
-    def _iterates(self) -> bool:
-        """Whether its linear solver iterates."""
-        return bool(self._ksp.getType() != "preonly")
 
     @property
     def inexact(self) -> Inexact | None:
         """The backend itself if its linear solver iterates; otherwise the condensed system, once there is one."""
-        return self if self._iterates else self._condensed
+        return self if self._solver.iterates else self._condensed
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -172,11 +148,8 @@ class HybridBackend(FacetBackend):
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        self._early_stop.asks = lambda x: enough(*self._system.traces(x, conditions))
-        try:
+        with self._solver.stopping(lambda x: enough(*self._system.traces(x, conditions))):
             self._solve(conditions)
-        finally:
-            self._early_stop.asks = None
         return self._system.traces(self._system.x, conditions)
 
     def solve_near(
@@ -199,8 +172,7 @@ class HybridBackend(FacetBackend):
         Nothing is done if the last solve under the same conditions converged; one that stopped early goes on.
         """
         if conditions.same(self._applied, self.comm):
-            reason = self._ksp.getConvergedReason()
-            if reason > 0 and reason != PETSc.KSP.ConvergedReason.CONVERGED_ITS:
+            if self._solver.converged:
                 return
         elif self._condensed is not None:
             self._condensed.solve(conditions, self._system.x)
@@ -215,15 +187,9 @@ class HybridBackend(FacetBackend):
             if self._renewed:
                 self._earlier.combine(self._system.matrix, self._system.b, self._system.x, essential)
                 self._renewed = False
-            if self._auxiliary is not None:
+            if self._solver.levels is not None:
                 with self._solver.options():
-                    self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
+                    self._solver.levels.update(conditions.take(self.facets), essential, self._system.sources)
             self._applied, self._iterations = conditions, 0
-        try:
-            self._solver.solve(self._system.b, self._system.x)
-        except LinearSolveFailure:
-            if not self._may_be_factorised:
-                raise
-            self._set_up(iterative=False)
-            self._solver.solve(self._system.b, self._system.x)
-        self._iterations += self._ksp.getIterationNumber()
+        self._solver.solve(self._system.b, self._system.x)
+        self._iterations += self._solver.ksp.getIterationNumber()

@@ -52,8 +52,7 @@ class KeptFactors:
             fixed: Owned unknowns that are fixed.
             held: The sites among them.
         """
-        pc = self._solver.ksp.getPC()
-        if self._solver.ksp.getType() == "preonly" and pc.getType() in ("cholesky", "lu"):
+        if self._solver.factorises:
             self._fixed, self._held = fixed, held
             self._changed: Indices = np.empty(0, dtype=np.int64)  # own sites with a d_j, and the j of each
             self._number: Indices = np.empty(0, dtype=np.int64)

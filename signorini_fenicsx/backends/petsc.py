@@ -8,7 +8,7 @@ are removed again.
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from petsc4py import PETSc
 
@@ -87,6 +87,16 @@ class LinearSolver:
         """While a part of it is set up, see `options_of`."""
         return options_of(self.prefix, self._defaults)
 
+    @property
+    def iterates(self) -> bool:
+        """Whether it is a Krylov method."""
+        return bool(self.ksp.getType() != "preonly")
+
+    @property
+    def factorises(self) -> bool:
+        """Whether it is a factorisation and nothing else."""
+        return not self.iterates and self.ksp.getPC().getType() in ("cholesky", "lu")
+
     def take_options(self) -> None:
         """Let the user's options change the defaults (collective).
 
@@ -94,7 +104,7 @@ class LinearSolver:
             InputError: If PETSc refuses an option.
         """
         take_options(self.ksp, self.prefix, self._defaults)
-        if self.ksp.getType() != "preonly":  # it would compute a norm for it
+        if self.iterates:  # preonly would compute a norm for it
             self.ksp.setMonitor(lambda ksp, number, norm: progress.detail("linear iterations", number))
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -124,27 +134,6 @@ class LinearSolver:
     def name(self) -> str:
         """Krylov method, preconditioner and, if there is a factorisation, its package."""
         return solver_name(self.ksp)
-
-
-class EarlyStop:
-    """A test that PETSc calls before its own test of convergence.
-
-    It holds no reference to the backend, because PETSc would keep the backend alive.
-
-    Attributes:
-        asks: Returns whether an iterate is good enough; None while there is no such test.
-    """
-
-    asks: Callable[[PETSc.Vec], bool] | None = None
-
-    def __call__(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
-        """Stop, or leave the decision to PETSc (collective)."""
-        stop = False
-        if self.asks is not None and iteration > 0:
-            x = ksp.buildSolution()
-            stop = self.asks(x)
-            x.destroy()  # only this reference; waiting for garbage collection, it would keep the solver alive
-        return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING
 
 
 def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:

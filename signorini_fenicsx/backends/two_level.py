@@ -1,43 +1,9 @@
-"""CG with a two-level multigrid: a smoother on the facets, a solver on conforming P1. The facet systems share it."""
-
-from collections.abc import Callable
+"""A two-level multigrid: a smoother on the facets, a solver on conforming P1. The facet systems share it."""
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
-
-from signorini_fenicsx.backends.petsc import LinearSolver, set_direct
-from signorini_fenicsx.base.tolerances import LINEAR
-
-
-def set_up[Coarse](solver: LinearSolver, make: Callable[[PETSc.PC], Coarse] | None) -> Coarse | None:
-    """Set defaults, then the user's options (collective).
-
-    Args:
-        solver: The solver of an SPD system.
-        make: Makes the preconditioner a multigrid; None if a factorisation is the default.
-
-    Returns:
-        What `make` made, if the result is multigrid.
-
-    Raises:
-        InputError: If PETSc refuses an option.
-    """
-    ksp, pc = solver.ksp, solver.ksp.getPC()
-    if make is None:
-        set_direct(ksp, "cholesky")
-        made = None
-    else:
-        ksp.setType("cg")
-        ksp.setTolerances(rtol=LINEAR / 10)  # with LINEAR the certificate often needs one more solve for the balance
-        ksp.setInitialGuessNonzero(True)
-        pc.setType("mg")
-        made = make(pc)
-    solver.take_options()
-    if ksp.getType() == "preonly":
-        ksp.setInitialGuessNonzero(False)
-    return made if pc.getType() == "mg" else None
 
 
 class TwoLevel:
