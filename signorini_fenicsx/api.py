@@ -92,16 +92,7 @@ from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteCondit
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.evolution import Evolution
-from signorini_fenicsx.discrete.laws import (
-    Corners,
-    Friction,
-    Graph,
-    Law,
-    Regulator,
-    Signorini,
-    TwoSided,
-    Wall,
-)
+from signorini_fenicsx.discrete.laws import Corners, Friction, Graph, Law, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
