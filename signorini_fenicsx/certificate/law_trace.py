@@ -20,6 +20,7 @@ u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D �
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -30,13 +31,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.admissible_trace import (
-    ROOM,
-    SAMPLES,
-    Indices,
-    Trace,
-    averaged,
-)
+from signorini_fenicsx.certificate.admissible_trace import ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
@@ -218,8 +213,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
             fixed = np.isin(corners[rows], on_dirichlet).any(axis=1)
             lacking = np.where(fixed, *ROOM[::-1]) * np.maximum(short.max(axis=1, initial=0.0), 0.0)
-            moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
-            moved.x.array[on_dirichlet] = 0.0
+            _move(trace, corners[rows], sign, lacking)
             trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
             changed.append(here)
             known.append(datum)
@@ -252,15 +246,21 @@ def _move_jumps(trace: LawTrace, on: OnGammaS) -> None:
 
     It is 0 on Γ_D, so it has to grow from there as fast as what is lacking does.
     """
-    spaces, linear = on.spaces, trace.moved.function_space
-    lattice, corners = facet_lattice(spaces.mesh, spaces.facets, SAMPLES), facet_nodes(linear, spaces.facets)
+    spaces = on.spaces
+    lattice = facet_lattice(spaces.mesh, spaces.facets, SAMPLES)
+    corners = facet_nodes(trace.moved.function_space, spaces.facets)
     room = 1 - lattice.linear(trace.near_dirichlet)[:, :, 0]
     for rows, sign, limit in bounds_of_jumps(on.goal.parts, spaces):
         short, free = sign * (limit - trace.on_gamma_s(spaces, lattice)[rows]), room[rows] > 0
         steep = np.where(free, short, 0.0) / np.where(free, room[rows], 1.0)
-        lacking = ROOM[1] * steep.max(axis=1, initial=0.0)
-        trace.moved.x.array[:] += sign * largest_around(linear, corners[rows], lacking)
-        trace.moved.x.array[trace.near_dirichlet.x.array > 0] = 0.0
+        _move(trace, corners[rows], sign, ROOM[1] * steep.max(axis=1, initial=0.0))
+
+
+def _move(trace: LawTrace, corners: Indices, sign: float, lacking: Array) -> None:
+    """Raise v_1 (sign 1) or lower it (−1) in the corners of facets by what is lacking, but not on Γ_D (collective)."""
+    moved = trace.moved
+    moved.x.array[:] += sign * largest_around(moved.function_space, corners, lacking)
+    moved.x.array[trace.near_dirichlet.x.array > 0] = 0.0
 
 
 def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indices:
@@ -282,47 +282,38 @@ def _bounds(on: OnGammaS, part: PartLaw) -> list[str | None]:
 def _levels(
     on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
 ) -> list[tuple[Datum, fem.Function, fem.Function]]:
-    """The data that hold u on steep segments, I_h of them, and χ: 1 in vertices all of whose facets they hold.
-
-    Collective. Only data that are not numbers are among them.
-    """
-    spaces, corners = on.spaces, facet_nodes(linear, on.spaces.facets)
+    """The data b that hold u or its jump and are no numbers, their I_hb, and the χ of each (collective)."""
     found = []
-    everywhere = fem.Function(linear)
-    everywhere.x.array[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
-    steep = on.steep[np.arange(len(on.segment)), on.segment]
-    for part in on.goal.parts:
-        for segment in range(len(part.law.segments)):
-            name = part.law.level_of(segment)
-            if name is None or part.data[name].number is not None:
-                continue
-            held = np.zeros(len(steep), dtype=bool)
-            rows = np.intersect1d(part.rows, spaces.outer_rows)
-            held[rows] = (steep & (on.segment == segment))[rows]
-            near, quadratic = (
-                fem.Function(linear),
-                part.data[name].at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell())),
-            )
-            near.x.array[:] = everywhere.x.array - largest_around(linear, corners, 1.0 - held)
-            all_edges(space).to_bernstein(quadratic.x.array)
-            found.append((part.data[name], quadratic, near))
-    return found + _levels_of_jumps(on, space, linear)
-
-
-def _levels_of_jumps(
-    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
-) -> list[tuple[Datum, fem.Function, fem.Function]]:
-    """The same for facets inside the domain whose jump has one bound: χ is 1 in all nodes with a jump (collective)."""
-    jumps, found = Jumps.of(linear, on.spaces), []
-    for part in on.goal.parts if jumps is not None else ():
-        names = [name for name in part.law.bounds() if name is not None]
-        if jumps is None or len(names) != 1 or part.data[names[0]].number is not None:
-            continue
-        rows = np.intersect1d(part.rows, on.spaces.inner.rows)
-        here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
-        near, datum = fem.Function(linear), part.data[names[0]]
-        near.x.array[:] = (here > 0) & jumps.jump
-        quadratic = datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+    for datum, held in (*_held_values(on, linear), *_held_jumps(on, linear)):
+        near, quadratic = fem.Function(linear), datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+        near.x.array[:] = held
         all_edges(space).to_bernstein(quadratic.x.array)
         found.append((datum, quadratic, near))
     return found
+
+
+def _held_values(on: OnGammaS, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array]]:
+    """The data that hold u on steep segments. χ is 1 in vertices of Γ_S all of whose facets they hold (collective)."""
+    spaces, corners = on.spaces, facet_nodes(linear, on.spaces.facets)
+    everywhere = fem.Function(linear).x.array
+    everywhere[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
+    steep = on.steep[np.arange(len(on.segment)), on.segment]
+    for part in on.goal.parts:
+        rows = np.intersect1d(part.rows, spaces.outer_rows)
+        for segment in range(len(part.law.segments)):
+            name = part.law.level_of(segment)
+            if name is not None and part.data[name].number is None:
+                free = np.ones(len(steep))
+                free[rows] = ~(steep & (on.segment == segment))[rows]
+                yield part.data[name], everywhere - largest_around(linear, corners, free)
+
+
+def _held_jumps(on: OnGammaS, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array]]:
+    """The only bounds of jumps inside the domain. χ is 1 in all nodes with a jump (collective)."""
+    jumps = Jumps.of(linear, on.spaces)
+    for part in on.goal.parts if jumps is not None else ():
+        names = [name for name in part.law.bounds() if name is not None]
+        if jumps is not None and len(names) == 1 and part.data[names[0]].number is None:
+            rows = np.intersect1d(part.rows, on.spaces.inner.rows)
+            here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
+            yield part.data[names[0]], np.where((here > 0) & jumps.jump, 1.0, 0.0)
