@@ -107,7 +107,7 @@ def load_oscillation(
     reaction: ReactionTerms | None,
     memory: Callable[[CellPoints], Array] | None,
     resolution: Resolution,
-    force: Force | None = None,
+    force: Force | None,
 ) -> Array:
     """osc_T per owned cell (collective).
 

@@ -267,7 +267,7 @@ class Resolution:
         p: Quadratic,
         tolerance: Array,
         cells: npt.NDArray[np.integer],
-        by: Literal["mean", "sup", "tilt"] = "mean",
+        by: Literal["mean", "sup", "tilt"],
     ) -> Enclosure:
         """Enclose a datum minus quadratics on simplices of these cells; places that are not resolved are kept."""
         assert tree is not None

@@ -76,8 +76,8 @@ def kkt_residuals(
     sigma: fem.Function,
     u: fem.Function,
     p: fem.Function,
-    penalty: Penalty | None = None,
-    eps: float = 0.0,
+    penalty: Penalty | None,
+    eps: float,
 ) -> KKTResiduals:
     """Residuals of a discrete solution, computed from its fields alone (collective).
 

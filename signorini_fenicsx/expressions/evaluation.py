@@ -182,11 +182,9 @@ def interval(tree: Tree, box: Mapping[str, Interval], elementary: Elementary | N
     return found.on(next(iter(box.values())).lo.shape)
 
 
-def interval_and_gradient(
-    tree: Tree, box: Mapping[str, Interval], elementary: Elementary | None = None
-) -> tuple[Interval, list[Interval]]:
+def interval_and_gradient(tree: Tree, box: Mapping[str, Interval]) -> tuple[Interval, list[Interval]]:
     """Enclosures of all values, and of all derivatives with respect to each name."""
-    algebra = Differentiated(Intervals({}, elementary or FromNumPy()), _variables(box, enclosing(1.0)))
+    algebra = Differentiated(Intervals({}, FromNumPy()), _variables(box, enclosing(1.0)))
     with np.errstate(all="ignore"):
         found: Dual = evaluate(tree, algebra)
     shape = next(iter(box.values())).lo.shape

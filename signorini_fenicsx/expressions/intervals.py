@@ -106,11 +106,6 @@ class Interval:
         return (self.lo == 0) & (self.hi == 0)
 
     @property
-    def finite(self) -> Mask:
-        """Mask: where both ends are finite."""
-        return np.isfinite(self.lo) & np.isfinite(self.hi)
-
-    @property
     def largest(self) -> Array:
         """Bound of the absolute value, infinite where nothing is known."""
         return np.nan_to_num(np.maximum(-self.lo, self.hi), nan=np.inf, posinf=np.inf)

@@ -222,15 +222,13 @@ def facet_columns(part_names: tuple[str, ...], table: FacetTable, segments: Sequ
     }
 
 
-def write_facets(
-    path: Path, part_names: tuple[str, ...], table: FacetTable | None, segments: Sequence[str] = ()
-) -> None:
+def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable | None, segments: Sequence[str]) -> None:
     """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
     assert table is not None
     write_columns(path, facet_columns(part_names, table, segments))
 
 
-def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None = None) -> None:
+def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None) -> None:
     """Write `solution.bp`, `multiplier.bp` or `contact.bp`, and `solution.xdmf` with η_T of the bound (collective).
 
     A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.

@@ -25,7 +25,7 @@ def run_study(
     folder: StudyFolder,
     comm: MPI.Comm,
     *,
-    on_run: Callable[[], None] = lambda: None,
+    on_run: Callable[[], None],
 ) -> None:
     """Do the runs that have not been done, the largest first, and write the tables of all (collective).
 

@@ -239,7 +239,7 @@ def primal_outcome(
     *,
     reason: str,
     solver: str,
-    details: dict[str, float] | None = None,
+    details: dict[str, float],
 ) -> Outcome:
     """How a P1 method ended, judged by its natural residual (collective)."""
     residual = system.residual(u)
@@ -254,7 +254,7 @@ def primal_outcome(
         dofs=system.dofs,
         linear_solver=solver,
         own_residual=residual,
-        details=details or {},
+        details=details,
     )
 
 

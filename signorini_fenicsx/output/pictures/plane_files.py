@@ -45,10 +45,10 @@ def draw_certificate_file(path: Path, plane: Plane) -> None:
         _draw_map(path, plane, "certificate")
 
 
-def one_map(plane: Plane, *, bars: bool = True, title: str = "", dpi: float | None = None) -> tuple[Sheet, Axes]:
+def one_map(plane: Plane, *, bars: bool = True, dpi: float | None = None) -> tuple[Sheet, Axes]:
     """A sheet with the panel of a map."""
     width = 7.0 if plane.wide else min(4.4, 6.0 * plane.aspect)
-    sheet = Sheet([width], [width / plane.aspect], bars=bars, title=title, dpi=dpi)
+    sheet = Sheet([width], [width / plane.aspect], bars=bars, dpi=dpi)
     return sheet, sheet.panel(0, 0, aspect=plane.aspect)
 
 

@@ -97,9 +97,9 @@ class Sheet(Figure):
         self._places[beside] = (left + width + 0.12, top + 0.06 * height, min(0.13, 0.1 * height), 0.88 * height)
         return self.colorbar(image, cax=beside, label=label, extend=extend)
 
-    def legend_below(self, handles: list, columns: int | None = None) -> None:
+    def legend_below(self, handles: list) -> None:
         """Place all panels, and a legend below them, where it hides nothing."""
-        columns = columns or max(1, min(len(handles), int(self._across / WORDS)))
+        columns = max(1, min(len(handles), int(self._across / WORDS)))
         legend = EDGE + ENTRY * -(-len(handles) // columns)
         down = self._top + sum(ABOVE + height + BELOW for height in self._heights) + legend
         self.set_size_inches(self._across, down)
