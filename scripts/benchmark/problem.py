@@ -11,7 +11,7 @@ Positive = Callable[[Any], Any]
 
 
 def solution(x: Sequence[Any], positive: Positive) -> Any:
-    """U = t_+³ − z t_-³; z is the last coordinate and t = x − 0.413 in 2D, x² + y² − 0.49 in 3D."""
+    """The solution u = t_+³ − z t_-³; z is the last coordinate and t = x − 0.413 in 2D, x² + y² − 0.49 in 3D."""
     t, _, _ = _level(x)
     return positive(t) ** 3 - x[-1] * positive(-t) ** 3
 
@@ -24,7 +24,7 @@ def gradient(x: Sequence[Any], positive: Positive) -> tuple[Any, ...]:
 
 
 def load(x: Sequence[Any], positive: Positive) -> Any:
-    """F = −Δu."""
+    """The load f = −Δu."""
     t, slope, curvature = _level(x)
     square = sum(s * s for s in slope)
     first = 3 * curvature * (positive(t) ** 2 + x[-1] * positive(-t) ** 2)

@@ -7,7 +7,8 @@ EᵀA⁻¹E. Under any conditions on Γ_S
 
 so that on the last two, I, (C_II + D)λ = w − u_I for λ = 0 there, with D = 0 and w = v, or D = 1/(β|e|) and w = v/β.
 
-The traces need C alone, so the sets can be followed without a solve in Ω.
+The traces need C alone, so the sets can be followed without a solve in Ω. C has a column for each facet of Γ_S, all on
+every rank; `kept_factors` is for more sites, of which few change.
 """
 
 from collections.abc import Callable
@@ -99,7 +100,7 @@ class Condensed:
         return flux
 
     def _traces(self, flux: Array) -> Array:
-        """U on all Γ_S facets for this λ, and the present b; `_x` is the solution (collective)."""
+        """The traces on all Γ_S facets for this λ, and the present b; `_x` is the solution (collective)."""
         b, before = self._b, self._b.array_r[self._dofs]
         b.array_w[self._dofs] = before + flux[self._mine]
         self._solver.solve(b, self._x)

@@ -227,7 +227,7 @@ class FacetSystem:
         return self._pairs(x, flux, conditions)
 
     def _pairs(self, x: PETSc.Vec, flux: Array, conditions: SiteConditions) -> tuple[Array, Array]:
-        """P − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
+        """Both p − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
         data, trace = self._data, x.array_r[self.trace_dofs]
         if data.obstacle is not None:
             u_cr = self._with_lift(x)

@@ -9,6 +9,9 @@ under another set is w + Σ c_j d_j with one d_j for each site j that changes:
 
 So a set costs a solve by the factors, and one more for each site that did not change before. Both together cost less
 than a factorisation.
+
+`condensed` is this for the set with all sites free and every site changed: there only the traces of the d_j are kept,
+so p and σ·n under any set need no solve, and the solution needs one.
 """
 
 import numpy as np

@@ -80,7 +80,7 @@ class LawPoints:
         return slope, value
 
     def trace_at(self, corner: Kinds) -> Array:
-        """U at a corner of each facet's law, shape (facets, points)."""
+        """The u at a corner of each facet's law, shape (facets, points)."""
         return self._at(self.law.p, corner)
 
     def flux_at(self, corner: Kinds) -> Array:

@@ -80,7 +80,7 @@ def water_filled(s: Array, weights: Array) -> Array:
 def contact_excess(
     spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
 ) -> tuple[ContactExcess, list[FacetLoad]]:
-    """R − s and r for the Signorini law of ψ and q_S on all of Γ_S; no r if it is 0 (collective).
+    """The differences r − s, and r, for the Signorini law of ψ and q_S on all of Γ_S; no r if it is 0 (collective).
 
     Args:
         spaces: The discrete spaces.

@@ -59,7 +59,7 @@ class ReactionTerms:
 
 @dataclass(frozen=True)
 class _Coefficient:
-    """C as p and S per owned cell.
+    """The datum c as p and S per owned cell.
 
     Attributes:
         values: p in points.
@@ -109,7 +109,7 @@ def reaction_terms(
 
 
 def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: Array) -> _Coefficient:
-    """P and S for a c that is given as text; other c as they are (collective). `size` is that of u on each cell."""
+    """Both p and S for a c that is given as text; other c as they are (collective). `size`: that of u on each cell."""
     number, dim = len(metric.volume), metric.jacobian.shape[1]
     deviation, least = np.zeros(number), np.zeros(number)
     if not resolution.given_as_text("c"):

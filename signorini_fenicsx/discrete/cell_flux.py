@@ -116,7 +116,7 @@ def _as_matrix(weight: Weight, dim: int) -> Array:
 
 
 def _squared_arms(spaces: Spaces, weight: Weight) -> Array:
-    """Y_i·By_i."""
+    """The products y_i·By_i."""
     return weight * spaces.squared_arms if isinstance(weight, float) else squared_arms(spaces.mesh, weight)
 
 

@@ -56,7 +56,7 @@ def some_at_a_time(mesh: dolfinx.mesh.Mesh) -> Iterator[slice]:
 
 
 def squared_arms(mesh: dolfinx.mesh.Mesh, matrix: Array) -> Array:
-    """Y_v·By_v with y_v = x_v − x_T for the vertices v of each cell, shape (cells, dim + 1).
+    """The products y_v·By_v with y_v = x_v − x_T for the vertices v of each cell, shape (cells, dim + 1).
 
     B is a matrix per cell, or one for all.
     """

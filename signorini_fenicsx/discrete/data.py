@@ -221,7 +221,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
 
 
 def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Function]:
-    """F and f_h (collective)."""
+    """The datum f, and f_h (collective)."""
     f = datum_of(spaces, "f", problem.f, continuous=False)
     f_h, degree = fem.Function(spaces.Q, name="f_h"), quadrature_degree(f)
     if isinstance(problem.f, TREES):
@@ -285,7 +285,7 @@ def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.
 
 
 def _conductivity(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | fem.Constant, float]:
-    """Κ, κ_h and the conductance (collective)."""
+    """The datum κ, κ_h and the conductance (collective)."""
     kappa = conductivity_of(spaces, problem.kappa)
     kappa_h = _projected_conductivity(spaces, kappa)
     integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
@@ -314,7 +314,7 @@ def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.
 
 
 def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | None]:
-    """C, and c_h or None if it is 0 (collective)."""
+    """The datum c, and c_h or None if it is 0 (collective)."""
     c = regional_datum(spaces, "c", problem.c)
     if c.number == 0:
         return c, None

@@ -105,7 +105,7 @@ class ElasticSpaces:
 
     @property
     def dim(self) -> int:
-        """D."""
+        """The dimension d."""
         return self.mesh.topology.dim
 
     @cached_property

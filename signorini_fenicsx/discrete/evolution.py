@@ -125,7 +125,7 @@ class Steps:
         return self._evolution.formula(step)[1]
 
     def memory(self, step: int, before: list[fem.Function]) -> fem.Function:
-        """C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
+        """The sum C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
         memory = fem.Function(self._spaces.Q, name="memory")
         weights = self.weights(step)
         for weight, u in zip(weights, before[: len(weights)], strict=True):
@@ -139,7 +139,7 @@ class Steps:
 
 
 def _plus(c: Given | Mapping[str, Given], capacity: Given | Mapping[str, Given], a: float) -> dict[str, Tree] | Tree:
-    """C + aC of trees, or of tables of them by region."""
+    """The sum c + aC of trees, or of tables of them by region."""
     if isinstance(c, Mapping) or isinstance(capacity, Mapping):
         names = dict.fromkeys(name for table in (c, capacity) if isinstance(table, Mapping) for name in table)
         return {name: _sum(_of(c, name), _of(capacity, name), a) for name in names}

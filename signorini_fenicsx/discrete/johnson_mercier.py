@@ -183,7 +183,7 @@ class Cells:
 
     @property
     def dim(self) -> int:
-        """D."""
+        """The dimension d."""
         return int(self.vertices.shape[2])
 
     @cached_property
