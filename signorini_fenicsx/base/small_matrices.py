@@ -42,7 +42,7 @@ def times(vectors: Array, matrices: Array) -> Array:
 
 
 def squares_of(vectors: Array, matrix: Array) -> Array:
-    """The products x·Bx for vectors of shape (cells, n, dim) and a matrix B per cell, or one for all; shape (cells, n)."""
+    """All x·Bx for vectors of shape (cells, n, dim) and a matrix B per cell, or one for all; shape (cells, n)."""
     return np.asarray(np.einsum("cvi,cvi->cv", times(vectors, matrix), vectors))
 
 
