@@ -88,7 +88,7 @@ class AuxiliarySpace:
         self._levels.leave_out(essential, fixed)
 
     def _build_hierarchy(self) -> None:
-        """Build the interpolations once; later only the operators are renewed.
+        """Build the interpolations once; later only the operators are renewed (collective).
 
         Those of GAMG come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
         errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.

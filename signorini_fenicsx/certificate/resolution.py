@@ -269,7 +269,7 @@ class Resolution:
         cells: npt.NDArray[np.integer],
         by: Literal["mean", "sup", "tilt"],
     ) -> Enclosure:
-        """Enclose a datum minus quadratics on simplices of these cells; places that are not resolved are kept."""
+        """Enclose a datum minus quadratics on simplices of these cells, keep places not resolved (collective)."""
         assert tree is not None
         found = enclose(tree, vertices, p, tolerance, self.spaces.mesh.comm, scale=self.scale(), by=by)
         self.note(name, found.place[~found.resolved], cells[~found.resolved])

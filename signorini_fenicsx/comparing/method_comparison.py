@@ -116,7 +116,7 @@ def distance(one: Solution, two: Solution) -> float:
 
 
 def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, float, float]]:
-    """Flux, trace and contact errors of solutions on one mesh; its points are searched only once."""
+    """Flux, trace and contact errors of solutions on one mesh; its points are searched only once (collective)."""
     spaces, comm = fine.spaces, fine.spaces.mesh.comm
     mesh, gamma = spaces.mesh, spaces.Lambda.mesh
     source = solutions[0].spaces.domain

@@ -82,7 +82,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
 
 
 def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:
-    """‖σ‖ for a strain with the largest |u_D| or |g|, if nothing but these is given and σ is rounding of it; else 0."""
+    """‖σ‖ for a strain of the largest |u_D| or |g|, if only these are given and σ is rounding; else 0 (collective)."""
     largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, data.tractions)])
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
     stiff, given, loads = largest.tolist()

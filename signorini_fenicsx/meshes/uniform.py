@@ -83,7 +83,7 @@ def refined_uniformly(domain: Domain) -> Domain:
 
 
 def _numbers(comm: MPI.Comm, *maps: IndexMap) -> list[Indices]:
-    """New numbers of the entities of several kinds on this rank; those of one rank are consecutive, kind by kind."""
+    """New numbers of entities of several kinds on this rank; a rank has consecutive ones, kind by kind (collective)."""
     sizes = np.array(comm.allgather([index_map.size_local for index_map in maps]), dtype=np.int64)
     first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).reshape(sizes.shape)  # the new numbers, by rank and kind
     before = np.cumsum(sizes, axis=0) - sizes  # the old ones

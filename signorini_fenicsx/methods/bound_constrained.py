@@ -97,7 +97,7 @@ def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
 
 
 def _snes(system: FacetSystem, law: Chains, max_iterations: int) -> PETSc.SNES:
-    """SNESVI for the system under its current conditions, with its bounds."""
+    """SNESVI for the system under its current conditions, with its bounds (collective)."""
     snes = PETSc.SNES().create(system.matrix.getComm())
     matrix, b = system.matrix, system.b
 

@@ -131,7 +131,7 @@ def _wanted[I: Pairs](
     iterate: I,
     solved_with: SiteConditions | None,
 ) -> SiteConditions:
-    """The next conditions by the rule. Ties keep their condition; after the algorithm's own start they have none."""
+    """The next conditions by the rule. Ties keep theirs; after the own start they have none (collective)."""
     scales = backend.scales(iterate)
     segment = None if solved_with is None else law.segments(solved_with)
     p, flux = iterate.p, iterate.flux
@@ -215,7 +215,7 @@ class _Safeguard[I: Pairs]:
         return wanted if all_may else self._one_changed(conditions, wanted, self._places)
 
     def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
-        """Conditions with one site changed: the last by its place, an order that does not depend on the ranks."""
+        """Conditions with one site changed: the last by its place, an order for any ranks (collective)."""
         changing = [(*places[i], i) for i in np.flatnonzero(conditions.differ(wanted))]
         *place, index = max(changing, default=(-1,))
         last = max(self.backend.comm.allgather(place))

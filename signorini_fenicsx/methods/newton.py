@@ -158,7 +158,7 @@ class PenaltyNewton:
         return f"SNES reason {reason} after {counted(self._snes.getIterationNumber(), 'iteration')}"
 
     def _iterate(self) -> Iterate:
-        """A copy of the current fields, with the exact values that their facet conditions prescribe."""
+        """A copy of the current fields, with the exact values that their facet conditions prescribe (collective)."""
         sigma, u, p = (field.copy() for field in self._fields)
         sigma.x.scatter_forward()
         u.x.scatter_forward()

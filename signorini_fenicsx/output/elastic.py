@@ -159,7 +159,7 @@ def sizes_of_files(solution: ElasticSolution) -> dict[str, int]:
 
 
 def write_fields(solution: ElasticSolution, folder: Path, certificate: Certificate | None) -> None:
-    """Write `solution.bp` on the subcells, `contact.bp` on Γ_C and, with means over cells, `solution.xdmf`."""
+    """Write `solution.bp` on the subcells, `contact.bp` on Γ_C, `solution.xdmf` of means over cells (collective)."""
     spaces, split = solution.spaces, solution.spaces.split
     comm, dim, mesh = spaces.mesh.comm, spaces.dim, spaces.mesh
     stresses = in_space(solution)  # VTX takes no others

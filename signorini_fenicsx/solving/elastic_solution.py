@@ -123,7 +123,7 @@ class ElasticSolution(Solved):
         return self.boundary.contact
 
     def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:
-        """The function on the mesh of Γ_C with these values at the vertices of its facets, linear on each."""
+        """The function on the mesh of Γ_C that is linear on each facet, from values at its vertices (collective)."""
         spaces = self.spaces
         multipliers = spaces.scalar.Lambda
         space = fem.functionspace(multipliers.mesh, ("DG", 1))
@@ -225,7 +225,7 @@ class ElasticSolution(Solved):
         return {"energy": energy, "u_L2": u, "contact_hausdorff": distance}
 
     def _exact_contact_set(self) -> FacetSet:
-        """The facets of Γ_C on whose mean the exact gap is 0."""
+        """The facets of Γ_C on whose mean the exact gap is 0 (collective)."""
         spaces, facets = self.spaces, self.spaces.contact
         assert self.data.exact is not None
         u = facet_moments(spaces, "exact", self.data.exact, facets, "on Γ_C")

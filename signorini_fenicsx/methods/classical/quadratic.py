@@ -131,7 +131,7 @@ def _of_cells(spaces: Spaces, data: Data) -> Array:
 
 
 def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
-    """The laws as bounds of unknowns and as what is added to the function.
+    """The laws as bounds of unknowns and as what is added to the function (collective).
 
     Returns:
         For each owned unknown of the flux its bounds and the quadratic and linear term, shape (unknowns, 4); for each
