@@ -56,6 +56,15 @@ def test_exact_slip_and_stick():
     assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 1.5
 
 
+def test_bound_that_jumps_between_facets():
+    """Each facet has the bound of its own side."""
+    solution = sliding(COMM, 2, Friction(["y0"], g="0.008 if x < 1 else 0.002 if x < 1.5 else 0.01"))
+    assert solution.data.friction is not None
+    x, bound = solution.spaces.rough.vertices[:, :, 0].mean(axis=1), solution.data.friction.bound
+    expected = np.where(x < 1, 0.008, np.where(x < 1.5, 0.002, 0.01))
+    np.testing.assert_allclose(bound, np.column_stack([expected, expected]), rtol=1e-14)
+
+
 def test_quadratic_programme_finds_the_same():
     """An interior-point solver minimises the complementary energy under |σ_t| ≤ g to the same stresses."""
     solution = sliding(MPI.COMM_SELF, 2, Friction(["y0"], g="0.008 + 0.004*x"))

@@ -22,7 +22,8 @@ from signorini_fenicsx.discrete.elastic_data import ElasticData
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX
-from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.discrete.nodes import extreme_around
+from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.discrete.vector_datum import VectorDatum
 
 ALONG = 1e-8
@@ -61,12 +62,16 @@ class FacetCoefficients:
     nodes: npt.NDArray[np.int32]
 
     def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum) -> Array:
-        """Bernstein coefficients of the quadratics that interpolate at vertices and midpoints (collective)."""
+        """Bernstein coefficients of the quadratics that interpolate at vertices and midpoints (collective).
+
+        What is not a polynomial may jump where a punch ends, so the values are limits from inside the facets.
+        """
         dim = self.facets.vertices.shape[2]
         pairs = list(combinations(range(dim), 2))
         corners = np.vstack([np.zeros(dim - 1), np.eye(dim - 1)])
         points = np.vstack([corners, [(corners[i] + corners[j]) / 2 for i, j in pairs]])
-        values = datum.values(in_facets(mesh, self.facets.facets, points))
+        at = in_facets(mesh, self.facets.facets, points)
+        values = from_within(datum.values, at) if datum.polynomial is None else datum.values(at)
         middle = np.zeros((dim, dim), dtype=np.int64)
         for index, (i, j) in enumerate(pairs):
             middle[i, j] = middle[j, i] = dim + index
@@ -89,9 +94,8 @@ def facet_coefficients(spaces: ElasticSpaces, space: fem.FunctionSpace, facets: 
 def boundary_nodes(spaces: ElasticSpaces, data: ElasticData, space: fem.FunctionSpace) -> BoundaryNodes:
     """Collect what is given at the nodes from the facets of all ranks (collective)."""
     dim, index_map = spaces.dim, space.dofmap.index_map
-    # sums over facets: of d dᵀ and (d·u_D)d for given directions d; of n, g and 1 on Γ_C
-    products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)
-    normals, gaps = la.vector(index_map, dim), la.vector(index_map, 2)
+    # sums over facets: of d dᵀ and (d·u_D)d for given directions d; of n on Γ_C
+    products, pulls, normals = la.vector(index_map, dim**2), la.vector(index_map, dim), la.vector(index_map, dim)
     for facets, k, letter in spaces.fixed:
         there = facet_coefficients(spaces, space, facets)
         axis = np.broadcast_to(np.eye(dim)[k], facets.normals.shape)
@@ -101,16 +105,13 @@ def boundary_nodes(spaces: ElasticSpaces, data: ElasticData, space: fem.Function
         _add(pulls, there.nodes, along[:, :, None] * directions)
     contact = facet_coefficients(spaces, space, spaces.contact)
     _add(normals, contact.nodes, spaces.contact.normals[:, None])
-    gap = contact.of(spaces.mesh, data.gap)
-    _add(gaps, contact.nodes, np.stack([gap, np.ones_like(gap)], axis=2))
-    for sums in (products, pulls, normals, gaps):
+    gap = extreme_around(space, contact.nodes * dim, contact.of(spaces.mesh, data.gap), largest=False)[::dim]
+    for sums in (products, pulls, normals):
         sums.scatter_reverse(la.InsertMode.add)
         sums.scatter_forward()
-    gap, count = gaps.array.reshape(-1, 2).T
-    on_contact = count > 0.5
+    on_contact = np.isfinite(gap)
     normal = normals.array.reshape(-1, dim).copy()
     normal[on_contact] /= np.linalg.norm(normal[on_contact], axis=1, keepdims=True)
-    gap = gap / np.maximum(count, 1)
     return _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim), normal, gap, on_contact)
 
 
@@ -135,7 +136,7 @@ def _framed(products: Array, pulls: Array, normal: Array, gap: Array, on_contact
         signs = np.sign(np.einsum("nkk->nk", r[:, :, :dim]))
         frames[chosen] = q * np.where(signs == 0, 1, signs)[:, None]
     values = np.einsum("nij,ni->nj", frames, at) * (np.arange(dim) < given[:, None])
-    bound = np.where(touching, (gap - np.einsum("ni,ni->n", normal, at)) / np.where(touching, length, 1.0), 0.0)
+    bound = np.where(touching, gap - np.einsum("ni,ni->n", normal, at), 0.0) / np.where(touching, length, 1.0)
     return BoundaryNodes(frames, given, values, touching, bound)
 
 

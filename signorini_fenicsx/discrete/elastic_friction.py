@@ -21,7 +21,7 @@ from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticLaw
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces
 from signorini_fenicsx.discrete.given import Given, parsed
-from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.discrete.points import from_within, in_facets
 
 STICKS = 1e300
 """The bound where nothing slips, from which Coulomb's fixed point starts."""
@@ -115,13 +115,16 @@ def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: Bounda
     """Values at the vertices of linear functions below a datum, and whether they are the datum itself (collective)."""
     datum = datum_of(spaces.scalar, name, parsed(given, "xy"))
     places = np.append([0.0, 1.0], np.arange(1, SAMPLES) / SAMPLES)[:, None]
-    values = datum.values(in_facets(spaces.mesh, facets.facets, places))
+    points = in_facets(spaces.mesh, facets.facets, places)
+    values = datum.values(points)
     low = float(np.nan_to_num(values, nan=-np.inf, posinf=-np.inf).min(initial=np.inf))
     if spaces.mesh.comm.allreduce(low, MPI.MIN) < 0:
         raise InputError(f"{name}: must be finite and not negative everywhere on its parts")
     at_vertices = values[:, :2]
     linear = datum.polynomial is not None and datum.polynomial <= 1
     if not linear:
+        values = np.maximum(from_within(datum.values, points), 0.0)
+        at_vertices = values[:, :2]
         interpolant = at_vertices @ np.stack([1 - places[:, 0], places[:, 0]])
         at_vertices = np.maximum(at_vertices + np.minimum(values - interpolant, 0).min(axis=1, keepdims=True), 0.0)
     return np.take_along_axis(at_vertices, facets.ranking, axis=1), linear
