@@ -9,6 +9,7 @@ import pytest
 from elastic import box, half_plane_contact
 from korn_constants import bound_of, korn_constant, moment_error
 from mpi4py import MPI
+from random_elastic_bounds import measured
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
@@ -23,14 +24,14 @@ COMM = MPI.COMM_WORLD
 
 @pytest.mark.parametrize("nu", [0.3, 0.4999])
 def test_bound_is_near_a_singular_error(nu: float):
-    """In contact that ends with σ ~ r^½ the bound is at most 1.7 times the error."""
+    """In contact that ends with σ ~ r^½ the bound is at most 1.4 times the error; with quadratics alone it was 1.63."""
     u = half_plane_contact(nu)
     solution = solve_elastic(
         box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u)
     )
     errors, certificate = solution.errors(), certify_elastic(solution)
     assert errors is not None
-    assert errors["energy"] <= certificate.sigma_bound < 1.7 * errors["energy"]
+    assert errors["energy"] <= certificate.sigma_bound < 1.4 * errors["energy"]
     assert not certificate.guaranteed
     assert certificate.by_quadrature == ("u_D",)
 
@@ -80,7 +81,7 @@ def complementary_energy(solution: ElasticSolution, gap: str) -> float:
 
 
 def test_bounds_of_random_problems():
-    """A bound is never below the error in energy; on the whole it is not far above it."""
+    """A bound is never below the error in energy, and near it; with quadratics alone up to 1.31 times."""
     rng, ratios = np.random.default_rng(5), []
     for number in range(8):
         gap, nu = str(rng.uniform(0, 0.2)), float(rng.choice([0.0, 0.3, 0.45]))
@@ -94,8 +95,14 @@ def test_bounds_of_random_problems():
         error = complementary_energy(coarse, gap) - complementary_energy(fine, gap)  # at least this
         assert certificate.gap >= error - 1e-12
         ratios.append(np.sqrt(certificate.gap / error))
-    assert np.median(ratios) < 1.6
-    assert max(ratios) < 2
+    assert np.median(ratios) < 1.1
+    assert max(ratios) < 1.2
+
+
+@pytest.mark.parametrize("seed", [23, 40])
+def test_corners_that_quadratics_miss(seed: int):
+    """Where parts meet and where contact ends within a facet the bound is near; by quadratics 1.72 and 1.66 times."""
+    assert 1 < measured(seed).ratio < 1.4
 
 
 @pytest.mark.parallel([1, 2, 3])

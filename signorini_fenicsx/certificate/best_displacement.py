@@ -1,4 +1,4 @@
-"""The conforming displacement nearest to a stress: quadratics on the split mesh that stay off the foundation.
+"""The conforming displacement nearest to a stress: polynomials on the split mesh that stay off the foundation.
 
 It minimises the gap of `forms/elasticity.py` for given y, which is a problem of its own with one condition per node of
 Γ_C: contact or free. So the loop over the sets solves it, as it solves the problem itself. With friction, |v_t| is
@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from itertools import combinations
 
-import basix
 import basix.ufl
 import numpy as np
 import ufl
@@ -37,7 +35,9 @@ from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
 from signorini_fenicsx.discrete.elastic_friction import friction_chains
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.johnson_mercier import split_vertices
+from signorini_fenicsx.discrete.johnson_mercier import SplitQuadrature, split_vertices
+from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.forms.elasticity import strain, strain_energy
 
 
@@ -45,44 +45,60 @@ class BestDisplacement:
     """A backend whose sites are the nodes of Γ_C, then those with friction.
 
     Attributes:
+        split: The split mesh, or the part of it on which the displacement is.
+        sigma: y.
+        contact: The facets of Γ_C on it.
         moduli: 2μ and θ on the split mesh.
         dx: The measure that goes with them.
         ds: That of Γ_C.
     """
 
-    name = "conforming P2"
+    name = "conforming"
     noun = ("node", "nodes")
     inexact: Inexact | None = None
     precise: Callable[[], Backend[Iterate]] | None = None
 
-    def __init__(self, spaces: ElasticSpaces, data: ElasticData, sigma: fem.Function):
+    def __init__(
+        self,
+        spaces: ElasticSpaces,
+        data: ElasticData,
+        stresses: Array,
+        split: SplitMesh,
+        degree: int,
+        v: fem.Function | None = None,
+    ):
         """Assemble (collective).
 
         Args:
             spaces: The spaces.
             data: The data.
-            sigma: y.
+            stresses: y on all cells, as in `SplitMesh.values`.
+            split: The split mesh, or a part of it.
+            degree: Of the polynomials.
+            v: For a part, the displacement on the whole mesh that the one on the part has to continue.
 
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self.spaces, self._data, self._sigma = spaces, data, sigma
-        self.comm, mesh, dim = spaces.mesh.comm, spaces.split.mesh, spaces.dim
-        element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
+        self.spaces, self._data, self.split, self.sigma = spaces, data, split, split.stress(stresses)
+        self.comm, mesh, dim = spaces.mesh.comm, split.mesh, spaces.dim
+        element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
         self.space = fem.functionspace(mesh, element)
-        self.moduli, self.dx = moduli_on_split(spaces, data)
-        entities = np.column_stack([spaces.split_cells(spaces.contact), np.full(len(spaces.contact.facets), dim)])
+        self.contact = facet_coefficients(split, self.space, spaces.contact)
+        self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
+        entities = np.column_stack([self.contact.cells, np.full(len(self.contact.cells), dim)])
         domain = entities[np.argsort(entities[:, 0])].astype(np.int32).ravel()
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(1, domain)])(1)
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         n = ufl.FacetNormal(mesh)
-        pull = ufl.inner(sigma, strain(v)) * self.dx - ufl.dot(sigma * n, v) * self.ds
+        pull = ufl.inner(self.sigma, strain(w)) * self.dx - ufl.dot(self.sigma * n, w) * self.ds
         load = fem.assemble_vector(fem.form(pull))
         load.scatter_reverse(la.InsertMode.add)
-        natural = assemble_matrix(fem.form(strain_energy(u, v, *self.moduli, self.dx)))
+        natural = assemble_matrix(fem.form(strain_energy(u, w, *self.moduli, self.dx)))
         natural.assemble()
 
-        self.nodes = boundary_nodes(spaces, data, self.space)
+        known = None if v is None else self._continued(v)
+        self.nodes = boundary_nodes(spaces, data, split, self.space, known)
         self._size = self.space.dofmap.index_map.size_local
         turn = self._turn(natural)
         self._operator = ConstrainedMatrix(natural.ptap(turn), PETSc.Mat.Option.SPD)
@@ -99,7 +115,6 @@ class BestDisplacement:
         self._given = (owned[:, None] * dim + np.arange(dim, dtype=np.int32))[
             np.arange(dim) < self.nodes.given[: self._size, None]
         ]
-        self._contact = facet_coefficients(spaces, self.space, spaces.contact)
         self._touching = owned[self.nodes.touching[: self._size]]
         self._rubbing, column, bound = self._friction()
         self._sites = np.concatenate(
@@ -114,11 +129,17 @@ class BestDisplacement:
         self._solver = direct_solver(self._operator.matrix, "cholesky", "facet_")
         self._factors = KeptFactors(self._solver, self._operator.natural, self._sites, dim)
 
+    @cached_property
+    def rough(self) -> tuple[Indices, Indices]:
+        """The facets with friction: where they are in `contact`, and in `ElasticSpaces.rough`."""
+        here, everywhere = self.contact.rows, self.spaces.rough_rows
+        return np.flatnonzero(np.isin(here, everywhere)), np.flatnonzero(np.isin(everywhere, here))
+
     def _friction(self) -> tuple[Indices, Indices, Array]:
         """Owned nodes with friction, which of their directions is the tangent, and ∫ g B for the B of each node."""
         size, dim = self._size, self.spaces.dim
         sums = la.vector(self.space.dofmap.index_map)
-        np.add.at(sums.array, self._contact.nodes[self.spaces.rough_rows], self._rubbing_weights())
+        np.add.at(sums.array, self.contact.nodes[self.rough[0]], self._rubbing_weights())
         sums.scatter_reverse(la.InsertMode.add)
         column = self.nodes.given[:size] + self.nodes.touching[:size]
         rubbing = np.flatnonzero((sums.array[:size] > 0) & (column < dim))
@@ -127,9 +148,17 @@ class BestDisplacement:
     def _rubbing_weights(self) -> Array:
         """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
         if self._data.friction is None:
-            return np.zeros((0, self._contact.nodes.shape[1]))
-        rough = self.spaces.rough
-        return np.einsum("n,na,ak->nk", rough.measure, self._data.friction.bound, self._moments())
+            return np.zeros((0, self.contact.nodes.shape[1]))
+        measure = self.contact.facets.measure[self.rough[0]]
+        return np.einsum("n,na,ak->nk", measure, self._data.friction.bound[self.rough[1]], self._moments())
+
+    def _continued(self, v: fem.Function) -> fem.Function:
+        """The displacement on the whole split mesh as one of this space."""
+        found = fem.Function(self.space)
+        cells = np.arange(len(self.split.subcells), dtype=np.int32)
+        found.interpolate(v, self.spaces.split.cells.ravel()[self.split.subcells].astype(np.int32), cells)
+        found.x.scatter_forward()
+        return found
 
     def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
         """From coefficients in the frames of the nodes to those in coordinates."""
@@ -171,7 +200,7 @@ class BestDisplacement:
         p, flux = conditions.clean(-self._x.array_r[self._sites], reaction.array_r[self._sites], 1.0)
         u = self._conforming(self._x.array_r + self._lift.array_r)
         iterations = self._solver.ksp.getIterationNumber()
-        return Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=self._sigma, u=u)
+        return Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=self.sigma, u=u)
 
     def _conforming(self, turned: Array) -> fem.Function:
         dim = self.spaces.dim
@@ -184,28 +213,25 @@ class BestDisplacement:
 
     def admissible(self, v: fem.Function) -> bool:
         """Push v back where it passes the foundation; whether it then stays off it everywhere (collective)."""
-        back, helps = excess(self.spaces, self._data, self.nodes, self._contact, v)
+        back, helps = excess(self.spaces, self._data, self.nodes, self.contact, v)
         v.x.array.reshape(-1, self.spaces.dim)[:] -= back[:, None] * direction_of_contact(self.nodes)
         return helps
 
     def moments_on_contact(self, v: fem.Function) -> Array:
-        """∫ v φ_a over the facets of Γ_C, shape (facets, d, d): exact for quadratics."""
-        coefficients = v.x.array.reshape(-1, self.spaces.dim)[self._contact.nodes]
-        return np.einsum("n,ak,nki->nai", self._contact.facets.measure, self._moments(), coefficients)
+        """∫ v φ_a over the facets `contact`, shape (facets, d, d)."""
+        coefficients = v.x.array.reshape(-1, self.spaces.dim)[self.contact.nodes]
+        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self._moments(), coefficients)
 
     def _moments(self) -> Array:
         """∫ φ_a B over the facet of measure 1 for the B of each of its nodes, shape (d, nodes)."""
-        dim = self.spaces.dim
-        points, weights = facet_rule(dim, 3)
+        points, weights = facet_rule(self.spaces.dim, self.contact.degree)
         hats = np.column_stack([1 - points.sum(axis=1), points])
-        pairs = list(combinations(range(dim), 2))
-        quadratics = np.column_stack([hats**2, *[2 * hats[:, i] * hats[:, j] for i, j in pairs]])
-        return np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, quadratics)
+        return np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, self.contact.basis(points))
 
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t| over the facets with friction: |v_t| is at most the mean of its |coefficients|."""
-        nodes = self._contact.nodes[self.spaces.rough_rows]
-        along = np.einsum("nki,ni->nk", v.x.array.reshape(-1, self.spaces.dim)[nodes], self.spaces.tangents)
+        nodes, tangents = self.contact.nodes[self.rough[0]], self.spaces.tangents[self.rough[1]]
+        along = np.einsum("nki,ni->nk", v.x.array.reshape(-1, self.spaces.dim)[nodes], tangents)
         return (self._rubbing_weights() * np.abs(along)).sum(axis=1)
 
     def near(self, touching: Mask) -> SiteConditions:
@@ -215,9 +241,9 @@ class BestDisplacement:
             touching: Vertices of the facets of Γ_C in contact, shape (facets, d).
         """
         sums = la.vector(self.space.dofmap.index_map, 2)
-        inside = touching.all(axis=1).astype(np.float64)
+        inside = touching[self.contact.rows].all(axis=1).astype(np.float64)
         values = np.stack([inside, np.ones_like(inside)], axis=1)[:, None]
-        np.add.at(sums.array.reshape(-1, 2), self._contact.nodes, values)
+        np.add.at(sums.array.reshape(-1, 2), self.contact.nodes, values)
         sums.scatter_reverse(la.InsertMode.add)
         share = sums.array.reshape(-1, 2)[self._touching]
         kind = np.where(share[:, 0] >= share[:, 1] - 0.5, Condition.ZERO_TRACE, Condition.NO_FLUX)
@@ -241,11 +267,11 @@ class BestDisplacement:
     @cached_property
     def change(self) -> FieldChange:
         """Norms of what changed, see `Backend.change`."""
-        return FieldChange(self.spaces.split.stresses, self.space)
+        return FieldChange(self.split.stresses, self.space)
 
     def places(self) -> Array:
         """Where the nodes are, rounded; coefficients of Bernstein's basis have the places of Lagrange's."""
-        lagrange = fem.functionspace(self.space.mesh, ("P", 2))
+        lagrange = fem.functionspace(self.space.mesh, ("P", self.contact.degree))
         places = lagrange.tabulate_dof_coordinates()
         mine = np.empty((self._size + self.space.dofmap.index_map.num_ghosts, 3))
         mine[self.space.dofmap.list] = places[lagrange.dofmap.list]
@@ -257,21 +283,32 @@ class BestDisplacement:
         return iterate, conditions
 
 
-def moduli_on_split(spaces: ElasticSpaces, data: ElasticData) -> tuple[tuple[fem.Function, fem.Function], ufl.Measure]:
-    """2μ and θ in the points of the data's quadrature, and the measure that takes them there (collective)."""
-    mesh, dim, rule = spaces.split.mesh, spaces.dim, data.quadrature
+def moduli_on_split(
+    spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int
+) -> tuple[tuple[fem.Function, fem.Function], ufl.Measure]:
+    """2μ and θ in the points of a quadrature, and the measure that takes them there (collective).
+
+    Args:
+        spaces: The spaces.
+        data: The data.
+        split: The split mesh, or a part of it.
+        degree: For which the quadrature is exact; at least that of the data.
+    """
+    mesh, dim = split.mesh, spaces.dim
+    rule = SplitQuadrature.of_degree(dim, max(degree, data.quadrature.degree))
     element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=rule.degree, scheme="default")
     space = fem.functionspace(mesh, element)
     mu2, theta = fem.Function(space), fem.Function(space)
-    for cells in blocks_of_cells(spaces):
+    for block in blocks_of_cells(spaces):
+        cells = block[split.cells[block, 0] >= 0]
         shape = len(cells), dim + 1, len(rule.weights)
         order = spaces.order[cells]
-        points = data.points(spaces, cells)
+        points = CellPoints(spaces.mesh, cells, rule.points, rule.weights)
         there = points.x.reshape(*shape, dim)
         there = np.take_along_axis(there, order[:, :, None, None], axis=1)
         here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
         nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
-        dofs = space.dofmap.list[spaces.split.cells[cells]]
+        dofs = space.dofmap.list[split.cells[cells]]
         for function, values in zip((mu2, theta), data.moduli(points), strict=True):
             by_subcell = np.take_along_axis(values.reshape(shape), order[:, :, None], axis=1)
             function.x.array[dofs] = np.take_along_axis(by_subcell, nearest, axis=2)

@@ -1,14 +1,13 @@
 """Nodes of a conforming displacement on the boundary: where it is given, and where it must not pass the foundation.
 
-On each facet of Γ_D, Γ_C and of parts that are fixed in some components, a quadratic displacement has coefficients in
-Bernstein's basis, for the vertices and the edges of the facet. As a quadratic is a mean of its coefficients, v_n ≤ g on
-a facet if the coefficients are in that relation.
+On each facet of Γ_D, Γ_C and of parts that are fixed in some components, a displacement has coefficients in Bernstein's
+basis. As a polynomial is a mean of its coefficients, v_n ≤ g on a facet if the coefficients are in that relation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from functools import cached_property
 
 import basix
 import dolfinx.mesh
@@ -24,6 +23,7 @@ from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpa
 from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX
 from signorini_fenicsx.discrete.nodes import extreme_around
 from signorini_fenicsx.discrete.points import from_within, in_facets
+from signorini_fenicsx.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.discrete.vector_datum import VectorDatum
 
 ALONG = 1e-8
@@ -51,60 +51,87 @@ class BoundaryNodes:
 
 @dataclass(frozen=True)
 class FacetCoefficients:
-    """Facets and the nodes of a quadratic displacement on each.
+    """Facets on the split mesh or a part of it, and the nodes of a displacement on each.
 
     Attributes:
         facets: The facets.
+        rows: Where they are among those asked for.
+        cells: The cell of the split mesh behind each, which is opposite to its last vertex.
         nodes: Shape (facets, coefficients).
+        degree: Of the displacement.
     """
 
     facets: BoundaryFacets
+    rows: Indices
+    cells: Indices
     nodes: npt.NDArray[np.int32]
+    degree: int
+
+    @cached_property
+    def _element(self) -> basix.finite_element.FiniteElement:
+        facet = SIMPLEX[self.facets.vertices.shape[2] - 1]
+        return basix.create_element(basix.ElementFamily.P, facet, self.degree, basix.LagrangeVariant.bernstein)
+
+    def basis(self, points: Array) -> Array:
+        """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
+        found: Array = self._element.tabulate(0, points)[0, :, :, 0]
+        return found
 
     def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum) -> Array:
-        """Bernstein coefficients of the quadratics that interpolate at vertices and midpoints (collective).
+        """Coefficients of the polynomials that interpolate at equidistant points (collective).
 
         What is not a polynomial may jump where a punch ends, so the values are limits from inside the facets.
         """
-        dim = self.facets.vertices.shape[2]
-        pairs = list(combinations(range(dim), 2))
-        corners = np.vstack([np.zeros(dim - 1), np.eye(dim - 1)])
-        points = np.vstack([corners, [(corners[i] + corners[j]) / 2 for i, j in pairs]])
+        points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
         at = in_facets(mesh, self.facets.facets, points)
         values = from_within(datum.values, at) if datum.polynomial is None else datum.values(at)
-        middle = np.zeros((dim, dim), dtype=np.int64)
-        for index, (i, j) in enumerate(pairs):
-            middle[i, j] = middle[j, i] = dim + index
-        order = self.facets.ranking
-        where = np.column_stack([order, *[middle[order[:, i], order[:, j]] for i, j in pairs]])
+        steps = np.rint(self.degree * np.column_stack([1 - points.sum(axis=1), points])).astype(np.int64)
+        weights = (self.degree + 1) ** np.arange(steps.shape[1])
+        number_of = np.zeros(weights[-1] * (self.degree + 1), dtype=np.int64)
+        number_of[steps @ weights] = np.arange(len(points))
+        where = number_of[weights[self.facets.ranking] @ steps.T]  # the points in the order of the facet's vertices
         found = np.take_along_axis(values, where.reshape(*where.shape, *[1] * (values.ndim - 2)), axis=1)
-        for index, (i, j) in enumerate(pairs):
-            found[:, dim + index] = 2 * found[:, dim + index] - (found[:, i] + found[:, j]) / 2
-        return found
+        return np.einsum("kp,np...->nk...", np.linalg.inv(self.basis(points)), found)
 
 
-def facet_coefficients(spaces: ElasticSpaces, space: fem.FunctionSpace, facets: BoundaryFacets) -> FacetCoefficients:
-    """The nodes on facets, at vertices and then edges, in a space of quadratics on the split mesh."""
-    dim = spaces.dim
-    edges = [tuple(sorted(edge)) for edge in basix.topology(SIMPLEX[dim])[1]]
-    local = [*range(dim), *(dim + 1 + edges.index(pair) for pair in combinations(range(dim), 2))]
-    return FacetCoefficients(facets, space.dofmap.list[spaces.split_cells(facets)][:, local])
+def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: BoundaryFacets) -> FacetCoefficients:
+    """The nodes in a space on the split mesh or a part of it, on those of the facets that it has."""
+    behind = split.cells[facets.cells, facets.local]
+    rows = np.flatnonzero(behind >= 0)
+    element = space.element.basix_element
+    nodes = space.dofmap.list[behind[rows]][:, element.entity_closure_dofs[-2][-1]]
+    return FacetCoefficients(facets.take(rows), rows, behind[rows], nodes, element.degree)
 
 
-def boundary_nodes(spaces: ElasticSpaces, data: ElasticData, space: fem.FunctionSpace) -> BoundaryNodes:
-    """Collect what is given at the nodes from the facets of all ranks (collective)."""
+def boundary_nodes(
+    spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, space: fem.FunctionSpace, v: fem.Function | None = None
+) -> BoundaryNodes:
+    """Collect what is given at the nodes from the facets of all ranks (collective).
+
+    Args:
+        spaces: The spaces.
+        data: The data.
+        split: The split mesh, or a part of it.
+        space: Displacements on that.
+        v: A displacement in this space; it is given in the place of u_D, and where the part ends inside the domain.
+    """
     dim, index_map = spaces.dim, space.dofmap.index_map
     # sums over facets: of d dᵀ and (d·u_D)d for given directions d; of n on Γ_C
     products, pulls, normals = la.vector(index_map, dim**2), la.vector(index_map, dim), la.vector(index_map, dim)
     for facets, k, letter in spaces.fixed:
-        there = facet_coefficients(spaces, space, facets)
-        axis = np.broadcast_to(np.eye(dim)[k], facets.normals.shape)
-        directions = (facets.normals if letter == NORMAL else axis)[:, None]
-        along = np.einsum("nai,nbi->na", there.of(spaces.mesh, data.u_D), directions)
+        there = facet_coefficients(split, space, facets)
+        axis = np.broadcast_to(np.eye(dim)[k], there.facets.normals.shape)
+        directions = (there.facets.normals if letter == NORMAL else axis)[:, None]
+        given = there.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[there.nodes]
+        along = np.einsum("nai,nbi->na", given, directions)
         _add(products, there.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
         _add(pulls, there.nodes, along[:, :, None] * directions)
-    contact = facet_coefficients(spaces, space, spaces.contact)
-    _add(normals, contact.nodes, spaces.contact.normals[:, None])
+    if v is not None:
+        ends = _ends(spaces, split, space)
+        products.array.reshape(-1, dim, dim)[ends] += np.eye(dim)
+        pulls.array.reshape(-1, dim)[ends] += v.x.array.reshape(-1, dim)[ends]
+    contact = facet_coefficients(split, space, spaces.contact)
+    _add(normals, contact.nodes, contact.facets.normals[:, None])
     gap = extreme_around(space, contact.nodes * dim, contact.of(spaces.mesh, data.gap), largest=False)[::dim]
     for sums in (products, pulls, normals):
         sums.scatter_reverse(la.InsertMode.add)
@@ -113,6 +140,18 @@ def boundary_nodes(spaces: ElasticSpaces, data: ElasticData, space: fem.Function
     normal = normals.array.reshape(-1, dim).copy()
     normal[on_contact] /= np.linalg.norm(normal[on_contact], axis=1, keepdims=True)
     return _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim), normal, gap, on_contact)
+
+
+def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    """Nodes where a part of the split mesh ends inside the domain (collective)."""
+    dim, topology = spaces.dim, split.mesh.topology
+    topology.create_connectivity(dim - 1, dim)
+    topology.create_connectivity(dim, dim - 1)
+    boundary = [spaces.contact, spaces.neumann, spaces.dirichlet]
+    behind = np.concatenate([facet_coefficients(split, space, facets).cells for facets in boundary])
+    of_domain = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[behind, dim]
+    ends = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), of_domain)
+    return fem.locate_dofs_topological(space, dim - 1, ends.astype(np.int32), remote=False)
 
 
 def _framed(products: Array, pulls: Array, normal: Array, gap: Array, on_contact: Mask) -> BoundaryNodes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import dolfinx.mesh
@@ -45,6 +45,10 @@ class BoundaryFacets:
     vertices: Array
     normals: Array
     measure: Array
+
+    def take(self, rows: Indices) -> BoundaryFacets:
+        """Some of them."""
+        return BoundaryFacets(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     def moments(self, values: Array, points: Array, weights: Array) -> Array:
         """∫ value φ_a over each facet, shape (facets, d, …), from values in points of the reference facet."""
@@ -202,10 +206,6 @@ class ElasticSpaces:
     def tangents(self) -> Array:
         """Tangents of the facets with friction: n turned to the left."""
         return _frames(self.rough.normals)[:, 1]
-
-    def split_cells(self, facets: BoundaryFacets) -> Indices:
-        """The cell of the split mesh behind each facet, which is opposite to its last vertex."""
-        return self.split.cells[facets.cells, facets.local]
 
     def displacement(self, values: Array, name: str = "u") -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d)."""

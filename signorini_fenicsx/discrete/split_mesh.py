@@ -16,24 +16,37 @@ from signorini_fenicsx.meshes.domain import distribute
 
 @dataclass(frozen=True)
 class SplitMesh:
-    """The mesh of the subcells, on the ranks of their cells.
+    """The mesh of the subcells of all cells or of some, on the ranks of their cells.
 
     Attributes:
+        size: Number of all cells of the domain on this rank.
         mesh: The mesh.
         subcells: For each of its cells the number of the subcell: the cell's, times d + 1, plus the subcell's.
-        stresses: Discontinuous linear matrices on it.
     """
 
+    size: int
     mesh: dolfinx.mesh.Mesh
     subcells: Indices
-    stresses: fem.FunctionSpace
+
+    @cached_property
+    def stresses(self) -> fem.FunctionSpace:
+        """The space of the stresses (collective)."""
+        dim = self.mesh.geometry.dim
+        return fem.functionspace(self.mesh, ("DG", 1, (dim, dim)))
 
     @cached_property
     def cells(self) -> Indices:
-        """Its cell of each subcell, shape (cells, d + 1)."""
-        found = np.empty_like(self.subcells)
-        found[self.subcells] = np.arange(len(found))
-        return found.reshape(-1, self.mesh.geometry.dim + 1)
+        """Its cell of each subcell, shape (cells, d + 1); −1 where it has none."""
+        found = np.full((self.size, self.mesh.geometry.dim + 1), -1)
+        found.ravel()[self.subcells] = np.arange(len(self.subcells))
+        return found
+
+    def part(self, cells: Indices) -> SplitMesh:
+        """The subcells of some owned cells of the domain (collective)."""
+        mine = np.sort(self.cells[cells].ravel()).astype(np.int32)
+        mesh, entities, _, _ = dolfinx.mesh.create_submesh(self.mesh, self.mesh.topology.dim, mine)
+        owned = np.arange(len(mine), dtype=np.int32)
+        return SplitMesh(self.size, mesh, self.subcells[entities.sub_topology_to_topology(owned, inverse=False)])
 
     def stress(self, values: Array, name: str = "sigma") -> fem.Function:
         """The stress with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""
@@ -78,4 +91,4 @@ def split_mesh(mesh: dolfinx.mesh.Mesh, order: Indices, vertices: Array) -> Spli
     split = distribute(comm, points, cells, dim, stay=True)
     begin = split.topology.index_map(dim).local_range[0]
     subcells = split.topology.original_cell_index[: len(cells)] - begin
-    return SplitMesh(split, subcells, fem.functionspace(split, ("DG", 1, (dim, dim))))
+    return SplitMesh(size, split, subcells)
