@@ -142,6 +142,16 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parallel([1])
+def test_segments_keep_their_colours():
+    """Also in a step in which others have no facets."""
+    whole = scene("friction", h=1 / 4)
+    others = whole.segments.index("slip+") != whole.facets.segment
+    some = replace(whole, facets=replace(whole.facets, segment=np.where(others, whole.facets.segment, 1)))
+    colours, later = ({group.name: group.colour for group in each.groups} for each in (whole, some))
+    assert len(set(colours.values())) == 3
+    assert later == {name: colours[name] for name in ("slip-", "stick")}
+
+
 def test_dam_has_its_water():
     dam = scene("dam")
     water = Water.of(dam)

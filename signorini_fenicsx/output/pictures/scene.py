@@ -75,15 +75,15 @@ class Scene:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """Γ_S in contact and not in contact, or by the segments of the laws; none of them empty."""
+        """Γ_S in contact and not in contact, or by the segments of the laws; none of them empty.
+
+        The colour of a segment does not depend on which others have facets, so it stays in time.
+        """
         found = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
         if self.segments:
-            names, name = np.unique(np.array(self.segments)[self.facets.segment], return_inverse=True)
-            others = itertools.cycle(style.SEGMENTS)
-            found = [
-                Group(each, style.OF_SEGMENT.get(each) or next(others), name == i)
-                for i, each in enumerate(names.tolist())
-            ]
+            names, others = np.array(self.segments)[self.facets.segment], itertools.cycle(style.SEGMENTS)
+            colours = {each: style.OF_SEGMENT.get(each) or next(others) for each in sorted(set(self.segments))}
+            found = [Group(each, colour, names == each) for each, colour in colours.items()]
         return [group for group in found if group.facets.any()]
 
     @cached_property
