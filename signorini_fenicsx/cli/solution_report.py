@@ -53,7 +53,7 @@ class SolutionReport(CaseReport):
     def solution(self, result: AnySolution, certificate: Certificate, proof: Proof | None = None) -> None:
         """Print the summary of a finished run (collective)."""
         summary = result.summary()
-        rough = f", {summary['rough_steps']} rough set updates before" if summary.get("rough_steps") else ""
+        rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
         elastic = isinstance(result, ElasticSolution)
         if elastic:
             facets, touching = f"{summary['contact_facets']} Γ_C", f"{summary['touching_vertices']} facet vertices"

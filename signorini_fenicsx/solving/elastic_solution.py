@@ -235,37 +235,20 @@ class ElasticSolution(Solved):
         largest = max(spaces.mesh.comm.allgather(float(largest)))
         return FacetSet(spaces.scalar, open_by <= EXACT_CONTACT * largest)
 
-    def summary(self) -> dict[str, Any]:
-        """Everything about the run that fits into numbers, ready for JSON (collective)."""
-        spaces, outcome = self.spaces, self.outcome
+    def _sets(self) -> dict[str, Any]:
         vertices, measure = self.contact()
-        errors = self.errors()
         return {
-            "case": self.name,
-            "title": self.title,
             "physics": "elasticity",
-            "algorithm": self.options.algorithm_name,
-            "backend": outcome.backend,
-            "linear_solver": outcome.linear_solver,
-            "h": spaces.domain.h,
-            "cells": spaces.mesh.topology.index_map(spaces.dim).size_global,
-            "contact_facets": spaces.scalar.Lambda.dofmap.index_map.size_global,
-            "dofs": outcome.dofs,
+            "contact_facets": self.spaces.scalar.Lambda.dofmap.index_map.size_global,
+            "dofs": self.outcome.dofs,
             "touching_vertices": vertices,
             "contact_measure": measure,
             **({} if self.data.friction is None else {"friction": self.friction_states()}),
             **({"coulomb": {"changes": list(self.bound_changes)}} if self.bound_changes else {}),
-            "iterations": len(outcome.history),
-            "converged": outcome.converged,
-            "reason": outcome.reason,
-            "norms": self.norms(),
-            **({} if errors is None else {"errors": errors}),
-            "kkt": vars(self.kkt),
-            "resultants": self.resultants(),
-            "timings": self.timings,
-            "peak_memory": self.peak_memory,
-            "ranks": spaces.mesh.comm.size,
         }
+
+    def _particular(self) -> dict[str, Any]:
+        return {"resultants": self.resultants()}
 
 
 def stress_of(gradient: Array, inverse: Array, theta: Array) -> Array:

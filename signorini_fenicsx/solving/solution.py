@@ -306,38 +306,21 @@ class Solution(Solved):
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
 
-    def summary(self) -> dict[str, Any]:
-        """All numbers of the run, ready for JSON (collective)."""
-        spaces, options, outcome = self.spaces, self.options, self.outcome
-        contact_facets, contact_measure = self.contact()
-        own = {} if outcome.own_residual is None else {"own_residual": outcome.own_residual}
-        errors = self.errors()
+    def _sets(self) -> dict[str, Any]:
+        facets, measure = self.contact()
         return {
-            "case": self.name,
-            "title": self.title,
-            "algorithm": options.algorithm_name,
-            "backend": outcome.backend,
-            "linear_solver": outcome.linear_solver,
-            "mesh": spaces.domain.origin(),
-            "h": spaces.domain.h,
-            "cells": spaces.mesh.topology.index_map(spaces.mesh.topology.dim).size_global,
-            "signorini_facets": spaces.Lambda.dofmap.index_map.size_global,
-            "dofs": outcome.dofs,
-            "contact_facets": contact_facets,
-            "contact_measure": contact_measure,
+            "signorini_facets": self.spaces.Lambda.dofmap.index_map.size_global,
+            "dofs": self.outcome.dofs,
+            "contact_facets": facets,
+            "contact_measure": measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
             **({} if self.data.obstacle is None else {"obstacle": self.on_obstacle()}),
-            "iterations": len(outcome.history),
-            "rough_steps": outcome.rough_steps,
-            "converged": outcome.converged,
-            "reason": outcome.reason,
-            "norms": self.norms(),
-            **({} if errors is None else {"errors": errors}),
-            "kkt": vars(self.kkt),
-            **own,
-            **({"eps": options.eps, "violation": self.violation()} if self.method.has_eps else {}),
-            "details": outcome.details,
-            "timings": self.timings,
-            "peak_memory": self.peak_memory,
-            "ranks": spaces.mesh.comm.size,
+        }
+
+    def _particular(self) -> dict[str, Any]:
+        own = self.outcome.own_residual
+        return {
+            **({} if own is None else {"own_residual": own}),
+            **({"eps": self.options.eps, "violation": self.violation()} if self.method.has_eps else {}),
+            "details": self.outcome.details,
         }

@@ -1,22 +1,31 @@
 """What the solutions of all physics have in common."""
 
-from typing import ClassVar
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
 
 from dolfinx import fem
 
 from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT
+from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
+from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.options import Options
 
 
-class Solved:
+class Solved(ABC):
     """A problem with the way it was solved and what came out; the fields are those of its subclasses."""
 
     name: str
     title: str
     options: Options
+    spaces: Spaces | ElasticSpaces
     outcome: Outcome
+    kkt: KKTResiduals | ElasticKKT
+    timings: dict[str, float]
+    peak_memory: int
 
     order: ClassVar[int]
     """Order in h of ‖σ − σ_h‖ for a smooth u."""
@@ -50,6 +59,49 @@ class Solved:
     def approach(self) -> str:
         """What was solved and how, in words."""
         return self.method.title
+
+    @abstractmethod
+    def norms(self) -> dict[str, float]:
+        """Norms of the fields (collective)."""
+
+    @abstractmethod
+    def errors(self) -> dict[str, float] | None:
+        """Errors if the exact solution is known, otherwise None (collective)."""
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers of the run, ready for JSON (collective)."""
+        domain, outcome, errors = self.spaces.domain, self.outcome, self.errors()
+        topology = domain.mesh.topology
+        return {
+            "case": self.name,
+            "title": self.title,
+            "algorithm": self.options.algorithm_name,
+            "backend": outcome.backend,
+            "linear_solver": outcome.linear_solver,
+            "mesh": domain.origin(),
+            "h": domain.h,
+            "cells": topology.index_map(topology.dim).size_global,
+            **self._sets(),
+            "iterations": len(outcome.history),
+            "rough_steps": outcome.rough_steps,
+            "converged": outcome.converged,
+            "reason": outcome.reason,
+            "norms": self.norms(),
+            **({} if errors is None else {"errors": errors}),
+            "kkt": vars(self.kkt),
+            **self._particular(),
+            "timings": self.timings,
+            "peak_memory": self.peak_memory,
+            "ranks": domain.mesh.comm.size,
+        }
+
+    @abstractmethod
+    def _sets(self) -> dict[str, Any]:
+        """Numbers of facets and unknowns, and the contact set, for the summary (collective)."""
+
+    @abstractmethod
+    def _particular(self) -> dict[str, Any]:
+        """What the summary of these solutions alone has (collective)."""
 
     def __repr__(self) -> str:
         mesh = self.u.function_space.mesh
