@@ -91,9 +91,9 @@ def adapt[S: Solution | ElasticSolution](
         NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
     began, comm = time.perf_counter(), domain.mesh.comm
-    cells = _cells(domain)
-    if cells > max_cells:
-        raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells} cells, more than the {max_cells} allowed")
+    if domain.cells > max_cells:
+        cells = f"{domain.cells} cells, more than the {max_cells} allowed"
+        raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
     start: S | None = None
     mesh = 0
     while True:
@@ -107,14 +107,10 @@ def adapt[S: Solution | ElasticSolution](
         with doing("refining the mesh"):
             marked = dorfler(certificate.indicator.x.array, theta, comm)
             domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
-        if _cells(domain) > max_cells:
+        if domain.cells > max_cells:
             return solution, certificate
         mesh += 1
         collect_garbage(comm)
-
-
-def _cells(domain: Domain) -> int:
-    return domain.mesh.topology.index_map(domain.mesh.topology.dim).size_global
 
 
 def _row(
@@ -127,7 +123,7 @@ def _row(
     return AdaptRow(
         refinement=refinement,
         mesh=mesh,
-        cells=_cells(solution.spaces.domain),
+        cells=solution.spaces.domain.cells,
         unknowns=solution.outcome.dofs,
         h=solution.spaces.domain.h,
         contact_facets=facets,

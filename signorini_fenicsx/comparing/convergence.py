@@ -160,9 +160,7 @@ def _row(
 ) -> ErrorRow:
     with doing("comparing"):
         difference = differences(coarse, fine)
-    topology = coarse.spaces.mesh.topology
-    cells = topology.index_map(topology.dim).size_global
-    options = coarse.options
+    domain, options = coarse.spaces.domain, coarse.options
     eps = options.eps if options.method.has_eps else None
     errors: dict[str, float | None] = dict(vars(difference))
     if isinstance(difference, Differences):
@@ -175,13 +173,13 @@ def _row(
             return None
         if vary is Vary.EPS:
             return math.log(earlier / value) / math.log(before.eps / options.eps) if before.eps else None
-        return topology.dim * math.log(earlier / value) / math.log(cells / before.cells)
+        return domain.mesh.topology.dim * math.log(earlier / value) / math.log(domain.cells / before.cells)
 
     return ErrorRow(
         level=level,
-        h=coarse.spaces.domain.h,
+        h=domain.h,
         eps=eps,
-        cells=cells,
+        cells=domain.cells,
         iterations=len(coarse.outcome.history),
         errors=errors,
         orders={name: order(name, error) for name, error in errors.items()},

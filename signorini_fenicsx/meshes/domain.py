@@ -71,6 +71,12 @@ class Domain:
     made: str = "given"
     coarser: "Domain | None" = None
 
+    @property
+    def cells(self) -> int:
+        """Number of cells over all ranks."""
+        topology = self.mesh.topology
+        return topology.index_map(topology.dim).size_global
+
     def origin(self) -> str:
         """How the mesh was made, in words, with its uniform refinements."""
         levels, first = 0, self

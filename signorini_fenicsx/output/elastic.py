@@ -146,7 +146,7 @@ def sizes_of_files(solution: ElasticSolution) -> dict[str, int]:
     """About the largest sizes that the files of fields may have, in bytes (collective)."""
     spaces, dim = solution.spaces, solution.spaces.dim
     mesh = spaces.mesh
-    cells = mesh.topology.index_map(dim).size_global
+    cells = spaces.domain.cells
     points = mesh.geometry.index_map().size_global
     facets = mesh.comm.allreduce(len(spaces.contact.facets))
     number, tensor, head = 8, 9 * 8, 12_000 + 3_000 * mesh.comm.size

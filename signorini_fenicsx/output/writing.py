@@ -251,7 +251,7 @@ def _sizes(solution: Solution) -> dict[str, int]:
     spaces = solution.spaces
     mesh, ranks = spaces.mesh, spaces.mesh.comm.size
     dim = mesh.topology.dim
-    cells = mesh.topology.index_map(dim).size_global
+    cells = spaces.domain.cells
     points = mesh.geometry.index_map().size_global
     facets = spaces.mesh.comm.allreduce(len(spaces.facets))
     number, place, vtx = 8, 3 * 8, 9  # bytes of a value, of a point or vector, and of VTX's extra data per point

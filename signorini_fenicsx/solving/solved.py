@@ -71,7 +71,6 @@ class Solved(ABC):
     def summary(self) -> dict[str, Any]:
         """All numbers of the run, ready for JSON (collective)."""
         domain, outcome, errors = self.spaces.domain, self.outcome, self.errors()
-        topology = domain.mesh.topology
         return {
             "case": self.name,
             "title": self.title,
@@ -80,7 +79,7 @@ class Solved(ABC):
             "linear_solver": outcome.linear_solver,
             "mesh": domain.origin(),
             "h": domain.h,
-            "cells": topology.index_map(topology.dim).size_global,
+            "cells": domain.cells,
             **self._sets(),
             "iterations": len(outcome.history),
             "rough_steps": outcome.rough_steps,
@@ -104,9 +103,7 @@ class Solved(ABC):
         """What the summary of these solutions alone has (collective)."""
 
     def __repr__(self) -> str:
-        mesh = self.u.function_space.mesh
-        cells = mesh.topology.index_map(mesh.topology.dim).size_global
         ended = "converged" if self.converged else "failed"
         iterations = counted(len(self.outcome.history), "iteration")
-        about = f"{self.options.algorithm_name}, {cells} cells, {ended} after {iterations}"
+        about = f"{self.options.algorithm_name}, {self.spaces.domain.cells} cells, {ended} after {iterations}"
         return f"<{type(self).__name__} of {self.name}: {about}>"
