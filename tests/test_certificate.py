@@ -143,3 +143,15 @@ def test_ranks_do_not_matter():
         rounding = 1e-10 * alone.bound  # the parts are compared with the whole
         assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-10, abs=rounding)
         assert (together.guaranteed, together.unresolved) == (alone.guaranteed, alone.unresolved)
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize(
+    "values", [{"solve.h": 0.03}, {"solve.h": 0.06, "problem.obstacle": -0.1}], ids=["CG", "obstacle"]
+)
+def test_ranks_do_not_matter_where_rounding_is_large(values: dict[str, object]):
+    """The residual of CG, its part in a constant and the rounding of the force of an obstacle are not in the bound."""
+    case = load_case("example1").with_values(values | {"problem.f": "-10 if x < 0.317 else 2"})
+    together = certify(solve_case(case, COMM))
+    alone = COMM.bcast(certify(solve_case(case, MPI.COMM_SELF)).numbers() if COMM.rank == 0 else None)
+    assert together.numbers() == pytest.approx(alone, rel=1e-11, abs=0)

@@ -74,7 +74,7 @@ def test_without_dirichlet_part():
     """A flux with more imbalance than rounding is corrected, also if only contact fixes u."""
     solution = solve_case(make(8, EVERYWHERE))
     exact, other = certify(solution), certify(spoilt(solution))
-    assert exact.remainder < 1e-9 * exact.bound
+    assert exact.remainder < 1e-7 * exact.bound
     size = math.sqrt(solution.spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx)))
     assert 0.5e-3 * size < other.remainder < 3e-3 * size
     assert other.sigma_bound == pytest.approx(exact.sigma_bound + other.remainder, rel=0.05)

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.petsc import LinearSolveFailure
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
@@ -31,7 +31,10 @@ from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.solving.solution import Solution
 
 ROUNDING = 1e-9
-"""If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding; L‖c‖/√κ is then added to the bound."""
+"""If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
+smaller ‖y − σ_h‖, which depend on the order of sums: the bound is the same on any number of ranks."""
+DIGITS = 1e-5
+"""For the same reason a constant that comes from a linear solve is rounded up to about this relative size."""
 WORTH = 0.5
 """A load is balanced by a flux only if at most this share of it is uncertain."""
 CORRECTIONS = 4
@@ -49,14 +52,14 @@ def admissible_flux(
 ) -> tuple[fem.Function, CellFlux, fem.Function, float]:
     """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
-    Under other laws y·n is between the least and the largest flux that they allow. With an obstacle ≤ is enough in the
-    balance.
+    Under other laws y·n is between the least and the largest flux that they allow. In contact with an obstacle ≤ is
+    enough in the balance.
 
     Returns:
         y, y cell by cell, u*, and ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be
         corrected.
     """
-    spaces, data = solution.spaces, solution.data
+    spaces, data, touched = solution.spaces, solution.data, solution.outcome.iterate.contact
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
@@ -68,13 +71,13 @@ def admissible_flux(
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
         imbalance.x.array[:] = flux.divergence + data.source(u).x.array
-        if data.obstacle is not None:  # where it is negative, it is the force of the obstacle
-            imbalance.x.array[:] = np.maximum(imbalance.x.array, 0.0)
+        if touched is not None:  # there what is negative is the force of the obstacle
+            imbalance.x.array[touched] = np.maximum(imbalance.x.array[touched], 0.0)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
-            return y, flux, u, float(left + _distance(spaces, metric, y, solution.sigma))
+            return y, flux, u, rounding + max(rounding, _distance(spaces, metric, y, solution.sigma))
         try:
-            correction = _balancing_flux(spaces, data, y, imbalance, limits)
+            correction = _balancing_flux(spaces, data, y, imbalance, limits, touched)
         except LinearSolveFailure:
             break
         correction.sigma.x.array[:] += y.x.array
@@ -118,7 +121,14 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     return y
 
 
-def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.Function, limits: Limits) -> Iterate:
+def _balancing_flux(
+    spaces: Spaces,
+    data: Data,
+    y: fem.Function,
+    imbalance: fem.Function,
+    limits: Limits = NONE,
+    touched: Mask | None = None,
+) -> Iterate:
     """The flux z of the module, for the load `imbalance`; where c > 0 with −∇·z + cu = imbalance (collective).
 
     Raises:
@@ -132,7 +142,7 @@ def _balancing_flux(spaces: Spaces, data: Data, y: fem.Function, imbalance: fem.
         kind = _most_room(excess, spaces.mesh.comm)
         if data.obstacle is not None:
             obstacle = replace(data.obstacle, means=np.zeros_like(data.obstacle.means))
-            kind = np.append(kind, _most_room(force(spaces, y, data.f_h), spaces.mesh.comm))
+            kind = np.append(kind, _most_room(force(spaces, y, data.f_h, touched), spaces.mesh.comm))
     nothing = np.zeros(len(spaces.facets))
     loads = replace(
         data,
@@ -174,10 +184,10 @@ def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) ->
     one.x.array[:] = 1.0
     data = replace(data, c_h=None)
     try:
-        constant = _load_constant(spaces, metric, _balancing_flux(spaces, data, nothing, one, NONE).sigma)
+        constant = _load_constant(spaces, metric, _balancing_flux(spaces, data, nothing, one).sigma)
         if left > WORTH * whole:
             return constant * whole
-        z = _balancing_flux(spaces, data, nothing, middle, NONE).sigma
+        z = _balancing_flux(spaces, data, nothing, middle).sigma
     except LinearSolveFailure:
         return np.inf
     return min(constant * whole, constant * left + _distance(spaces, metric, z, nothing))
@@ -189,4 +199,10 @@ def _load_constant(spaces: Spaces, metric: CellMetric, z: fem.Function) -> float
     squares = squares_of(flux.in_vertices(), metric.inverse).max(axis=1, initial=0.0) / metric.low
     s = comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
     m = comm.allreduce((-flux.divergence).min(initial=np.inf), MPI.MIN)
-    return float(2 * s / m) if m > 0 else np.inf
+    return _rounded_up(2 * s / m) if m > 0 else np.inf
+
+
+def _rounded_up(value: float) -> float:
+    """The next multiple of a power of 2 that is about DIGITS of a positive value."""
+    step = 2.0 ** math.floor(math.log2(DIGITS * value))
+    return math.ceil(value / step) * step

@@ -151,7 +151,7 @@ def certify(
 
 
 def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], Array] | None) -> Certificate:
-    spaces, data = solution.spaces, solution.data
+    spaces, data, touched = solution.spaces, solution.data, solution.outcome.iterate.contact
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
     size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
@@ -159,7 +159,7 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
     y, flux, level, remainder = admissible_flux(solution, metric, goal)
-    force = None if data.obstacle is None else obstacle.Force.of(data, y, level, resolution)
+    force = None if data.obstacle is None else obstacle.Force.of(data, y, level, touched, resolution)
     if goal.plain and force is None:
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)

@@ -44,10 +44,14 @@ ROOM = 2.0
 """Factor of the largest I_hψ − ψ in the points of a quadrature."""
 
 
-def force(spaces: Spaces, y: fem.Function, source: fem.Function) -> Array:
-    """λ = −∇·y − source per owned cell, 0 where this is less (collective)."""
+def force(spaces: Spaces, y: fem.Function, source: fem.Function, contact: Mask | None) -> Array:
+    """λ = −∇·y − source per owned cell in contact, 0 where this is less and in all other cells (collective).
+
+    Without contact λ would be the error of the linear solver, and (λ, v − ψ) would add it up with one sign.
+    """
     divergence = assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
-    return np.maximum(-divergence - source.x.array, 0.0)
+    pushing = np.maximum(-divergence - source.x.array, 0.0)
+    return pushing if contact is None else np.where(contact, pushing, 0.0)
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,11 @@ class Force:
     takes_f: Mask
 
     @classmethod
-    def of(cls, data: Data, y: fem.Function, level: fem.Function, resolution: Resolution) -> Force:
+    def of(
+        cls, data: Data, y: fem.Function, level: fem.Function, contact: Mask | None, resolution: Resolution
+    ) -> Force:
         """That of a flux, with u* as `level` (collective)."""
-        largest = force(resolution.spaces, y, data.source(level))
+        largest = force(resolution.spaces, y, data.source(level), contact)
         takes_f = np.zeros(len(largest), dtype=bool)
         if data.f.number is not None:
             return cls(largest, takes_f)
