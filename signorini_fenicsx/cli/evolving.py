@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
+from signorini_fenicsx.cli.report import named
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case
@@ -58,17 +60,13 @@ class EvolutionReport(CaseReport):
             "steps": f"{about['steps']} to t = {about['end']:g}, {summary['iterations']} linear problems",
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
             "contact": f"at the end {summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
-            "largest": "  ".join(
-                f"{name} {value:.3e}" for name, value in about["largest"].items() if name != "guaranteed"
-            ),
+            "largest": named({name: each for name, each in about["largest"].items() if name != "guaranteed"}, ".3e"),
         }
         if "obstacle" in summary:
             found = summary["obstacle"]
             lines["obstacle"] = f"at the end {found['contact_cells']} cells, measure {found['contact_measure']:.6g}"
         if "errors" in summary:
-            lines["errors"] = "at the end " + "  ".join(
-                f"{name} {value:.4e}" for name, value in summary["errors"].items()
-            )
+            lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:
             lines["certified"] = (
                 "each bound is that of the distance to the exact solution of the step's elliptic problem, with the "
@@ -163,7 +161,5 @@ def _go_on(
 
 
 def _read_summary(target: Path) -> dict[str, Any]:
-    import json
-
     found: dict[str, Any] = json.loads((target / "summary.json").read_text(encoding="utf-8"))
     return found

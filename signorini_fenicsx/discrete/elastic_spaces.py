@@ -28,7 +28,6 @@ class BoundaryFacets:
         facets: Their numbers.
         cells: The cell behind each.
         local: Which vertex of that cell is opposite, in the order of `ElasticSpaces.order`.
-        entities: Cell and facet as DOLFINx numbers it in the cell, shape (facets, 2).
         ranking: Where the vertices are among those that DOLFINx gives the facet, shape (facets, d).
         blocks: Block of unknowns of each.
         vertices: Shape (facets, d, d).
@@ -39,7 +38,6 @@ class BoundaryFacets:
     facets: npt.NDArray[np.int32]
     cells: npt.NDArray[np.int32]
     local: Indices
-    entities: npt.NDArray[np.int32]
     ranking: Indices
     blocks: npt.NDArray[np.int32]
     vertices: Array
@@ -277,7 +275,6 @@ def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDAr
         facets=facets,
         cells=cells,
         local=local,
-        entities=np.column_stack([cells, own]).astype(np.int32),
         ranking=ranking,
         blocks=blocks,
         vertices=np.take_along_axis(vertices, opposite(dim)[local][:, :, None], axis=1),
