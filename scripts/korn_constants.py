@@ -16,10 +16,11 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.certificate.korn import KORN, regular_simplex, stretch
+from signorini_fenicsx.certificate.korn import KORN, TRACE, regular_simplex, stretch
 from signorini_fenicsx.discrete.johnson_mercier import (
     Cells,
     compliance_product,
+    facet_normals,
     hats_in_subcells,
     opposite,
     reference,
@@ -30,10 +31,12 @@ def main(
     plane: Annotated[int, typer.Option(min=2, help="Cells along an edge of the triangle.")] = 32,
     space: Annotated[int, typer.Option(min=8, help="Cells along an edge of the tetrahedron.")] = 16,
 ) -> None:
-    """Print c_h, what is added to it, the bound, and the number that the program uses."""
+    """Print c_h and t_h, their bounds, and the numbers that the program uses."""
     for dim, parts in ((2, plane), (3, space)):
         c_h, bound = korn_constant(dim, parts)
         print(f"d = {dim}, {parts} cells along an edge: c_h = {c_h:.4f}, ĉ ≤ {bound:.4f}; in use {KORN[dim]}")
+        t_h, bound = trace_constant(dim, parts)
+        print(f"d = {dim}, {parts} cells along an edge: t_h = {t_h:.4f}, t̂ ≤ {bound:.4f}; in use {TRACE[dim]}")
 
 
 def korn_constant(dim: int, parts: int) -> tuple[float, float]:
@@ -43,6 +46,12 @@ def korn_constant(dim: int, parts: int) -> tuple[float, float]:
     s = stretch(Cells(vertices[cells]).derivative).max()
     q = moment_error(dim)
     return c_h, bound_of(c_h, s, q)
+
+
+def trace_constant(dim: int, parts: int) -> tuple[float, float]:
+    """t_h and the bound of t̂."""
+    t_h = np.sqrt(largest_eigenvalue_of_tractions(*lattice(dim, parts)))
+    return t_h, t_h / np.sqrt(1 - 1 / parts)
 
 
 def bound_of(c_h: float, s: float, q: float) -> float:
@@ -81,11 +90,7 @@ def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
     cells = Cells(vertices[numbers])
     dim, count, element = cells.dim, len(numbers), reference(cells.dim)
     size = (dim + 1) * dim
-
-    hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
-    masses = cells.measure[:, None, None, None] / (dim + 1) * np.broadcast_to(hats, (count, *[dim + 1] * 3))
-    products = compliance_product(cells.stresses(element.stresses), masses, 0 * masses)
-    tractions = cells.tractions(element.tractions)
+    products, tractions = _products(cells), cells.tractions(element.tractions)
     free, rest = slice(None, element.free), slice(element.free, None)
     balance = -np.kron(np.eye(dim + 1), np.linalg.inv(cells.derivative))
     of_free, of_rest = tractions[:, :, free], tractions[:, :, rest] @ balance
@@ -94,30 +99,88 @@ def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
     of_traces, of_loads = np.split(both, [of_free.shape[1]], axis=2)
     alone = balance.transpose(0, 2, 1) @ products[:, rest, rest] @ balance - coupled.transpose(0, 2, 1) @ of_loads
 
+    _, _, unknowns, solve = _system_of_traces(vertices, numbers, of_free @ of_traces)
+    right = _assembled(of_free @ of_loads - of_rest, unknowns, np.arange(count * size).reshape(count, size))
+
+    def response(m: Array) -> Array:
+        mine = np.einsum("nij,nj->ni", alone, m)
+        found: Array = mine + (right.T @ solve(right @ m.ravel())).reshape(count, size)
+        return found
+
+    return _largest(cells.vertices, cells.measure, response)
+
+
+def largest_eigenvalue_of_tractions(vertices: Array, numbers: Indices) -> float:
+    """t_h² of a mesh, for the facet of the simplex on which the last coordinate is 0."""
+    cells = Cells(vertices[numbers])
+    dim, free = cells.dim, slice(None, reference(cells.dim).free)
+    of_free = cells.tractions(reference(dim).tractions)[:, :, free]
+    matrices = of_free @ np.linalg.solve(_products(cells)[:, free, free], of_free.transpose(0, 2, 1))
+    facets, blocks, _, solve = _system_of_traces(vertices, numbers, matrices)
+    on = np.flatnonzero((np.abs(vertices[facets][:, :, -1]) < 1e-12).all(axis=1))
+    cell, local = np.divmod([int(np.argmax(blocks == facet)) for facet in on], dim + 1)
+    measures = np.linalg.norm(facet_normals(cells.vertices)[cell, local], axis=1)
+
+    def response(m: Array) -> Array:
+        load = np.zeros((len(facets), dim**2))
+        load[on] = m
+        found: Array = solve(load.ravel()).reshape(load.shape)[on]
+        return found
+
+    return _largest(vertices[facets[on]], measures, response)
+
+
+def _products(cells: Cells) -> Array:
+    """(τ, τ') of the basis on each cell."""
+    dim = cells.dim
+    hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
+    share = cells.measure[:, None, None, None] / (dim + 1)
+    masses = share * np.broadcast_to(hats, (len(cells.measure), *[dim + 1] * 3))
+    return compliance_product(cells.stresses(reference(dim).stresses), masses, 0 * masses)
+
+
+def _system_of_traces(
+    vertices: Array, numbers: Indices, matrices: Array
+) -> tuple[Indices, Indices, Indices, Callable[[Array], Array]]:
+    """Assemble and factorise; springs on one facet hold the body, and loads in equilibrium leave them alone.
+
+    Returns:
+        The vertices of each facet; the facets and the unknowns of each cell; the solver.
+    """
+    count, dim = len(numbers), numbers.shape[1] - 1
     facets, blocks = np.unique(numbers[:, opposite(dim)].reshape(-1, dim), axis=0, return_inverse=True)
     unknowns = (blocks.reshape(count, dim + 1, 1) * dim**2 + np.arange(dim**2)).reshape(count, -1)
-    loads = np.arange(count * size).reshape(count, size)
-    matrices, held = of_free @ of_traces, _rigid(vertices[facets[:1]])
+    held = _rigid(vertices[facets[:1]])
     cell, local = divmod(int(np.argmin(blocks)), dim + 1)  # where the first facet is
     block = slice(local * dim**2, (local + 1) * dim**2)
-    matrices[cell, block, block] += held @ held.T  # loads in equilibrium leave these springs alone
-    solve = _solver(_assembled(matrices, unknowns, unknowns))
-    right = _assembled(of_free @ of_loads - of_rest, unknowns, loads)
+    matrices[cell, block, block] += held @ held.T
+    return facets, blocks.ravel(), unknowns, _solver(_assembled(matrices, unknowns, unknowns))
 
+
+def _largest(vertices: Array, measures: Array, response: Callable[[Array], Array]) -> float:
+    """The largest ⟨v, response to v⟩/‖v‖² of v that are linear on simplices and orthogonal to what is linear on all.
+
+    Args:
+        vertices: Of the simplices, shape (n, k, d).
+        measures: Their measures.
+        response: From moments of loads against the hats of the vertices, shape (n, k d), to displacements there.
+    """
+    count, corners, dim = vertices.shape
+    hats = (1 + np.eye(corners)) / (corners * (corners + 1))
     root = np.kron(np.linalg.cholesky(hats), np.eye(dim))
-    scale = np.sqrt(cells.measure)[:, None]
-    linear = np.concatenate([cells.vertices, np.ones((count, dim + 1, 1))], axis=2)
-    linear = np.einsum("nvk,ij->nvikj", linear, np.eye(dim)).reshape(count, size, -1)
-    motions = np.linalg.qr((root.T @ linear * scale[:, :, None]).reshape(loads.size, -1))[0]
+    scale = np.sqrt(measures)[:, None]
+    linear = np.concatenate([vertices, np.ones((count, corners, 1))], axis=2)
+    linear = np.einsum("nvk,ij->nvikj", linear, np.eye(dim)).reshape(count, corners * dim, -1)
+    linear = (root.T @ linear * scale[:, :, None]).reshape(count * corners * dim, -1)
+    motions, sizes, _ = np.linalg.svd(linear, full_matrices=False)
+    motions = motions[:, sizes > 1e-10 * sizes[0]]
 
     def apply(z: Array) -> Array:
         z = z - motions @ (motions.T @ z)
-        m = scale * (z.reshape(count, size) @ root.T)
-        u = np.einsum("nij,nj->ni", alone, m) + (right.T @ solve(right @ m.ravel())).reshape(count, size)
-        image = (scale * (u @ root)).ravel()
+        image = (scale * (response(scale * (z.reshape(count, -1) @ root.T)) @ root)).ravel()
         return image - motions @ (motions.T @ image)
 
-    operator = LinearOperator((loads.size, loads.size), matvec=apply, dtype=np.float64)
+    operator = LinearOperator((len(motions), len(motions)), matvec=apply, dtype=np.float64)
     return float(eigsh(operator, k=1, which="LA", return_eigenvectors=False, tol=1e-6)[0])
 
 

@@ -7,13 +7,13 @@ import dolfinx.mesh
 import numpy as np
 import pytest
 from elastic import box, half_plane_contact
-from korn_constants import bound_of, korn_constant, moment_error
+from korn_constants import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
 from random_elastic_bounds import measured
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.certificate.korn import KORN
+from signorini_fenicsx.certificate.korn import KORN, TRACE
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.elastic import solve_elastic
@@ -49,6 +49,33 @@ def test_loads_that_are_polynomials():
         assert errors["energy"] <= certificate.sigma_bound < 3.5 * errors["energy"]
 
 
+def test_tractions_that_are_polynomials():
+    """The bound is guaranteed for tractions of degree 3; those of components that are fixed do not count."""
+    shear = "(x^3 + 2*x*y^2)/2"
+    tractions = {"x1": ["3*x^2*y", shear], "y1": [shear, "2*x^2*y"], "x0": ["99*y^3", "0"]}
+    problem = ElasticProblem(1.0, 0.0, f=["-8*x*y", "-7*x^2/2 - y^2"], g_N=tractions, exact=["x^3*y", "x^2*y^2"])
+    boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
+    for n in (2, 8):
+        solution = solve_elastic(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), boundary, problem)
+        errors, certificate = solution.errors(), certify_elastic(solution)
+        assert errors is not None
+        assert certificate.guaranteed
+        assert errors["energy"] <= certificate.sigma_bound < 4 * errors["energy"]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_tractions_that_the_mesh_does_not_see(dim: int):
+    """Where g_N is orthogonal to linear fields on all facets σ_h is 0, and only the constant bounds the error."""
+    ends = [0.0] * dim, [1.0] * dim
+    legendre = "20*x^3 - 30*x^2 + 12*x - 1" if dim == 2 else "20*y^3 - 30*y^2 + 12*y - 1"
+    boundary = ElasticBoundary([], neumann=["yz"[dim - 2] + "1"])
+    problem = ElasticProblem(1.0, 0.3, g_N=["0"] * (dim - 1) + [legendre])
+    solution, fine = (solve_elastic(box(COMM, n, *ends), boundary, problem) for n in (1, {2: 8, 3: 4}[dim]))
+    certificate = certify_elastic(solution)
+    assert certificate.guaranteed
+    assert fine.norms()["energy"] <= certificate.sigma_bound
+
+
 def test_a_body_of_two_materials():
     """With numbers for each region the bound is guaranteed, and here it is 0 up to rounding, as the error is."""
     domain = box(COMM, 4, [0.0, 0.0], [1.0, 1.0])
@@ -72,6 +99,10 @@ def test_constants_of_korn():
     c_h, _ = korn_constant(3, 10)
     assert c_h == pytest.approx(0.3105, abs=1e-3)
     assert c_h < bound_of(c_h, np.sqrt(8) / 16, moment_error(3)) < KORN[3] + 1e-3
+    t_h, bound = trace_constant(2, 32)
+    assert t_h < bound <= TRACE[2] < bound + 1e-3
+    t_h, bound = trace_constant(3, 8)
+    assert 1.19 < t_h < TRACE[3] < bound
 
 
 def complementary_energy(solution: ElasticSolution, gap: str) -> float:

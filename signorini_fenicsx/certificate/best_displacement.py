@@ -48,9 +48,8 @@ class BestDisplacement:
         split: The split mesh, or the part of it on which the displacement is.
         sigma: y.
         contact: The facets of Γ_C on it.
-        moduli: 2μ and θ on the split mesh.
+        moduli: 2μ and θ on it.
         dx: The measure that goes with them.
-        ds: That of Γ_C.
     """
 
     name = "conforming"
@@ -88,10 +87,10 @@ class BestDisplacement:
         self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
         entities = np.column_stack([self.contact.cells, np.full(len(self.contact.cells), dim)])
         domain = entities[np.argsort(entities[:, 0])].astype(np.int32).ravel()
-        self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(1, domain)])(1)
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(1, domain)])(1)
         u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         n = ufl.FacetNormal(mesh)
-        pull = ufl.inner(self.sigma, strain(w)) * self.dx - ufl.dot(self.sigma * n, w) * self.ds
+        pull = ufl.inner(self.sigma, strain(w)) * self.dx - ufl.dot(self.sigma * n, w) * ds
         load = fem.assemble_vector(fem.form(pull))
         load.scatter_reverse(la.InsertMode.add)
         natural = assemble_matrix(fem.form(strain_energy(u, w, *self.moduli, self.dx)))
@@ -111,11 +110,8 @@ class BestDisplacement:
         self._operator.natural.mult(self._lift, self._load)
         turned = np.einsum("nij,ni->nj", self.nodes.frames, load.array.reshape(-1, dim))
         self._load.array_w[:] = turned[: self._size].ravel() - self._load.array_r
-        owned = np.arange(self._size, dtype=np.int32)
-        self._given = (owned[:, None] * dim + np.arange(dim, dtype=np.int32))[
-            np.arange(dim) < self.nodes.given[: self._size, None]
-        ]
-        self._touching = owned[self.nodes.touching[: self._size]]
+        self._given = np.flatnonzero(np.arange(dim) < self.nodes.given[: self._size, None]).astype(np.int32)
+        self._touching = np.flatnonzero(self.nodes.touching[: self._size])
         self._rubbing, column, bound = self._friction()
         self._sites = np.concatenate(
             [self._touching * dim + self.nodes.given[self._touching], self._rubbing * dim + column]

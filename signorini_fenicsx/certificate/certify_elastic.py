@@ -1,22 +1,23 @@
 """A bound of the energy error of an elastic solution, computed from that solution alone.
 
 In the gap identity of `forms/elasticity.py` y = σ_h is admissible for the load f_h, by its own construction: in
-balance on each cell, its tractions those of the data as far as these are linear on facets, σ_nn ≤ 0 and no shear on
-Γ_C. v is the best quadratic displacement on the split mesh that has the displacements given and stays off the
-foundation, see `best_displacement`. Near corners quadratics may be much worse than σ_h. So on the few cells that have a
-large share of the gap, and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ
-be the solution for the load f_h. Then
+balance on each cell, its tractions the linear parts Π₁g_N of the data on facets, σ_nn ≤ 0 and no shear on Γ_C. v is the
+best quadratic displacement on the split mesh that has the displacements given and stays off the foundation, see
+`best_displacement`. Near corners quadratics may be much worse than σ_h. So on the few cells that have a large share of
+the gap, and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ be the solution
+for these loads. Then
 
     gap = ½‖ℂε(v) − σ_h‖² + ⟨−σ_h,nn, g − v_n⟩   bounds   ½|v − ũ|² + ½‖σ_h − ℂε(ũ)‖².
 
-f − f_h is orthogonal to the linear fields on each cell T, as f_h has its moments against them. So |(f − f_h, w)_T| ≤
-C_T ‖f − f_h‖_T |w|_T, where C_T = c_T/√min(2μ, 2μ + dλ) and c_T is the constant of `korn`. With w = u − ũ this gives
-|u − ũ| ≤ osc = (Σ C_T² ‖f − f_h‖²_T)^½, as in `certify`, and
+f − f_h is orthogonal to the linear fields on each cell T, as f_h has its moments against them, and g_N − Π₁g_N to those
+on each facet e. So |(f − f_h, w)_T| ≤ C_T ‖f − f_h‖_T |w|_T, where C_T = c_T/√min(2μ, 2μ + dλ) and c_T is the constant
+of `korn`; likewise |⟨g_N − Π₁g_N, w⟩_e| with that of a facet. With w = u − ũ this gives |u − ũ| ≤ osc, as in `certify`,
+where osc² sums the squares over the cells, and
 
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
-The bound is guaranteed if f is a polynomial that the quadrature integrates exactly, E and ν are numbers, perhaps for
-each region, g_N is linear, u_D and g are quadratic, and these are given as numbers or texts; otherwise it is said which
+The bound is guaranteed if f and g_N are polynomials that the quadrature integrates exactly, E and ν are numbers, one
+for each region perhaps, u_D and g are quadratic, and these are given as numbers or texts; otherwise it is said which
 are not. The remainder is what the linear solver leaves of the jumps of σ_h n.
 """
 
@@ -33,11 +34,9 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.certificate.korn import korn_constants
-from signorini_fenicsx.discrete.elastic_data import MOST, ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.certificate.elastic_oscillation import load_oscillation
+from signorini_fenicsx.discrete.elastic_data import MOST, ElasticData, facet_moments
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature, facet_normals, split_vertices
-from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.forms.elasticity import stress_gap
 from signorini_fenicsx.methods.loop import Parameters, iterate_sets
@@ -94,7 +93,7 @@ def _certificate(solution: ElasticSolution) -> Certificate:
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if possible and gain > 0:
             of_cells[with_most] = better[with_most]
-    oscillation = _oscillation(solution)
+    oscillation = load_oscillation(solution)
     sums = comm.allreduce(np.array([of_cells.sum() / 2, (oscillation**2).sum()]))
     gap, osc = max(float(sums[0]), 0.0), float(np.sqrt(sums[1]))
     energy = solution.norms()["energy"]
@@ -178,39 +177,10 @@ def _on_contact(solution: ElasticSolution, problem: BestDisplacement, v: fem.Fun
     return found
 
 
-def _oscillation(solution: ElasticSolution) -> Array:
-    """C_T ‖f − f_h‖_T of the owned cells."""
-    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
-    found = np.zeros(len(spaces.order))
-    if data.f.polynomial == 0:
-        return found
-    rule = _exact_for_square(data)
-    for numbers in blocks_of_cells(spaces):
-        cells = Cells(spaces.vertices[numbers])
-        volume = cells.measure / (dim + 1)
-        inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
-        inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
-        divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
-        points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
-        load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
-        load = np.take_along_axis(load, spaces.order[numbers][:, :, None, None], axis=1)
-        left = np.einsum("q,nsqi->n", rule.weights, (load + divergence[:, :, None]) ** 2) * volume
-        inverse, theta = data.moduli(points)
-        soft = np.minimum(1.0, 1 / np.maximum(1 - dim * theta, 1e-300)).min(axis=1) / inverse.max(axis=1)
-        found[numbers] = korn_constants(cells.derivative) * np.sqrt(left / soft)
-    return found
-
-
-def _exact_for_square(data: ElasticData) -> SplitQuadrature:
-    """A quadrature that is exact for the square of f, if there is one."""
-    degree = data.quadrature.degree if data.f.polynomial is None else min(2 * data.f.polynomial, MOST)
-    return SplitQuadrature.of_degree(data.quadrature.points.shape[1], max(degree, data.quadrature.degree))
-
-
 def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     """Data that the discrete problem does not hold exactly."""
-    found = [("f", data.f.polynomial, MOST // 2), ("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
-    found += [(each.name, each.polynomial, 1) for each in data.g_N.values()]
+    found = [(each.name, each.polynomial, MOST // 2) for each in (data.f, *data.g_N.values())]
+    found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += [] if data.friction is None else data.friction.inexact
     return tuple(names) if data.uniform else (*names, "young and poisson")

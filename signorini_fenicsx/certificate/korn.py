@@ -1,4 +1,4 @@
-"""Constants of Korn and Poincaré on single simplices: how far a load can move what is fixed against linear fields.
+"""Constants of Korn and Poincaré on single simplices: how far loads can move what is fixed against linear fields.
 
 For a load g on a simplex T that is orthogonal to the linear fields P₁(T)ᵈ and all displacements w
 
@@ -19,7 +19,23 @@ orthogonal to P₁(K) for all K, so (g − Qv, w) ≤ sĉ ‖g − Qv‖ ‖ε(w
 a = ‖v‖ and b = ‖g − v‖ it is ‖g − Qv‖ ≤ ‖g − v‖ + ‖v − Qv‖ ≤ b + qa. Hence ĉ ≤ max c_h a + sĉ(b + qa) over a² + b² = 1,
 that is ĉ² ≤ (c_h + sqĉ)² + s²ĉ². As ĉ is finite by Korn's inequality, it is at most the positive root. ∎
 
-c_h² is the largest eigenvalue of a finite problem. `scripts/korn_constants.py` computes it, and prints this bound.
+*Tractions.* For a traction r on a facet e of T that is orthogonal to the linear fields P₁(e)ᵈ and all displacements w
+
+    ⟨r, w⟩_e ≤ t_T ‖r‖_e ‖ε(w)‖_T,   t_T ≤ ‖F‖² ‖F⁻¹‖ (|e|/|ê| · |T̂|/|T|)^½ t̂,
+
+with t̂ the constant of a facet ê of T̂, by the same map.
+
+*A bound of t̂.* Let a mesh of T̂ cut ê into facets whose edges are 1/n long. For all v on ê that are linear on each of
+these and orthogonal to P₁(ê) let τ_h(v) be the stress of Johnson and Mercier with ∇·τ_h = 0, τ_h n = v on ê and 0 on
+the other facets of T̂ that has the least norm, and t_h the largest ‖τ_h(v)‖/‖v‖. Then t̂ ≤ t_h/√(1 − 1/n).
+
+Proof. Let r be orthogonal to P₁(ê), ‖r‖ = 1. Its projection v onto linear fields on each small facet is so, too. Over
+each of these stands a regular simplex K with edges 1/n; K is in T̂, and no two of them overlap, as each apex is above
+the middle of its facet. r − v is orthogonal to linear fields on each facet, and t_K = t̂/√n. So (v, w) = (τ_h(v), ε(w))
+and ⟨r, w⟩ ≤ (t_h ‖v‖ + t̂ ‖r − v‖/√n) ‖ε(w)‖, where ‖v‖² + ‖r − v‖² = 1: t̂² ≤ t_h² + t̂²/n. ∎
+
+c_h² and t_h² are the largest eigenvalues of finite problems. `scripts/korn_constants.py` computes them and prints the
+bounds.
 """
 
 import numpy as np
@@ -28,6 +44,8 @@ from signorini_fenicsx.base.arrays import Array
 
 KORN = {2: 0.353, 3: 0.430}
 """Upper bounds of ĉ, from 32 cells along an edge in the plane and 16 in space."""
+TRACE = {2: 0.947, 3: 1.236}
+"""Upper bounds of t̂, likewise."""
 
 
 def regular_simplex(dim: int) -> Array:
@@ -47,3 +65,16 @@ def stretch(edges: Array) -> Array:
 def korn_constants(edges: Array) -> Array:
     """The bounds of c_T of simplices, shape (n,), from their edges at one vertex as columns, shape (n, d, d)."""
     return KORN[edges.shape[-1]] * stretch(edges)
+
+
+def trace_constants(edges: Array, measure: Array) -> Array:
+    """The bounds of t_T of simplices and a facet of each, shape (n,).
+
+    Args:
+        edges: At one vertex, as columns, shape (n, d, d).
+        measure: |e|.
+    """
+    dim = edges.shape[-1]
+    of_facet = {2: 1.0, 3: np.sqrt(3) / 4}[dim]
+    volumes = np.abs(np.linalg.det(edges)) / np.linalg.det(regular_simplex(dim))
+    return TRACE[dim] * stretch(edges) * np.sqrt(measure / of_facet / volumes)
