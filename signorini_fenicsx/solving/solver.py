@@ -226,7 +226,7 @@ def _judged(task: Task, outcome: Outcome, method: Method) -> tuple[Outcome, KKTR
 
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
-    boundary = gamma_s(boundary, problem)
+    boundary, problem = gamma_s(boundary, problem), replace(problem, exact=None)
     spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     return spaces, project_data(spaces, problem)
 
