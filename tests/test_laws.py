@@ -16,8 +16,19 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, solve_case
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.laws import Corners, Friction, Graph, Law, Signorini, TwoSided, Values
+from signorini_fenicsx.discrete.laws import (
+    Corners,
+    Friction,
+    Graph,
+    Law,
+    Regulator,
+    Signorini,
+    TwoSided,
+    Values,
+    Wall,
+)
 from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -273,6 +284,36 @@ def test_what_is_refused(law: dict[str, object], message: str):
     case = load_case("example1").with_values({"solve.h": 0.3, "boundary.signorini": ["left"]})
     with pytest.raises(InputError, match=message):
         solve_case(case.with_values({"law": [{"parts": ["bottom"]} | law]}))
+
+
+HOLDING: list[tuple[list[Law], float, float, float]] = [
+    ([Friction(["bottom"], g="2*x + 0.5")], 1.4, math.nan, 1.6),  # slips where g is small
+    ([Friction(["bottom"], g=0.5), Friction(["top"], g=2)], 2.0, 0.5, 2.6),  # slips at the bottom, sticks at the top
+    ([Wall(["bottom"], beta=2, level=1)], -3.0, -0.5, 0.1),
+    ([Regulator(["bottom"], k=2, g_low=-1, g_high=3)], 0.8, 0.4, 1.1),
+    ([TwoSided(["bottom"], psi=-1, psi_upper=2)], 1.0, 2.0, math.nan),
+    ([Corners(["bottom"], corners=[[0, 1], [0, 0], [1, 0], [1, -1]])], 0.5, 1.0, 1.2),
+]
+"""Laws that alone hold u, a load f, u at the bottom if it is constant, and a load that is too large if any is."""
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize(("laws", "f", "level", "excess"), HOLDING)
+def test_laws_that_hold_a_body_alone(laws: list[Law], f: float, level: float, excess: float):
+    """Without Γ_D and c the law fixes the constant where the load needs no larger flux than it allows."""
+    domain = build_domain(COMM, "square", 0.25, mesh="structured")
+    rest = [part for part in ("bottom", "left", "right", "top") if all(part not in law.parts for law in laws)]
+    boundary = Boundary([], rest)
+    for options in (Options(), Options("alg2", backend="mixed"), Options(tuning=Tuning(direct_up_to=0))):
+        solution = solve(domain, boundary, Problem(f=f, laws=laws), options)
+        assert certify(solution).bound < 0.5
+        p, spaces = solution.p.x.array, solution.spaces
+        bottom = np.flatnonzero(spaces.part_of_facet == spaces.part_names.index("bottom"))
+        if not math.isnan(level):
+            assert p[bottom] == pytest.approx(level, abs=1e-9)
+    if not math.isnan(excess):
+        with pytest.raises(InputError, match="there is no solution"):
+            solve(domain, boundary, Problem(f=excess, laws=laws))
 
 
 def test_what_methods_refuse(folder: Path):

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import ufl
 from commands import read_rows, signorini
+from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
+from dolfinx.mesh import compute_midpoints
 from mpi4py import MPI
 
 from signorini_fenicsx import Boundary, Friction, InputError, Options, Problem, Solution, certify, load_solution, solve
@@ -15,7 +17,10 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.discrete.contact_sets import Segments
+from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.rigorous.proof import proof_of
 
 COMM = MPI.COMM_WORLD
@@ -242,3 +247,18 @@ def test_files(tmp_path):
     read = load_solution(folder, COMM)
     assert read.plot() is not None
     assert read.on_obstacle()["contact_cells"] == summary["obstacle"]["contact_cells"]
+
+
+@pytest.mark.parallel([1, 3])
+def test_contact_on_another_mesh():
+    """Cells are searched only around the contact, and found as if all were; without contact none are."""
+    coarse, fine = (build_spaces(build_domain(COMM, "square", h, mesh="unstructured"), []) for h in (0.2, 0.07))
+    cells = np.arange(len(coarse.cell_measures), dtype=np.int32)
+    middles = compute_midpoints(coarse.mesh, 2, cells)
+    for radius in (0.3, 0.0, 2.0):
+        segment = (np.hypot(middles[:, 0] - 0.3, middles[:, 1] - 0.6) >= radius).astype(np.int8)
+        numbers = fem.Function(coarse.Q)
+        numbers.x.array[:] = segment
+        (everywhere,) = sampled([numbers], fine.mesh, coarse.domain, degree=0)
+        found = Segments.of_sites(coarse, segment, obstacle=True).on(fine)
+        assert np.array_equal(found, np.rint(everywhere.x.array))

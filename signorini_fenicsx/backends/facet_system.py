@@ -197,7 +197,7 @@ class FacetSystem:
         through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
         sigma.x.array[spaces.V.dofmap.list] = through[spaces.broken_crouzeix_raviart.dofmap.list] / spaces.outflow
         sigma.x.scatter_forward()
-        u.x.array[:] = self.sources.scalars(u_cr)
+        u.x.array[:] = self.sources.values(u_cr)[0]
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
         p, flux = self._pairs(self.x, flux, conditions)
         on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
@@ -230,11 +230,11 @@ class FacetSystem:
         """Both p − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
         data, trace = self._data, x.array_r[self.trace_dofs]
         if data.obstacle is not None:
-            u_cr = self._with_lift(x)
-            trace = np.append(trace, self.sources.scalars(u_cr) - data.obstacle.means)
-            force = self.sources.at(u_cr).x.array - data.f_h.x.array
+            u, source = self.sources.values(self._with_lift(x))
+            trace = np.append(trace, u - data.obstacle.means)
+            force = source - data.f_h.x.array
             if data.c_h is not None:
-                force += data.c_h.x.array * self.sources.scalars(u_cr)
+                force += data.c_h.x.array * u
             flux = np.append(flux, force)
         return conditions.clean(trace, flux, data.conductance)
 

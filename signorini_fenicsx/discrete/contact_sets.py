@@ -15,10 +15,12 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
+from signorini_fenicsx.meshes.sampling import curve_gap, of_unit_size, sampled
 
 OVERLAP_DEGREE = 10
 """Quadrature degree for the part of a facet that the other set covers; it is found to about 1/6 of the facet."""
+OPEN = 1
+"""Segment of a cell that is not in contact with an obstacle."""
 SUBDIVISIONS = 4
 """Parts of each edge of a facet; distances are measured from the points of this grid."""
 
@@ -81,12 +83,29 @@ class Segments:
         if self.cells is None:
             return found
         numbers = fem.Function(self.spaces.Q)
-        numbers.x.array[:] = self.cells  # no ghost cells
-        return np.append(found, self._sample(numbers, spaces.mesh))
+        numbers.x.array[:] = self.cells - OPEN  # no ghost cells
+        near = self._near_contact(self.cells, spaces.mesh)
+        return np.append(found, self._sample(numbers, spaces.mesh, near) + OPEN)
 
-    def _sample(self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh) -> Kinds:
-        (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0)
+    def _sample(
+        self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32] | None = None
+    ) -> Kinds:
+        (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0, cells=cells)
         return np.rint(sample.x.array).astype(np.int8)
+
+    def _near_contact(self, segment: Kinds, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+        """Owned cells of another mesh with their centroid in the box around all cells that are not open (collective).
+
+        The search of cells takes longer than anything else in a prediction.
+        """
+        geometry, gap = self.spaces.mesh.geometry, curve_gap(self.spaces.domain)
+        corners = geometry.x[geometry.dofmaps[0][: len(segment)][segment != OPEN]].reshape(-1, 3)
+        ends = np.stack([corners, -corners]).min(axis=1, initial=np.inf)
+        mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
+        low, high = ends[0] - gap, gap - ends[1]
+        owned = mesh.topology.index_map(mesh.topology.dim).size_local
+        centroids = mesh.geometry.x[mesh.geometry.dofmaps[0][:owned]].mean(axis=1)
+        return np.flatnonzero(np.all((low <= centroids) & (centroids <= high), axis=1)).astype(np.int32)
 
 
 def transferred(contact: FacetSet, spaces: Spaces) -> Mask:

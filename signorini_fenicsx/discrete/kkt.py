@@ -15,6 +15,8 @@ from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.obstacle import Obstacle
 from signorini_fenicsx.discrete.spaces import Spaces, cells_and_dofs
 
+FAR = 1e6
+"""If ψ is this many times as large as u, the rounding of u − ψ may be above the tolerance beside u."""
 CONSTANT = 1e-10
 """If the energy of u is below this share of ‖√k u‖/L, u counts as constant, and its σ as an error of linear solvers."""
 
@@ -116,6 +118,21 @@ def kkt_residuals(
         complementarity=float(complementarity.max()),
         stationarity=float((_stationarity(spaces, in_cells, u, p, data) / scales).max()),
         mass_balance=float((_imbalance(spaces, in_cells, sigma, u, data) / scales).max()),
+    )
+
+
+def far_bound(spaces: Spaces, data: Data, u: fem.Function) -> str:
+    """What to do about residuals that come from a ψ far from u, as the end of a sentence; empty if it is near.
+
+    Collective. The data and u are those without the constant that u_D and ψ have in common.
+    """
+    furthest = np.abs(data.extent(spaces)).max()
+    largest = spaces.mesh.comm.allreduce(np.abs(u.x.array).max(initial=0.0), MPI.MAX)
+    if furthest <= FAR * largest:
+        return ""
+    return (
+        f"; u is at most {largest:.1e} and ψ is up to {furthest:.1e} away, so too few digits of u are left in u − ψ: "
+        "where there is no contact, give a ψ that is nearer to u"
     )
 
 

@@ -42,13 +42,15 @@ class Sources:
         if self.s is None:
             return self.b
         source = fem.Function(self.b.function_space)
-        source.x.array[:] = self.b.x.array - self.s.x.array * _means(u_cr)  # no ghost cells
+        source.x.array[:] = self.values(u_cr)[1]  # no ghost cells
         return source
 
-    def scalars(self, u_cr: fem.Function) -> Array:
-        """u_T = ū_T + m_T y_T per owned cell, for a function with up-to-date ghost values."""
-        u: Array = _means(u_cr) + self.moments * self.at(u_cr).x.array
-        return u
+    def values(self, u_cr: fem.Function) -> tuple[Array, Array]:
+        """u_T = ū_T + m_T y_T and y_T per owned cell, for a function with up-to-date ghost values."""
+        means, y = _means(u_cr), self.b.x.array
+        if self.s is not None:
+            y = y - self.s.x.array * means
+        return means + self.moments * y, y
 
     def held(self, cells: Mask, values: Array) -> Sources:
         """The sources with which u_T has these values on some cells; there is an s."""

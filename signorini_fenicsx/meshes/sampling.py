@@ -46,7 +46,12 @@ def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[float]:
 
 
 def sampled(
-    functions: Sequence[fem.Function], mesh: dolfinx.mesh.Mesh, source: Domain, *, degree: int = QUADRATURE_DEGREE
+    functions: Sequence[fem.Function],
+    mesh: dolfinx.mesh.Mesh,
+    source: Domain,
+    *,
+    degree: int = QUADRATURE_DEGREE,
+    cells: npt.NDArray[np.int32] | None = None,
 ) -> list[fem.Function]:
     """Functions of one other mesh at the quadrature points of this mesh (collective).
 
@@ -55,8 +60,10 @@ def sampled(
         mesh: This mesh.
         source: The domain of the other mesh, or whose boundary the other mesh covers.
         degree: Degree of the quadrature.
+        cells: The owned cells of this mesh where they are wanted, 0 elsewhere; None for all.
     """
-    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+    if cells is None:
+        cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     samples = []
     search = None  # the search of points is expensive, and the same for all functions
     for function in functions:

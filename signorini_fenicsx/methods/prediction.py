@@ -17,7 +17,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.conditions import SiteConditions
+from signorini_fenicsx.discrete.conditions import Kinds, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.methods.set_rules import Present, SetRule
@@ -53,9 +53,9 @@ class Prediction:
         """The law of each site, changed by the penalty if there is one."""
         return self.rule.law(chains, self.eps)
 
-    def wanted(self, law: Chains, conditions: SiteConditions, p: Array, flux: Array) -> SiteConditions:
-        """The next conditions by the rule, from p and σ·n per site under these conditions."""
-        present = Present(law.segments(conditions), NOTHING, NOTHING)
+    def wanted(self, law: Chains, segment: Kinds, p: Array, flux: Array) -> SiteConditions:
+        """The next conditions by the rule, from p and σ·n per site with each site on a segment."""
+        present = Present(segment, NOTHING, NOTHING)
         return law.conditions(self.rule.following(law, p, flux, self.rho, present))
 
     def is_worth_it(self, spaces: Spaces) -> bool:
@@ -85,7 +85,7 @@ class Prediction:
             law, conditions = self.law(backend.chains), self.start(coarse, backend.chains, start)
             for _ in range(MOST_STEPS):
                 pairs = backend.solve(conditions)
-                wanted = self.wanted(law, conditions, pairs.p, pairs.flux)
+                wanted = self.wanted(law, law.segments(conditions), pairs.p, pairs.flux)
                 if wanted.same(conditions, coarse.mesh.comm):
                     break
                 conditions = wanted
@@ -145,7 +145,7 @@ class Prediction:
         changed: list[int] = []
         while len(changed) < 3 or changed[-1] < changed[-3]:
             watch = _Watch(self, law, conditions, comm)
-            wanted = self.wanted(law, conditions, *backend.solve_until(conditions, watch))
+            wanted = self.wanted(law, watch.segment, *backend.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
             progress.detail("set update", len(changed))
             if changed[-1] == 0:
@@ -181,22 +181,27 @@ class Prediction:
             return wanted
         for _ in range(self.tuning.patch_steps):
             conditions = wanted
-            wanted = self.wanted(law, conditions, *solve(conditions))
+            wanted = self.wanted(law, law.segments(conditions), *solve(conditions))
             if wanted.changes([conditions], spaces.mesh.comm)[0] == 0:
                 break
         return wanted
 
 
 class _Watch:
-    """Stops a solve once its iterates ask for other sets than its own and these hardly change any more."""
+    """Stops a solve once its iterates ask for other sets than its own and these hardly change any more.
+
+    Attributes:
+        segment: The segment of each site in this solve.
+    """
 
     def __init__(self, prediction: Prediction, law: Chains, conditions: SiteConditions, comm: MPI.Comm):
         self._prediction, self._law, self._conditions, self._comm = prediction, law, conditions, comm
         self._last, self._steady = conditions, 0
+        self.segment = law.segments(conditions)
 
     def __call__(self, p: Array, flux: Array) -> bool:
         """Look at the next iterate; return whether to stop (collective)."""
-        wanted, tuning = self._prediction.wanted(self._law, self._conditions, p, flux), self._prediction.tuning
+        wanted, tuning = self._prediction.wanted(self._law, self.segment, p, flux), self._prediction.tuning
         changing, moved = wanted.changes([self._conditions, self._last], self._comm).tolist()
         self._last = wanted
         self._steady = self._steady + 1 if moved <= tuning.leeway * changing else 0

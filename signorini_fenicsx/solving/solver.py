@@ -16,7 +16,7 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data import Data, project_data
-from signorini_fenicsx.discrete.kkt import KKTResiduals
+from signorini_fenicsx.discrete.kkt import KKTResiduals, far_bound
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.laws import LAWS
 from signorini_fenicsx.discrete.problem import Problem
@@ -26,7 +26,7 @@ from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.methods.history import OnStep, Outcome
-from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
@@ -121,7 +121,7 @@ class Solver:
             )
         outcome = _run(task, options)
         with watch.phase("kkt"):
-            kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
+            outcome, kkt = _judged(task, outcome, method)
             outcome.iterate.u.x.array[:] += constant
             PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
         solution = Solution(
@@ -134,7 +134,7 @@ class Solver:
             spaces=spaces,
             data=data,
             p=spaces.multiplier(outcome.iterate.p + data.psi_h),
-            outcome=outcome.ended(_failure(outcome, kkt)),
+            outcome=outcome,
             kkt=kkt,
             timings=watch.longest(comm),
             peak_memory=peak_memory(comm),
@@ -213,18 +213,20 @@ def _run(task: Task, options: Options) -> Outcome:
         return Outcome.interrupted(interruption, options.backend_name)
 
 
-def _failure(outcome: Outcome, kkt: KKTResiduals) -> str | None:
-    """Why an outcome is not a solution, or None; its own residual decides if there is one, else the KKT residuals."""
-    if not outcome.converged:
-        return outcome.reason
-    if outcome.own_residual is None:
-        return kkt.violation()
-    within = outcome.own_residual <= KKT
-    return None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {KKT:g}"
+def _judged(task: Task, outcome: Outcome, method: Method) -> tuple[Outcome, KKTResiduals]:
+    """Judge an outcome by its own residual if it has one, else by its KKT residuals (collective)."""
+    kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
+    violation = kkt.violation()
+    if outcome.own_residual is not None:
+        within = outcome.own_residual <= KKT
+        violation = None if within else f"the residual of its own problem is {outcome.own_residual:.1e}, above {KKT:g}"
+    elif violation is not None:
+        violation += far_bound(task.spaces, task.data, outcome.iterate.u)
+    return outcome.ended(violation if outcome.converged else outcome.reason), kkt
 
 
 def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[Spaces, Data]:
-    boundary = gamma_s(boundary, problem)
+    boundary, problem = gamma_s(boundary, problem), replace(problem, exact=None)
     spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
     return spaces, project_data(spaces, problem)
 
