@@ -93,7 +93,7 @@ def test_coulomb_in_a_uniform_state(slips: bool):
 
 
 def test_coulomb_is_a_fixed_point():
-    """The bound is μ times the pressure in the end; its changes fall like a geometric sequence."""
+    """The bound is μ times the pressure in the end; its changes fall like a geometric sequence, and σ with them."""
     solution = sliding(COMM, 4, Coulomb(["y0"], "0.2 + 0.1*x"))
     assert solution.data.friction is not None
     x = solution.spaces.rough.vertices[:, :, 0]
@@ -101,6 +101,9 @@ def test_coulomb_is_a_fixed_point():
     changes = np.array(solution.bound_changes)
     assert changes[-1] <= 1e-9
     assert (changes[2:] < 0.6 * changes[1:-1]).all()
+    moved = np.array([step.sigma_change for step in solution.outcome.history])[-4:]
+    assert (moved > 0).all()
+    assert (moved[1:] < 0.6 * moved[:-1]).all()
     certificate = certify_elastic(solution)
     assert certificate.of == " to the exact solution with the last bound of the friction"
 

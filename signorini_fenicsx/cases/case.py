@@ -24,9 +24,10 @@ from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
 from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import Expression, Positive, Whole, choice, within
+from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, choice, texts_of, within
+from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.expressions import parse_expression, read
+from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
@@ -36,9 +37,9 @@ from signorini_fenicsx.solving.options import BACKENDS
 
 
 class Exact(Section):
-    """`[exact]`: the exact solution u, if it is known, as text in x, y, z."""
+    """`[exact]`: the exact solution u, if it is known, as text in x, y, z, or one per region."""
 
-    u: Expression | None = None
+    u: ExpressionByRegion | None = None
 
 
 class Solve(Section):
@@ -232,7 +233,8 @@ class Case(CaseFile):
         laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
         problem = [("problem", *entry) for entry in self.problem.texts()]
         time = [] if self.time is None else [("time", *entry) for entry in self.time.texts()]
-        return [*problem, ("exact", "u", self.exact.u or "0"), *laws, *time]
+        exact = [("exact", *entry) for entry in texts_of("u", self.exact.u or "0")]
+        return [*problem, *exact, *laws, *time]
 
     @property
     def last_time(self) -> float | None:
@@ -246,7 +248,7 @@ class Case(CaseFile):
             InputError: If an expression cannot be read.
         """
         names = "xyz"[:dim] + ("" if self.time is None else "t")
-        exact = None if self.exact.u is None else read(self.exact.u, names)
+        exact = None if self.exact.u is None else parsed(self.exact.u, names)
         return replace(self.problem.read(names), exact=exact, laws=[law.law() for law in self.law])
 
 

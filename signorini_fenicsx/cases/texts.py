@@ -3,7 +3,16 @@
 from typing import Annotated
 
 from signorini_fenicsx.cases.parts import Section
-from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, Positive, Whole, choice, within
+from signorini_fenicsx.cases.values import (
+    Conductivity,
+    Expression,
+    ExpressionByRegion,
+    Positive,
+    Whole,
+    choice,
+    texts_of,
+    within,
+)
 from signorini_fenicsx.discrete.evolution import SCHEMES, Evolution
 from signorini_fenicsx.discrete.given import parsed
 from signorini_fenicsx.discrete.problem import Problem
@@ -12,10 +21,10 @@ from signorini_fenicsx.discrete.problem import Problem
 class ProblemTexts(Section):
     """`[problem]`: the data of a `Problem` as text in x, y, z.
 
-    κ is a text, a matrix, or one of them per region; c is a text, or one per region.
+    κ is a text, a matrix, or one of them per region; f and c are texts, or one per region.
     """
 
-    f: Expression
+    f: ExpressionByRegion
     kappa: Conductivity = "1"
     u_D: Expression = "0"
     g_N: Expression = "0"
@@ -26,10 +35,10 @@ class ProblemTexts(Section):
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        found = [(name, getattr(self, name)) for name in ("f", "u_D", "g_N", "psi", "q_S")]
+        found = [(name, getattr(self, name)) for name in ("u_D", "g_N", "psi", "q_S")]
         found += [] if self.obstacle is None else [("obstacle", self.obstacle)]
         values: list[tuple[str, str | list[list[str]]]] = []
-        for name, whole in (("kappa", self.kappa), ("c", self.c)):
+        for name, whole in (("f", self.f), ("kappa", self.kappa), ("c", self.c)):
             values += (
                 [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
             )
@@ -51,15 +60,13 @@ class Time(Section):
 
     end: Annotated[Positive, within(1e-90, 1e90)]
     steps: Annotated[Whole, within(1, 10**6)]
-    initial: Expression = "0"
+    initial: ExpressionByRegion = "0"
     capacity: ExpressionByRegion = "1"
     scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        by_region = self.capacity if isinstance(self.capacity, dict) else {"": self.capacity}
-        of_regions = [(f"capacity.{region}".rstrip("."), text) for region, text in by_region.items()]
-        return [("initial", self.initial), *of_regions]
+        return [*texts_of("initial", self.initial), *texts_of("capacity", self.capacity)]
 
     def evolution(self) -> Evolution:
         """The same for `evolve`."""

@@ -99,6 +99,11 @@ def _text_by_region(value: object) -> object:
     return texts if isinstance(value, dict) else texts[""]
 
 
+def texts_of(name: str, given: str | dict[str, str]) -> list[tuple[str, str]]:
+    """An expression with its name, or the one of each region with name and region."""
+    return [(name, given)] if isinstance(given, str) else [(f"{name}.{region}", text) for region, text in given.items()]
+
+
 type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 
 Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]

@@ -37,6 +37,8 @@ from signorini_fenicsx.discrete.points import FacetPoints, facet_type
 
 OF_LOAD, OF_FLUX = 1, 2
 """Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""
+FEW_POINTS_UP_TO = {basix.CellType.triangle: 30, basix.CellType.tetrahedron: 15}
+"""Largest degree of the quadratures of Xiao and Gimbutas."""
 SINGULAR = 1e-10
 AT_ONCE = 20_000
 """Cells whose matrices are in memory at the same time."""
@@ -63,6 +65,14 @@ class Projection:
     def norms(self, scale: Array) -> Array:
         """L² norm per cell or facet; `scale` is its measure, divided by that of the reference one."""
         return np.sqrt(scale * ((self.coefficients**2).sum(axis=1) + self.rest))
+
+
+def positive_quadrature(cell: basix.CellType, degree: int) -> tuple[Array, Array]:
+    """Points and weights > 0 on the reference cell; the default, Keast's rules, has negative ones too."""
+    few = degree <= FEW_POINTS_UP_TO[cell]
+    rule = basix.QuadratureType.xiao_gimbutas if few else basix.QuadratureType.gauss_jacobi
+    points, weights = basix.make_quadrature(cell, degree, rule)
+    return points, weights
 
 
 def projected(values: Array, cell: basix.CellType, degree: int, points: Array, weights: Array) -> Projection:

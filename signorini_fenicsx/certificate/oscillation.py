@@ -20,7 +20,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
@@ -32,6 +31,7 @@ from signorini_fenicsx.certificate.local_fluxes import (
     Projection,
     at_points,
     load_norms,
+    positive_quadrature,
     projected,
 )
 from signorini_fenicsx.certificate.metric import CellMetric
@@ -163,8 +163,7 @@ def _on_facets(
 def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> Projection:
     """A load with mean 0 on each owned cell; `degree` is that of a quadrature for its square (collective)."""
     cell = spaces.mesh.basix_cell()
-    positive = basix.QuadratureType.xiao_gimbutas  # weights; the default, Keast's rules, has negative ones
-    points, weights = basix.make_quadrature(cell, degree, positive)
+    points, weights = positive_quadrature(cell, degree)
     parts = [
         projected(load(some), cell, OF_LOAD, points, weights)
         for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points, weights)

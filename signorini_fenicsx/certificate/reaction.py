@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import basix
 import numpy as np
 from dolfinx import fem
 
@@ -28,7 +27,7 @@ from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.enclosures import cell_vertices
 from signorini_fenicsx.certificate.interpolants import bernstein
-from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, projected
+from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.data import Data
@@ -87,7 +86,7 @@ def reaction_terms(
     squares = SQUARE if "c" not in resolution.by_quadrature else max(SQUARE, quadrature_degree(data.c, power=2))
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     for near, cells, degree in ((False, far, squares), (True, trace.cells, max(trace.degree, squares))):
-        points, weights = basix.make_quadrature(cell, degree, basix.QuadratureType.xiao_gimbutas)
+        points, weights = positive_quadrature(cell, degree)
         for some in in_cells(mesh, cells, points, weights):
             own = some.cells
             v, p, level = trace.jet(some, near=near)[:, :, 0], coefficient.values(some), u.x.array[own]

@@ -102,7 +102,7 @@ class Resolution:
 
     def encloses(self, name: str) -> bool:
         """Whether enclosures are needed and possible: not for polynomials, and not for data given in Python."""
-        return self.tree(name) is not None
+        return self.given_as_text(name) and any(_is_enclosed(tree) for tree, _ in self.of_regions(name))
 
     def on_cells(self, name: str, nodes: Array, seen: Array, metric: CellMetric, cells: Indices) -> Array:
         """Root mean square of a load minus p on some owned cells (collective).
@@ -116,9 +116,15 @@ class Resolution:
         """
         vertices = cell_vertices(self.spaces.mesh)[cells]
         tolerance = self.flux(metric)[cells] / self.volume ** (1 / vertices.shape[2])
-        norm, mean = self._load(name, vertices, quadratic_of(vertices, nodes), seen, tolerance, cells)
+        p, norm = quadratic_of(vertices, nodes), seen.copy()
         of_load, missed = np.zeros((2, len(self.missed))), np.zeros(len(self.missed))
-        of_load[:, cells] = mean.lo, mean.hi
+        for tree, own in self.of_regions(name):
+            if isinstance(tree, TREES) and _is_enclosed(tree):
+                here = np.flatnonzero(np.isin(cells, own))
+                norm[here], mean = self._load(
+                    name, tree, vertices[here], p.of(here), seen[here], tolerance[here], cells[here]
+                )
+                of_load[:, cells[here]] = mean.lo, mean.hi
         self.load = self.load + Interval(*of_load)
         missed[cells] = np.where(norm > seen, norm, 0.0)
         self.missed += (metric.diameter / np.pi * missed) ** 2 * metric.volume / metric.low
@@ -133,22 +139,22 @@ class Resolution:
         for points in cell_quadrature(self.spaces.mesh, cells, quadrature_degree(datum)):
             seen, rows = datum.values(points), np.searchsorted(cells, points.cells)
             lo[rows], hi[rows] = seen.min(axis=1), seen.max(axis=1)
-        tree = self.data.trees.get(name)
-        if not self.given_as_text(name) or not isinstance(tree, TREES):
-            return Interval(lo, hi)
-        below = np.flatnonzero(hi <= limit)
-        least, most = (2 * lo - limit)[below], limit[below]
-        vertices = cell_vertices(self.spaces.mesh)[cells[below]]
-        middle = constant((least + most) / 2, vertices.shape[2])
-        comm, scale = self.spaces.mesh.comm, self.scale()
-        found = enclose(tree, vertices, middle, (most - least) / 2, comm, scale=scale, by="sup")
-        lo[below], hi[below] = found.range.lo, found.range.hi
+        for tree, own in self.of_regions(name) if self.given_as_text(name) else []:
+            assert isinstance(tree, TREES)
+            below = np.flatnonzero((hi <= limit) & np.isin(cells, own))
+            least, most = (2 * lo - limit)[below], limit[below]
+            vertices = cell_vertices(self.spaces.mesh)[cells[below]]
+            middle = constant((least + most) / 2, vertices.shape[2])
+            comm, scale = self.spaces.mesh.comm, self.scale()
+            found = enclose(tree, vertices, middle, (most - least) / 2, comm, scale=scale, by="sup")
+            lo[below], hi[below] = found.range.lo, found.range.hi
         return Interval(lo, hi)
 
     def on_facets(self, name: str, points: FacetPoints, nodes: Array, seen: Array, metric: CellMetric) -> Array:
         """L² norm of a flux minus p per facet, with arguments like those of `on_cells` (collective)."""
-        p, tolerance = quadratic_of(points.vertices, nodes), self.flux(metric)[points.cells]
-        norm, mean = self._load(name, points.vertices, p, seen, tolerance, points.cells)
+        p, tolerance, tree = quadratic_of(points.vertices, nodes), self.flux(metric)[points.cells], self.tree(name)
+        assert tree is not None
+        norm, mean = self._load(name, tree, points.vertices, p, seen, tolerance, points.cells)
         area = points.integrals(np.ones((len(points.cells), len(points.weights))))
         share = area / metric.volume[points.cells]
         number = len(metric.volume)
@@ -158,18 +164,16 @@ class Resolution:
         return np.asarray(norm * np.sqrt(area), dtype=np.float64)
 
     def _load(
-        self, name: str, vertices: Array, p: Quadratic, seen: Array, tolerance: Array, cells: Indices
+        self, name: str, tree: Tree, vertices: Array, p: Quadratic, seen: Array, tolerance: Array, cells: Indices
     ) -> tuple[Array, Interval]:
         """Root mean square and mean of a load minus p; `seen` and 0 where quadrature is good enough (collective)."""
-        tree, comm, scale = self.tree(name), self.spaces.mesh.comm, self.scale()
-        assert tree is not None
+        comm, scale = self.spaces.mesh.comm, self.scale()
         enough = np.maximum(OVERLOOKED * seen, tolerance)
         first = enclose(tree, vertices, p, enough, comm, scale=scale)
         means = [mean_above(tree, vertices, p, degree) for degree in (POINTS, 2 * POINTS)]
         agree = np.abs(means[0] - means[1]) <= np.maximum(AGREED * seen, tolerance)
         hidden = ~((first.norm <= enough) & np.isfinite(first.slope) & agree)
-        some = Quadratic(p.value[hidden], p.gradient[hidden], p.hessian[hidden])
-        found = self.enclosed(name, tree, vertices[hidden], some, tolerance[hidden], cells[hidden], "mean")
+        found = self.enclosed(name, tree, vertices[hidden], p.of(hidden), tolerance[hidden], cells[hidden], "mean")
         norm, lo, hi = seen.copy(), np.zeros(len(seen)), np.zeros(len(seen))
         norm[hidden], lo[hidden], hi[hidden] = np.maximum(found.norm, seen[hidden]), found.mean.lo, found.mean.hi
         return norm, Interval(lo, hi)
@@ -222,10 +226,7 @@ class Resolution:
     def tree(self, name: str) -> Tree | None:
         """The expression of a datum that has to be enclosed; None for polynomials and for data given in Python."""
         tree = self.data.trees.get(name)
-        if not self.given_as_text(name) or not isinstance(tree, TREES):
-            return None
-        degree = polynomial_degree(tree)
-        return None if degree is not None and degree <= EXACT else tree
+        return tree if self.given_as_text(name) and isinstance(tree, TREES) and _is_enclosed(tree) else None
 
     def given_as_text(self, name: str) -> bool:
         """Whether a datum is a number or a tree; otherwise it is added to `by_quadrature`."""
@@ -243,7 +244,7 @@ class Resolution:
         return datum
 
     def of_regions(self, name: str) -> Iterator[tuple[Tree | Rows, Indices]]:
-        """What κ or c was given as, for all owned cells or for those of each region."""
+        """What f, κ or c was given as, for all owned cells or for those of each region."""
         for key, given in self.data.trees.items():
             datum, _, region = key.partition(".")
             if datum == name:
@@ -318,6 +319,12 @@ class Resolution:
     def _forget(self) -> None:
         self.unresolved = [entry for entry in self.unresolved if entry[0] in self.lost]
         self.coarse[:] &= bool(self.lost)
+
+
+def _is_enclosed(tree: Tree | Rows) -> bool:
+    """Whether quadrature may miss something of it: it is no polynomial, or one of a high degree."""
+    degree = polynomial_degree(tree) if isinstance(tree, TREES) else None
+    return degree is None or degree > EXACT
 
 
 def of_all_cells(matrices: Array, number: int) -> Array:

@@ -222,7 +222,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
 
 def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Function]:
     """The datum f, and f_h (collective)."""
-    f = datum_of(spaces, "f", problem.f, continuous=False)
+    f = regional_datum(spaces, "f", problem.f)
     f_h, degree = fem.Function(spaces.Q, name="f_h"), quadrature_degree(f)
     if isinstance(problem.f, TREES):
         means = known.combination(
@@ -260,17 +260,20 @@ def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
     return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
 
 
-def _exact(spaces: Spaces, given: Given | None) -> Datum | None:
+def _exact(spaces: Spaces, given: Given | Mapping[str, Given] | None) -> Datum | None:
     if given is None:
         return None
-    u = datum_of(spaces, "exact", given)
+    try:
+        u = regional_datum(spaces, "exact", given) if isinstance(given, Mapping) else datum_of(spaces, "exact", given)
+    except InputError as error:
+        raise InputError(str(error).replace("[problem] exact", "[exact] u")) from None
     check_finite(spaces, "[exact] u", "in the domain", u, owned_cells(spaces.mesh))
     return u
 
 
 def _trees(problem: Problem) -> dict[str, Tree | Rows]:
-    given: dict[str, Any] = {name: getattr(problem, name) for name in ("f", "u_D", "g_N", "psi", "q_S", "obstacle")}
-    for name, whole in (("kappa", problem.kappa), ("c", problem.c)):
+    given: dict[str, Any] = {name: getattr(problem, name) for name in ("u_D", "g_N", "psi", "q_S", "obstacle")}
+    for name, whole in (("f", problem.f), ("kappa", problem.kappa), ("c", problem.c)):
         of_regions = {f"{name}.{key}": value for key, value in whole.items()} if isinstance(whole, Mapping) else None
         given |= {name: whole} if of_regions is None else of_regions
     return {name: value for name, value in given.items() if isinstance(value, TREES | tuple | list)}

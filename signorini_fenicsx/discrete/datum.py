@@ -163,6 +163,12 @@ class _ByRegion(Datum):
             found[inside[points.cells]] = value
         return found
 
+    def _gradients(self, points: Points) -> Array:
+        found = np.empty((*points.shape, points.mesh.geometry.dim))
+        for inside, datum in self.parts:
+            found[inside[points.cells]] = datum.jet(points.among(inside), gradient=True)[:, :, 1:]
+        return found
+
 
 def largest_degree(data: Iterable[Datum]) -> int | None:
     """The largest degree of data that are polynomials, None if one is not known to be a polynomial."""

@@ -69,8 +69,9 @@ def exact_trace(spaces: Spaces, exact: Datum, points: FacetPoints) -> Array:
     """The exact u, or its jump, in points of all facets of Γ_S, shape (facets, points) (collective)."""
     trace, inner = exact.values(points), spaces.inner
     if inner.present:
-        named, across = (exact.values(BesideFacets.of(points, share)) for share in (BESIDE, -BESIDE))
-        trace[inner.rows] = (named - across)[inner.rows]
+        opposite, order = points.across(inner.rows, inner.facets)
+        named, across = (exact.values(BesideFacets.of(side, BESIDE)) for side in (points, opposite))
+        trace[inner.rows] = named[inner.rows] - np.take_along_axis(across, order, axis=1)
     return trace
 
 

@@ -34,14 +34,14 @@ class Evolution:
     Attributes:
         end: The last time.
         steps: Number of steps.
-        initial: u_0.
+        initial: u_0, or one for each region of the mesh.
         capacity: C ≥ 0, or one for each region of the mesh.
         scheme: "implicit-euler" or "bdf2".
     """
 
     end: float
     steps: int
-    initial: Given = 0.0
+    initial: Given | Mapping[str, Given] = 0.0
     capacity: Given | Mapping[str, Given] = 1.0
     scheme: str = "implicit-euler"
 

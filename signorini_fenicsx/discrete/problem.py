@@ -16,7 +16,7 @@ class Problem:
     with equality in one of them.
 
     Attributes:
-        f: Load.
+        f: Load, or one for each region of the mesh.
         kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
         u_D: Trace on Γ_D, continuous.
         g_N: Flux κ∇u·n on Γ_N, with the outer normal n.
@@ -24,14 +24,14 @@ class Problem:
         q_S: Lower bound of the flux on Γ_S.
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
         obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
-        exact: The exact u, where it is known.
+        exact: The exact u, where it is known, or one for each region.
         laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
 
     Raises:
         InputError: If `laws` is not a list of laws.
     """
 
-    f: Given
+    f: Given | Mapping[str, Given]
     kappa: Given | Mapping[str, Given] = 1.0
     u_D: Given = 0.0
     g_N: Given = 0.0
@@ -39,7 +39,7 @@ class Problem:
     q_S: Given = 0.0
     c: Given | Mapping[str, Given] = 0.0
     obstacle: Given | None = None
-    exact: Given | None = None
+    exact: Given | Mapping[str, Given] | None = None
     laws: Sequence[Law] = ()
 
     def __post_init__(self) -> None:

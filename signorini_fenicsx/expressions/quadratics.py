@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.expressions.evaluation import values
 from signorini_fenicsx.expressions.tree import Tree
 
@@ -27,6 +27,10 @@ class Quadratic:
     value: Array
     gradient: Array
     hessian: Array
+
+    def of(self, rows: Indices | Mask) -> Quadratic:
+        """That of some of the simplices."""
+        return Quadratic(self.value[rows], self.gradient[rows], self.hessian[rows])
 
 
 def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadratic:

@@ -58,6 +58,7 @@ def iterate_sets[I: Pairs](
     parameters: Parameters,
     *,
     start: SiteConditions | None = None,
+    before: I | None = None,
     on_step: OnStep = lambda step: None,
 ) -> Outcome:
     """Run an algorithm until the sets repeat (collective).
@@ -72,6 +73,7 @@ def iterate_sets[I: Pairs](
         rule: The algorithm.
         parameters: Of the rule and the loop.
         start: Conditions to start from, instead of the algorithm's own start.
+        before: An earlier iterate, to which the first change refers; None for that of the start.
         on_step: Called on all ranks after each iteration.
 
     Raises:
@@ -80,7 +82,8 @@ def iterate_sets[I: Pairs](
     site, sites = backend.noun
     law = rule.law(backend.chains, parameters.eps)
     solved_with = start or law.conditions(rule.first(law))
-    iterate = before = backend.solve(solved_with)
+    iterate = backend.solve(solved_with)
+    before = before or iterate
     history = History(backend.comm, solved_with, on_step)
     conditions = _wanted(backend, rule, law, parameters, iterate, start)
     safeguard = _Safeguard(backend, law, clips=rule.clip is not None)

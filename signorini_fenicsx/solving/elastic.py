@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.elastic import ElasticBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
@@ -154,6 +155,7 @@ def _with_friction(
     most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
     parameters = Parameters(max_iterations=options.max_iterations or most)
     history: list[Step] = []
+    last: Iterate | None = None
     changes: list[float] = []
     spaces = backend.spaces
 
@@ -162,7 +164,9 @@ def _with_friction(
 
     while True:
         try:
-            outcome = iterate_sets(backend, rule, parameters, start=first, on_step=lambda step: on_step(numbered(step)))
+            outcome = iterate_sets(
+                backend, rule, parameters, start=first, before=last, on_step=lambda step: on_step(numbered(step))
+            )
         except LoopInterruption as interruption:
             outcome = Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
         history += [numbered(step) for step in outcome.history]
@@ -179,7 +183,7 @@ def _with_friction(
             reason = f"the bound of the friction still changes by {changes[-1]:.1e} after {MOST_BOUNDS} steps"
             return outcome.ended(reason), tuple(changes)
         segments = backend.chains.segments(outcome.conditions)
-        backend.friction = following
+        backend.friction, last = following, outcome.iterate
         first = backend.chains.conditions(segments)
 
 
