@@ -27,6 +27,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
@@ -71,6 +72,7 @@ def certify_elastic(solution: ElasticSolution) -> Certificate:
 
     Costs some linear solves for quadratic displacements on the split mesh.
     """
+    check_kind("solution", solution, ElasticSolution, hint="; certify is for a Solution")
     watch = Stopwatch()
     with watch.phase("certificate"):
         certificate = _certificate(solution)
