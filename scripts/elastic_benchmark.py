@@ -1,6 +1,6 @@
 """Elastic contact against one linear solve with the known set, and against P2 displacements at the same energy error.
 
-uv run python scripts/elastic_benchmark.py [--quick] [--iterations]
+uv run python scripts/elastic_benchmark.py [--quick] [--iterations] [--dim 2|3]
 
 A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
 one core, from the mesh to the fields; of ours and of the known set the better of two runs each, as the first one also
@@ -111,11 +111,14 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--quick", action="store_true", help="coarse meshes only")
     options.add_argument("--iterations", action="store_true", help="iterations of CG only")
+    options.add_argument("--dim", type=int, choices=(2, 3), action="append", help="this dimension only")
     asked = options.parse_args()
+    dims = asked.dim or (2, 3)
     if asked.iterations:
-        print_iterations(QUICK if asked.quick else FOR_ITERATIONS)
+        print_iterations({dim: (QUICK if asked.quick else FOR_ITERATIONS)[dim] for dim in dims})
         return
-    for dim, sizes in (QUICK if asked.quick else CELLS).items():
+    for dim in dims:
+        sizes = (QUICK if asked.quick else CELLS)[dim]
         f, push = loads(dim)
         boundary, problem = pressed(dim)
         rows = []

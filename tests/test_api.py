@@ -19,6 +19,8 @@ from signorini_fenicsx.api import (
     Condition,
     Data,
     Domain,
+    ElasticBoundary,
+    ElasticProblem,
     FacetBackend,
     Friction,
     Iterate,
@@ -32,10 +34,14 @@ from signorini_fenicsx.api import (
     Spaces,
     Task,
     adapt,
+    certify_elastic,
     compare,
     domain_of,
+    evolve,
     load_solution,
     solve,
+    solve_case,
+    solve_elastic,
 )
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
@@ -296,3 +302,41 @@ def test_refusals():
         Options(algorithm="alg5")
     with pytest.raises(InputError, match="eps: must be greater than 0"):
         Options(eps=0.0)
+
+
+def test_arguments_of_the_wrong_kind():
+    """One sentence each, for scalar and elastic problems."""
+    domain = domain_of(*square())
+    held, pressed = ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
+    free, scalar = Boundary(["bottom"]), Problem(f=1.0)
+    body, membrane = solve_elastic(domain, held, pressed), solve(domain, free, scalar)
+    for call, message in [
+        (lambda: certify(body), "solution: must be a Solution, not ElasticSolution; certify_elastic is for an Elastic"),
+        (lambda: certify_elastic(membrane), "solution: must be an ElasticSolution, not Solution; certify is for a"),
+        (lambda: compare(body, None), "solution: must be a Solution or ElasticSolution, not None"),
+        (lambda: Options(algorithm=None), "algorithm: must be a string or Method or SetRule, not None"),
+        (lambda: Options(backend=3), "backend: must be a string, not whole number; a function that makes"),
+        (lambda: Options(eps=None), "eps: must be a number, not None"),
+        (lambda: Options(max_iterations="3"), "max_iterations: must be a number, not string"),
+        (lambda: solve(None, free, scalar), "domain: must be a Domain, not None"),
+        (lambda: solve(domain, held, scalar), "boundary: must be a Boundary, not ElasticBoundary"),
+        (lambda: solve(domain, free, pressed), "problem: must be a Problem, not ElasticProblem"),
+        (lambda: solve(domain, free, scalar, {"algorithm": "alg1"}), "options: must be an Options, not dict"),
+        (lambda: solve_elastic(domain.mesh, held, pressed), "domain: must be a Domain, not Mesh"),
+        (lambda: solve_elastic(domain, None, pressed), "boundary: must be an ElasticBoundary, not None"),
+        (lambda: solve_elastic(domain, held, scalar), "problem: must be an ElasticProblem, not Problem"),
+        (lambda: solve_elastic(domain, held, pressed, "alg1"), "options: must be an Options, not string"),
+        (lambda: solve_elastic(domain, held, pressed, start=membrane), "start: must be an ElasticSolution, not Sol"),
+        (lambda: Boundary(None), r"signorini: must be a list of names, such as \['bottom'\], not None"),
+        (lambda: ElasticBoundary(["bottom"], fixed=["right"]), "fixed: must be a dict, not list; an example is"),
+        (lambda: ElasticBoundary(["bottom"], fixed={"right": 0}), "fixed: part 'right': must be a string, not whole"),
+        (lambda: domain_of(None, {}), "mesh: must be a Mesh, not None"),
+        (lambda: domain_of(domain.mesh, ["bottom"]), "parts: must be a dict, not list; an example is"),
+        (lambda: solve_case("hertz"), "case: must be a Case or ElasticCase, not string; load_any_case reads one"),
+        (lambda: write_solution(body, 3), "folder: must be a string or Path, not whole number"),
+        (lambda: adapt(domain, lambda domain, start: None), "what solve_on returns: must be a Solution or Elastic"),
+        (lambda: adapt(domain, lambda domain, start: body, theta=2), "theta: must be greater than 0 and at most 1"),
+        (lambda: next(evolve(domain, free, scalar, None)), "evolution: must be an Evolution, not None"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            call()

@@ -226,5 +226,7 @@ def test_bad_input():
         ElasticBoundary(["y0"], fixed={"x0": "xx"})
     with pytest.raises(InputError, match="unknown 'thin'"):
         ElasticProblem(1.0, 0.3, plane="thin")
+    with pytest.raises(InputError, match="plane: a body in space is not in plane stress; leave it out"):
+        solve_elastic(box(COMM, 1, *UNIT[3]), held, ElasticProblem(1.0, 0.3, plane="stress"))
     with pytest.raises(InputError, match="laws: must be a list of laws Friction and Coulomb"):
         ElasticProblem(1.0, 0.3, laws=[Wall(["y0"], beta=1)])

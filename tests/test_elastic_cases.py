@@ -20,8 +20,11 @@ from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.comparing.differences import ElasticDifferences, differences
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.discrete.spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.elastic import contact_table, in_space, von_mises
+from signorini_fenicsx.output.elastic_body import gather_body
+from signorini_fenicsx.output.gather import PARTLY_FIXED
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -122,7 +125,12 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ("young = 1\n", "", "missing key 'young' in [problem]"),
         ("young = 1", "young = 0", "[problem] young: must be positive and finite everywhere"),
         ('"0.3"', '"1/2"', "[problem] poisson: must be between -1 and 1/2"),
+        ("young = 1\n", "young = true\n", "[problem] young: must be an expression, or a table with one per region"),
         ("[0, -0.1]", "[0]", "[problem] f: has 1 components, not 2"),
+        ("[0, -0.1]", "1", "[problem] f: must be a list with an expression for each component, such as"),
+        ("[0, -0.1]", "[0, [1]]", "[problem] f: must be an expression, not [1]"),
+        ("u_D", "g_N = {right = 1}\nu_D", "[problem] g_N: must be a list with an expression for each component"),
+        ('gap = "', 'gap = true # "', "[problem] gap: must be an expression, not True"),
         ("[0, -0.1]", '[0, "z"]', "[problem] f: "),
         ('fixed = {left = "n"}', 'fixed = {left = "q"}', "fixed: part 'left' has 'q'"),
         ('fixed = {left = "n"}', 'fixed = {right = "n"}', "'right' is listed twice"),
@@ -163,6 +171,17 @@ def test_von_mises_and_table():
     np.testing.assert_allclose(table.pressure, 0.1)
     np.testing.assert_allclose(table.x[:, 0], [0, 0.5, 0.5, 1])
     assert table.touching.all()
+
+
+def test_pictures_tell_fixed_parts_from_loaded_ones():
+    """A plane of symmetry is not drawn as Γ_N."""
+    boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
+    problem = ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
+    body = gather_body(solve_elastic(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), boundary, problem))
+    assert body is not None
+    middle = body.fields.points[body.boundary.vertices].mean(axis=1)
+    for kind, x in ((PARTLY_FIXED, 0.0), (NEUMANN, 1.0)):
+        assert (middle[body.boundary.kind == kind, 0] == x).tolist() == [True, True]
 
 
 @pytest.mark.parallel([1, 2])

@@ -3,28 +3,17 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
 from signorini_fenicsx.cases.parts import Parts, Section
-from signorini_fenicsx.cases.values import Expression, choice
+from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
 from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.solving.elastic import RULES
 
 ELASTICITY = "elasticity"
-
-
-def _table(value: object) -> object:
-    """One expression, or one per region."""
-    if isinstance(value, dict) and not value:
-        raise ValueError("the table of regions is empty")
-    return value
-
-
-Modulus = Annotated[Expression | dict[str, Expression], BeforeValidator(_table)]
-Vector = list[Expression]
 
 
 class ElasticParts(Parts):
@@ -78,11 +67,11 @@ class FrictionTexts(Section):
 class ElasticTexts(Section):
     """`[problem]`: the data of an `ElasticProblem` as text in x, y, z; E and ν may have one for each region."""
 
-    young: Modulus
-    poisson: Modulus
+    young: ExpressionByRegion
+    poisson: ExpressionByRegion
     f: Vector | None = None
     u_D: Vector | None = None
-    g_N: Vector | dict[str, Vector] | None = None
+    g_N: VectorByPart | None = None
     gap: Expression = "0"
     plane: Annotated[str, choice("plane", tuple(Plane))] = Plane.STRAIN
 

@@ -6,6 +6,7 @@ from typing import overload
 
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
@@ -76,6 +77,7 @@ def solve_case(
         InputError: If the case cannot be discretised as asked.
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
+    check_kind("case", case, Case, ElasticCase, hint="; load_any_case reads one")
     refuse_time(case)
     watch = Stopwatch()
     with watch.phase("mesh"):

@@ -31,6 +31,27 @@ def text_of(value: object) -> object:
     return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
+def _expression(value: object) -> object:
+    text = text_of(value)
+    if not isinstance(text, str):
+        raise ValueError(f"must be an expression, not {shown(value)}")
+    return text
+
+
+def _vector(value: object) -> object:
+    """A list of numbers or texts."""
+    if not isinstance(value, list):
+        raise ValueError(
+            f'must be a list with an expression for each component, such as ["0", "-1"], not {shown(value)}'
+        )
+    return [_expression(entry) for entry in value]
+
+
+def _vector_by_part(value: object) -> object:
+    """A list of numbers or texts, or a table with one per part."""
+    return {part: _vector(entry) for part, entry in value.items()} if isinstance(value, dict) else _vector(value)
+
+
 def _not_huge(value: object) -> object:
     """Refuse integers of TOML that are too large for a float; some are even too large for Python to print."""
     if isinstance(value, int) and value.bit_length() > MAX_BITS:
@@ -108,7 +129,9 @@ type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
 
 Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(number)]
-Expression = Annotated[str, BeforeValidator(text_of)]
+Expression = Annotated[str, BeforeValidator(_expression)]
+Vector = Annotated[list[str], BeforeValidator(_vector)]
+VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vector_by_part)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(_text_by_region)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

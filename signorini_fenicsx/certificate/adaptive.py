@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
@@ -90,6 +91,10 @@ def adapt[S: Solution | ElasticSolution](
         InputError: If the first mesh has too many cells.
         NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
+    check_kind("domain", domain, Domain)
+    check_kind("max_cells", max_cells, int)
+    if not 0 < theta <= 1:
+        raise InputError(f"theta: must be greater than 0 and at most 1, not {theta}")
     began, comm = time.perf_counter(), domain.mesh.comm
     if domain.cells > max_cells:
         cells = f"{domain.cells} cells, more than the {max_cells} allowed"
@@ -98,6 +103,7 @@ def adapt[S: Solution | ElasticSolution](
     mesh = 0
     while True:
         solution = solve_on(domain, start)
+        check_kind("what solve_on returns", solution, Solution, ElasticSolution)
         start = solution if solution.method.starts_from_sets else None
         certificate = certificate_of(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)

@@ -45,6 +45,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
@@ -144,6 +145,7 @@ def certify(
         memory: For a step in time, the load that it takes from those before, in points of cells; None for
             `Data.memory`, which is constant on each cell. On each cell both have the same mean.
     """
+    check_kind("solution", solution, Solution, hint="; certify_elastic is for an ElasticSolution")
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini), memory)

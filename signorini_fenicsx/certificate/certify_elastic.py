@@ -30,6 +30,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
@@ -76,6 +77,7 @@ def certify_elastic(solution: ElasticSolution) -> Certificate:
 
     Costs some linear solves for quadratic displacements on the split mesh, and some on a part of it.
     """
+    check_kind("solution", solution, ElasticSolution, hint="; certify is for a Solution")
     watch = Stopwatch()
     with watch.phase("certificate"):
         certificate = _certificate(solution)

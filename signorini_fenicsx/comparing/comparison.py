@@ -5,12 +5,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.comparing.differences import Differences, ElasticDifferences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
+from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import same_domain
 
@@ -47,6 +49,8 @@ def compare(one: AnySolution, other: AnySolution) -> Comparison:
     Raises:
         InputError: If their domains or contact boundaries differ, or only one of them is elastic.
     """
+    for solution in (one, other):
+        check_kind("solution", solution, Solution, ElasticSolution)
     here, there = (
         f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.contact_parts)) or 'no part'}"
         for solution in (one, other)

@@ -10,6 +10,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
@@ -188,6 +189,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
             leave the range of floating-point numbers; if κ is not symmetric positive definite, or has no value on some
             cells; if c is negative somewhere.
     """
+    check_kind("problem", problem, Problem)
     problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known()
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
     kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))

@@ -127,9 +127,11 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
 
     Raises:
         InputError: If something is not finite where it is needed, E ≤ 0 or ν not between −1 and ½ somewhere, or a
-            region has no value.
+            region has no value; if plane stress is asked for in space.
     """
     scalar, dim = spaces.scalar, spaces.dim
+    if dim == 3 and problem.plane != Plane.STRAIN:
+        raise InputError(f"[problem] plane: a body in space is not in plane {problem.plane}; leave it out")
     f = vector_datum_of(scalar, "f", problem.f, continuous=False)
     u_D = vector_datum_of(scalar, "u_D", problem.u_D)
     by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.laws import Friction
@@ -45,8 +46,7 @@ class Coulomb:
 
     def __post_init__(self) -> None:
         """Refuse a string in the place of a list."""
-        if isinstance(self.parts, str):
-            raise InputError(f"parts: must be a list of names, such as ['{self.parts}']")
+        check_names("parts", self.parts)
 
 
 type ElasticLaw = Friction | Coulomb
@@ -113,10 +113,11 @@ class ElasticBoundary:
 
     def __post_init__(self) -> None:
         """Refuse strings in the place of lists, and unknown components."""
-        for key in ("contact", "neumann"):
-            if isinstance(getattr(self, key), str):
-                raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
+        check_names("contact", self.contact)
+        check_names("neumann", self.neumann)
+        check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
+            check_kind(f"fixed: part '{part}'", components, str)
             known = components == NORMAL or (set(components) <= set(AXES) and len(set(components)) == len(components))
             if not known or not components:
                 raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")

@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.given import Given, at_time, parsed
@@ -63,8 +64,7 @@ class Law:
 
     def __post_init__(self) -> None:
         """Refuse a string in the place of a list."""
-        if isinstance(self.parts, str):
-            raise InputError(f"parts: must be a list of names, such as ['{self.parts}']")
+        check_names("parts", self.parts)
         object.__setattr__(self, "parts", tuple(self.parts))
 
     def data(self) -> dict[str, Given]:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
+from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
@@ -114,8 +115,7 @@ class Boundary:
     def __post_init__(self) -> None:
         """Refuse a string instead of a list."""
         for key in ("signorini", "neumann", "inner"):
-            if isinstance(getattr(self, key), str):
-                raise InputError(f"{key}: must be a list of names, such as ['{getattr(self, key)}']")
+            check_names(key, getattr(self, key))
 
 
 @dataclass(frozen=True)

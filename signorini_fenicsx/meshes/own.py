@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import (
@@ -47,6 +48,8 @@ def domain_of(
     Raises:
         InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function.
     """
+    check_kind("mesh", mesh, dolfinx.mesh.Mesh)
+    check_kind("parts", parts, Mapping, hint='; an example is {"bottom": facets}')
     topology = mesh.topology
     dim = topology.dim
     if mesh.basix_cell().name not in ("triangle", "tetrahedron") or mesh.geometry.cmaps[0].degree != 1:
@@ -141,6 +144,7 @@ def check_parts(domain: Domain, named: Mapping[str, Sequence[str]]) -> None:
     Raises:
         InputError: If there is such a part.
     """
+    check_kind("domain", domain, Domain)
     for key, names in named.items():
         unknown = [part for part in names if part not in domain.parts]
         if unknown:

@@ -10,6 +10,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.backends.contract import Iterate
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import repair
@@ -60,6 +61,7 @@ def load_any_solution(
             needed; or if the residuals of the fields are not those that were written: then the file is damaged, and
             nothing of it is used.
     """
+    check_kind("folder", folder, str, Path)
     on_root(comm, lambda: repair(folder))
     found = read_checkpoint(comm, Path(folder))
     if found.about.physics is None:

@@ -10,7 +10,7 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI
 from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields, sample_of
+from signorini_fenicsx.output.gather import PARTLY_FIXED, Boundary, FacetTable, Fields, sample_of
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
@@ -130,7 +130,10 @@ def _facets(solution: ElasticSolution) -> tuple[FacetTable | None, Array, Array]
 
 def _boundary(solution: ElasticSolution) -> Boundary | None:
     scalar = solution.spaces.scalar
-    kinds = {SIGNORINI: scalar.facets, DIRICHLET: scalar.dirichlet_facets, NEUMANN: scalar.neumann_facets}
+    none = np.empty(0, dtype=np.int32)
+    fixed = np.concatenate([none, *(scalar.domain.facets[part] for part in solution.boundary.fixed)])
+    free = np.setdiff1d(scalar.neumann_facets, fixed)
+    kinds = {SIGNORINI: scalar.facets, DIRICHLET: scalar.dirichlet_facets, NEUMANN: free, PARTLY_FIXED: fixed}
     columns = [
         np.column_stack([np.full(len(facets), kind), facet_vertices(scalar.mesh, facets)])
         for kind, facets in kinds.items()

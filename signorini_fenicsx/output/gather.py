@@ -17,6 +17,9 @@ from signorini_fenicsx.solving.solution import Solution
 
 TINY = np.finfo(np.float64).tiny
 
+PARTLY_FIXED = 4
+"""A part of the boundary that is fixed in some components only."""
+
 
 @dataclass(frozen=True)
 class FacetTable:
@@ -56,7 +59,7 @@ class Boundary:
     """One row per boundary facet of all ranks.
 
     Attributes:
-        kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`.
+        kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`; `PARTLY_FIXED` of an elastic body.
         u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
         vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
     """

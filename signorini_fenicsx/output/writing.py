@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dolfinx import fem, io
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, give_back_memory, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
@@ -83,6 +84,8 @@ def write_solution(
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
+    check_kind("solution", solution, Solution, ElasticSolution)
+    check_kind("folder", folder, str, Path)
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     with watch.phase("output"):
         write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.backends.elastic import ElasticBackend
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
@@ -73,14 +74,13 @@ def solve_elastic(
         InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
         NumericalFailure: If the sets do not settle or a residual is large; its `solution` holds the last state.
     """
-    options, watch = options or Options(), watch or Stopwatch()
+    options, watch = Options.of(options), watch or Stopwatch()
     if options.algorithm not in RULES:
         raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {options.algorithm_name}")
-    boundary = boundary.touching_on(problem.rough)
+    boundary = _with_rough_parts(boundary, problem)
     with watch.phase("assembly"):
         check_parts(domain, boundary.named)
-        if start is not None and not same_domain(domain, start.spaces.domain):
-            raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
+        _check_start(domain, start)
         spaces = build_elastic_spaces(domain, boundary, problem.rough)
         data = elastic_data(spaces, problem)
         motions = check_rigid_motions(spaces, data)
@@ -119,6 +119,30 @@ def solve_elastic(
     if solution.converged:
         return solution
     raise NumericalFailure(solution.outcome.reason, solution)
+
+
+def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
+    """The boundary with the parts with friction in Γ_C.
+
+    Raises:
+        InputError: If they are something else.
+    """
+    check_kind("boundary", boundary, ElasticBoundary)
+    check_kind("problem", problem, ElasticProblem)
+    return boundary.touching_on(problem.rough)
+
+
+def _check_start(domain: Domain, start: ElasticSolution | None) -> None:
+    """Refuse a start that is no elastic solution, or on another domain (collective).
+
+    Raises:
+        InputError: If it is.
+    """
+    if start is None:
+        return
+    check_kind("start", start, ElasticSolution)
+    if not same_domain(domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
 
 
 def _on_coarser_mesh(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.discrete.cell_shapes import corners
@@ -106,7 +107,8 @@ def evolve(
         NumericalFailure: If the sets of a step do not settle or a KKT residual is too large; its `solution` is the last
             state.
     """
-    options = options or Options()
+    options = Options.of(options)
+    check_kind("evolution", evolution, Evolution)
     solver = place if isinstance(place, Solver) else Solver(place, gamma_s(boundary, problem))
     if start is not None:
         evolution = replace(evolution, initial=_carried(start, solver.spaces))

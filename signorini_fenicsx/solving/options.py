@@ -1,12 +1,16 @@
 """How a problem is solved: algorithm, backend and their parameters."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from numbers import Real
 
 from signorini_fenicsx.backends.contract import BackendFactory
 from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.backends.mixed import MixedBackend
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tuning import Tuning
@@ -53,10 +57,28 @@ class Options:
             if isinstance(value, str) and value not in known:
                 meant = did_you_mean(value, known)
                 raise InputError(f"{key}: unknown name '{value}'; use one of {', '.join(known)}{meant}")
+        check_kind("algorithm", self.algorithm, str, Method, SetRule)
+        if not callable(self.backend):
+            check_kind("backend", self.backend, str, hint="; a function that makes a backend will do too")
+        check_kind("tuning", self.tuning, Tuning)
         for key in ("rho", "eps", "max_iterations"):
             value = getattr(self, key)
-            if value is not None and not value > 0:
+            if value is None and key != "eps":
+                continue
+            check_kind(key, value, Real)
+            if not value > 0:
                 raise InputError(f"{key}: must be greater than 0, not {value}")
+
+    @classmethod
+    def of(cls, given: Options | None) -> Options:
+        """What was given, or the defaults for None.
+
+        Raises:
+            InputError: If it is something else.
+        """
+        options = Options() if given is None else given
+        check_kind("options", options, Options)
+        return options
 
     @property
     def method(self) -> Method:

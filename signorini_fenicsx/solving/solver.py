@@ -9,6 +9,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.contract import Backend, Iterate, Renewable
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
@@ -65,6 +66,7 @@ class Solver:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
+        check_kind("boundary", boundary, Boundary)
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
@@ -97,7 +99,7 @@ class Solver:
             NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last
                 state.
         """
-        options, watch, spaces = options or Options(), watch or Stopwatch(), self.spaces
+        options, watch, spaces = Options.of(options), watch or Stopwatch(), self.spaces
         method, boundary, comm = options.method, self._boundary, spaces.mesh.comm
         with watch.phase("assembly"):
             data = project_data(spaces, problem, self._known).after(memory)
@@ -232,7 +234,13 @@ def _discretised(domain: Domain, boundary: Boundary, problem: Problem) -> tuple[
 
 
 def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
-    """The boundary with the parts of all laws in Γ_S."""
+    """The boundary with the parts of all laws in Γ_S.
+
+    Raises:
+        InputError: If they are something else.
+    """
+    check_kind("boundary", boundary, Boundary)
+    check_kind("problem", problem, Problem)
     parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
     return replace(boundary, signorini=list(dict.fromkeys(parts)))
 

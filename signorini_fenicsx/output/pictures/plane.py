@@ -17,6 +17,7 @@ from matplotlib.tri import Triangulation
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
+from signorini_fenicsx.output.gather import PARTLY_FIXED
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -162,6 +163,7 @@ class Plane:
         listed += [
             (DIRICHLET in kinds, r"$\Gamma_D$", {"color": "black", "linewidth": 1.2}),
             (NEUMANN in kinds, r"$\Gamma_N$", {"color": "black", "linewidth": 1.2, "linestyle": ":"}),
+            (PARTLY_FIXED in kinds, "partly fixed", {"color": "black", "linewidth": 1.2, "linestyle": "-."}),
             (len(scene.free_boundary()) > 0, "edge of the contact", {"color": style.CONTACT, "linewidth": 1.8}),
             (scene.phreatic_line is not None, "phreatic line", {"color": style.WATER, "linewidth": 1.8}),
             (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
@@ -184,7 +186,7 @@ class Plane:
             axes.plot(*scene.phreatic_line.T, color=style.WATER, linewidth=1.8)
         inner = LineCollection(points[scene.interfaces()], colors="black", linewidths=0.8, linestyles="--")
         axes.add_collection(inner)
-        for kind, look in ((DIRICHLET, "-"), (NEUMANN, ":")):
+        for kind, look in ((DIRICHLET, "-"), (NEUMANN, ":"), (PARTLY_FIXED, "-.")):
             for _, vertices in chains(scene.boundary.vertices[scene.boundary.kind == kind]):
                 axes.plot(*points[vertices].T, color="black", linewidth=1.2, linestyle=look, clip_on=False)
         edge = [patheffects.Stroke(linewidth=4.5, foreground="black"), patheffects.Normal()]
