@@ -89,7 +89,7 @@ class HybridBackend(FacetBackend):
         self._may_be_factorised = iterative and not system.large
         if self._may_be_factorised:
             self._ksp.setTolerances(max_it=MOST_ITERATIONS)
-        make = partial(AuxiliarySpace, self.spaces, self.data, system.sources.s) if iterative else None
+        make = partial(AuxiliarySpace, self.spaces, system) if iterative else None
         self._auxiliary = set_up(self._solver, make)
         self._early_stop = EarlyStop()
         if self._iterates:
@@ -217,7 +217,7 @@ class HybridBackend(FacetBackend):
                 self._renewed = False
             if self._auxiliary is not None:
                 with self._solver.options():
-                    self._auxiliary.update(conditions.take(self.facets), essential, self._system.sources)
+                    self._auxiliary.update(conditions.take(self.facets), essential)
             self._applied, self._iterations = conditions, 0
         try:
             self._solver.solve(self._system.b, self._system.x)
