@@ -45,7 +45,7 @@ class AuxiliarySpace:
         to_jumps = jumps_of_facets(spaces, back=True)
         if self._jumps is not None and to_jumps is not None:
             self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis))
-        self._operator = ConstrainedMatrix(system.natural, PETSc.Mat.Option.SPD, self._interpolation)
+        self._operator = ConstrainedMatrix(self._galerkin(), PETSc.Mat.Option.SPD)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
@@ -65,7 +65,7 @@ class AuxiliarySpace:
         if not self._has_hierarchy:
             self._build_hierarchy()
         if self._system.follows_cells:
-            self._operator.renew()
+            self._galerkin().copy(self._operator.natural, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
         if self._jumps is not None:
             held = np.setdiff1d(held, self._jumps.tips)
@@ -84,6 +84,13 @@ class AuxiliarySpace:
         self._levels.coarse.setFromOptions()
         self._levels.coarse.setUp()
         self._has_hierarchy = True
+
+    def _galerkin(self) -> PETSc.Mat:
+        """The operator without conditions on facets, without what PETSc keeps for another product (collective)."""
+        product = self._system.natural.ptap(self._interpolation)
+        operator = product.duplicate(copy=True)
+        product.destroy()
+        return operator
 
     def _lumped_robin(self, conditions: SiteConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN

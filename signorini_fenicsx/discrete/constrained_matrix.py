@@ -31,16 +31,11 @@ class ConstrainedMatrix:
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(kind, True)
 
-    def renew(self, form: fem.Form | None = None) -> None:
-        """Take over other values with the same sparsity pattern (collective).
-
-        Args:
-            form: Is assembled; None if the matrix given at first has the values.
-        """
-        if form is not None:
-            self._assembled.zeroEntries()
-            assemble_matrix(self._assembled, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
-            self._assembled.assemble()
+    def renew(self, form: fem.Form) -> None:
+        """Assemble again, a form with the same sparsity pattern (collective)."""
+        self._assembled.zeroEntries()
+        assemble_matrix(self._assembled, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
+        self._assembled.assemble()
         if self._basis is not None:
             self._assembled.ptap(self._basis, self.natural)
 
