@@ -2,20 +2,17 @@
 
 import numpy as np
 import numpy.typing as npt
-import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.backends.coarser_levels import use_coarser_meshes
+from signorini_fenicsx.backends.facet_system import FacetSystem
 from signorini_fenicsx.backends.jumps import jumps_of_facets
-from signorini_fenicsx.backends.two_level import TwoLevel, facet_vertices
+from signorini_fenicsx.backends.two_level import TwoLevel, choose_smoother, facet_vertices
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.nodes import Jumps
-from signorini_fenicsx.discrete.sources import Sources
 from signorini_fenicsx.discrete.spaces import Spaces, owned_on_facets
-from signorini_fenicsx.forms.crouzeix_raviart import reaction, stiffness
 
 SMOOTHERS = {
     f"{level}_{name}": value
@@ -27,59 +24,48 @@ estimated. Estimates would cost ten products and twenty reductions on each level
 times: then the preconditioner is indefinite."""
 DEFAULTS = SMOOTHERS | {"mg_coarse_pc_mg_galerkin": "both", "mg_coarse_mg_coarse_pc_gamg_aggressive_coarsening": "0"}
 """The last two matter on refined meshes only, see `coarser_levels`."""
+TIED = 1e-4
+"""Share of its diagonal that makes an operator regular without Γ_D, while GAMG's interpolations are built."""
 
 
 class AuxiliarySpace:
     """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.
 
-    It has the facet conditions too, otherwise many more iterations are needed: vertices of ZERO_TRACE facets and of Γ_D
-    are fixed, ROBIN facets add their lumped mass. Where the facet system has jumps, P1 has them too. Cells in contact
-    with an obstacle add what they add to the system.
+    Its operator is Galerkin's, which is that of P1. It has the facet conditions too, otherwise many more iterations are
+    needed: vertices of ZERO_TRACE facets and of Γ_D are fixed, ROBIN facets add their lumped mass. Where the facet
+    system has jumps, P1 has them too.
     """
 
-    def __init__(self, spaces: Spaces, data: Data, s: fem.Function | None, pc: PETSc.PC):
-        """Assemble the P1 operator and the interpolation, and make `pc` a two-level multigrid (collective).
-
-        `s` is that of the sources of the facet system, see `Sources`.
-        """
-        self._spaces, self._weak = spaces, data.conductance
+    def __init__(self, spaces: Spaces, system: FacetSystem, pc: PETSc.PC):
+        """Make the interpolation and the P1 operator, and make `pc` a two-level multigrid (collective)."""
+        self._spaces, self._system = spaces, system
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
-        u, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        form, self._s = stiffness(u, v, ufl.dx, data.kappa_h), None if s is None else s.copy()
-        if self._s is not None:
-            form += reaction(u, v, ufl.dx, self._s)
-        self._form, self._by_cells = fem.form(form), data.obstacle is not None
         self._jumps = Jumps.of(self._space, spaces)
-        basis = None if self._jumps is None else self._jumps.basis
-        self._operator = ConstrainedMatrix(self._form, PETSc.Mat.Option.SPD, basis)
-        self._beta = fem.Function(spaces.Lambda)
-        self._robin = spaces.form(self._beta * v * spaces.ds)
+        self._interpolation = facet_means(self._space, system.space)
+        to_jumps = jumps_of_facets(spaces, back=True)
+        if self._jumps is not None and to_jumps is not None:
+            self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis))
+        self._operator = ConstrainedMatrix(self._galerkin(), PETSc.Mat.Option.SPD)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
-
-        interpolation = facet_means(self._space, data.u_lift.function_space)
-        to_jumps = jumps_of_facets(spaces, back=True)
-        if to_jumps is not None:
-            interpolation = to_jumps.matMult(interpolation.matMult(basis))
-        self._levels = TwoLevel(pc, interpolation, "jacobi")
+        self._levels = TwoLevel(pc, self._interpolation)
+        choose_smoother(pc, 1, spaces.mesh.topology.dim, jumps=self._jumps is not None)
         self._levels.coarse.setOperators(self._operator.matrix)
         if self._jumps is None:
             use_coarser_meshes(self._levels.coarse.getPC(), self._space, spaces.domain)
 
-    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32], present: Sources) -> None:
-        """Take over new facet conditions (collective).
+    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
+        """Take over new facet conditions, which the system has (collective).
 
         Args:
             conditions: Conditions of the Γ_S facets.
             essential: Owned Crouzeix-Raviart unknowns that are fixed.
-            present: The sources under these conditions and those of the cells.
         """
         if not self._has_hierarchy:
             self._build_hierarchy()
-        if self._by_cells and self._s is not None and present.s is not None:
-            self._s.x.array[:] = present.s.x.array
-            self._operator.renew(self._form)
+        if self._system.follows_cells:
+            self._galerkin().copy(self._operator.natural, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
         if self._jumps is not None:
             held = np.setdiff1d(held, self._jumps.tips)
@@ -93,30 +79,27 @@ class AuxiliarySpace:
         Those of GAMG come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
         errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
         """
-        if self._by_cells and self._s is not None and not self._spaces.has_dirichlet:
-            self._s.x.array[:] = self._weak / self._spaces.length
-            self._operator.renew(self._form)
-        self._operator.impose(self._dirichlet, self._all, self._tied_down())
+        share = 0.0 if self._spaces.has_dirichlet else TIED
+        self._operator.impose(self._dirichlet, self._all, share * self._operator.natural.getDiagonal().array_r)
         self._levels.coarse.setFromOptions()
         self._levels.coarse.setUp()
         self._has_hierarchy = True
 
-    def _tied_down(self) -> npt.NDArray[np.float64]:
-        """What makes the operator regular without Γ_D: a weak Robin condition on Γ_S."""
-        spaces = self._spaces
-        if spaces.has_dirichlet:
-            return np.zeros(len(self._all))
-        return self._lumped_robin(SiteConditions.everywhere(Condition.ROBIN, len(spaces.facets), self._weak))
+    def _galerkin(self) -> PETSc.Mat:
+        """The operator without conditions on facets, without what PETSc keeps for another product (collective)."""
+        product = self._system.natural.ptap(self._interpolation)
+        operator = product.duplicate(copy=True)
+        product.destroy()
+        return operator
 
     def _lumped_robin(self, conditions: SiteConditions) -> npt.NDArray[np.float64]:
         robin = conditions.kind == Condition.ROBIN
-        self._beta.x.array[: len(robin)] = np.where(robin, conditions.beta, 0.0)
-        self._beta.x.scatter_forward()
-        lumped = fem.assemble_vector(self._robin)
-        lumped.scatter_reverse(la.InsertMode.add)
-        if self._jumps is not None:
-            lumped.array[self._jumps.tips] = 0.0
-        return lumped.array[: len(self._all)]
+        lumped, of_facets = self._interpolation.createVecs()
+        of_facets.set(0.0)
+        added = conditions.beta_where(robin) * self._spaces.facet_measure[robin]
+        of_facets.array_w[self._system.trace_dofs[robin]] = added
+        self._interpolation.multTranspose(of_facets, lumped)
+        return lumped.array_r
 
 
 def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:

@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from signorini_fenicsx.backends.two_level import choose_smoother
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.uniform import parents
@@ -30,8 +31,7 @@ def use_coarser_meshes(pc: PETSc.PC, space: fem.FunctionSpace, domain: Domain) -
     pc.setMGLevels(len(steps) + 1)
     for level, step in enumerate(reversed(steps), start=1):
         pc.setMGInterpolation(level, step)
-        pc.getMGSmoother(level).setType("chebyshev")
-        pc.getMGSmoother(level).getPC().setType("jacobi")
+        choose_smoother(pc, level, domain.mesh.topology.dim)
     coarsest = pc.getMGCoarseSolve()
     coarsest.setType("preonly")
     coarsest.getPC().setType("gamg")

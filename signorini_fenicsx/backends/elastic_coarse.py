@@ -53,7 +53,9 @@ class ElasticCoarse:
         system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
         self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
         interpolation = trace_interpolation(spaces, self._space, normals=normals)
-        self._levels = TwoLevel(pc, interpolation, "vpbjacobi")  # pbjacobi keeps its first blocks
+        self._levels = TwoLevel(pc, interpolation)
+        pc.getMGSmoother(1).setType("chebyshev")
+        pc.getMGSmoother(1).getPC().setType("vpbjacobi")  # pbjacobi keeps its first blocks
         if normals:
             set_direct(self._levels.coarse, "cholesky")
         self._matrix: PETSc.Mat | None = None

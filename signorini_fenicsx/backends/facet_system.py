@@ -70,6 +70,16 @@ class FacetSystem:
         self._rows: PETSc.Mat | None = None
         self._take(data)
 
+    @property
+    def natural(self) -> PETSc.Mat:
+        """The matrix without conditions on facets."""
+        return self._operator.natural
+
+    @property
+    def follows_cells(self) -> bool:
+        """Whether conditions of cells change `natural`."""
+        return self._data.obstacle is not None
+
     def _form(self, data: Data) -> fem.Form:
         """The bilinear form (collective)."""
         spaces, s = self.spaces, self.sources.s

@@ -67,7 +67,7 @@ class HybridBackend(FacetBackend):
         self._regret = math.inf
         self.dofs = system.dofs
         iterative = multigrid or system.large or self.dofs >= self._tuning.predict_from
-        make = partial(AuxiliarySpace, spaces, data, system.sources.s) if iterative else None
+        make = partial(AuxiliarySpace, spaces, system) if iterative else None
         most = None if system.large else MOST_ITERATIONS
         self._solver = FacetSolver(system.matrix, prefix, DEFAULTS, make, most)
         self._earlier, self._renewed = EarlierSolutions(), False
@@ -189,7 +189,7 @@ class HybridBackend(FacetBackend):
                 self._renewed = False
             if self._solver.levels is not None:
                 with self._solver.options():
-                    self._solver.levels.update(conditions.take(self.facets), essential, self._system.sources)
+                    self._solver.levels.update(conditions.take(self.facets), essential)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._solver.ksp.getIterationNumber()
