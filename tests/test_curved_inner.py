@@ -1,4 +1,4 @@
-"""A part inside the domain that is a circle, with data by region; loads of a high degree in space; both nearly 0."""
+"""Parts inside the domain that are circles, data by region, loads of a high degree in space, `qp` beside an edge."""
 
 from pathlib import Path
 
