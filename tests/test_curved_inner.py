@@ -1,4 +1,4 @@
-"""A part inside the domain that is a circle, with data by region; and loads of a high degree in space."""
+"""Parts inside the domain that are circles, data by region, loads of a high degree in space, `qp` beside an edge."""
 
 from pathlib import Path
 
@@ -89,3 +89,33 @@ def test_load_of_a_high_degree_in_space():
     """Its square has a degree that basix's smaller quadratures do not have."""
     solution = solve_case(load_case("cube").with_values({"solve.h": 0.9, "problem.f": "x^8"}), MPI.COMM_SELF)
     assert certify(solution).guaranteed
+
+
+def test_quadratic_programme_near_the_edge_of_contact():
+    """An interior-point method solves it to its KKT residual also where jump and flux are both nearly 0."""
+    past, before = "max(x - 0.302442, 0)", "max(0.302442 - x, 0)"
+    upper = f"0.785352*{past}^3 + -0.00873253*x + -0.0663438*x^2 - y*0.825339*{before}^3/0.12784"
+    lower = f"-0.214648*{past}^3 - y*0.825339*{before}^3/5.13189"
+    loads = {
+        "upper": f"-0.602398*{past} - -0.0169628 + 6*y*0.825339*{before} + 10.0*({upper})",
+        "lower": f"6.60931*{past} + 6*y*0.825339*{before} + 10.0*({lower})",
+    }
+    case = load_case("fault").with_values(
+        {
+            "boundary.neumann": [],
+            "law": [{"parts": ["fault"], "kind": "signorini", "psi": "-0.00873253*x + -0.0663438*x^2"}],
+            "problem.f": loads,
+            "problem.kappa": {"upper": 0.12784, "lower": 5.13189},
+            "problem.c": 10.0,
+            "problem.g_N": 0,
+            "problem.u_D": f"{upper} if y > 0 else {lower}",
+            "exact.u": {"upper": upper, "lower": lower},
+        }
+    )
+    solution, other = (
+        solve_case(case.with_values({"solve.algorithm": name}), MPI.COMM_SELF) for name in ("alg1", "qp")
+    )
+    np.testing.assert_allclose(
+        other.p.x.array, solution.p.x.array, rtol=0, atol=1e-8 * np.abs(solution.u.x.array).max()
+    )
+    assert 1 <= certify(solution).sigma_bound / energy_error(solution) < 1.1

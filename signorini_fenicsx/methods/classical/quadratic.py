@@ -31,7 +31,7 @@ from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.base.tolerances import LINEAR, ROUNDING
 from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.kkt import touching
 from signorini_fenicsx.discrete.spaces import Spaces, assembled
@@ -185,6 +185,9 @@ class _Programme:
     def solve(self, max_iterations: int) -> tuple[Array, Array, str, int]:
         """Solve by PIQP, with unknowns and rows of one size, whatever κ and the cells are like.
 
+        As far as rounding allows: where p and σ·n are both nearly 0, an interior-point method knows them only up to the
+        root of its gap.
+
         Returns:
             x, the multipliers of Bx = g, PIQP's status and its number of iterations.
         """
@@ -197,8 +200,6 @@ class _Programme:
         if scale == 0:
             return np.zeros(len(linear)), np.zeros(len(right)), piqp.PIQP_SOLVED.name, 0
         solver = piqp.SparseSolver()
-        solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = LINEAR  # for data of size 1
-        solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = LINEAR  # for data of size 1
         solver.settings.max_iter = max_iterations
         lower, upper = np.split(ends / scale, 2)
         solver.setup(
@@ -209,7 +210,12 @@ class _Programme:
             x_l=lower,
             x_u=upper,
         )
-        status = solver.solve()
+        for tolerance in (ROUNDING, LINEAR):  # for data of size 1
+            solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = tolerance
+            solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = tolerance
+            status = solver.solve()
+            if status == piqp.PIQP_SOLVED:
+                break
         result = solver.result
         x, y = scale * self.size * np.asarray(result.x), scale * of_row * np.asarray(result.y)
         return x, y, status.name, int(result.info.iter)
