@@ -29,7 +29,7 @@ FUNCTIONS = {
     "patterns of matrices": ("petsc.py:create_matrix",),
     "recovery": ("facet_system.py:recover",),
     "linear solves": ("petsc.py:solve",),
-    "test of the sets in each iteration": ("petsc.py:__call__",),
+    "test of the sets in each iteration": ("facet_solver.py:__call__",),
     "solves on patches": ("prediction.py:_settled_nearby",),
     "conditions": ("auxiliary_space.py:update", "facet_system.py:apply"),
 }
