@@ -45,7 +45,7 @@ class Tuning:
     coarsen_from: int = 30_000
     predict_obstacle_from: int = 300
     patience: int = 2
-    leeway: float = 0.05
+    leeway: float = 0.02
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})
     patch_share: float = 0.02
     patch_steps: int = 10
