@@ -35,16 +35,9 @@ class ProblemTexts(Section):
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        found = [(name, getattr(self, name)) for name in ("u_D", "g_N", "psi", "q_S")]
-        found += [] if self.obstacle is None else [("obstacle", self.obstacle)]
-        values: list[tuple[str, str | list[list[str]]]] = []
-        for name, whole in (("f", self.f), ("kappa", self.kappa), ("c", self.c)):
-            values += (
-                [(f"{name}.{key}", part) for key, part in whole.items()] if isinstance(whole, dict) else [(name, whole)]
-            )
-        for name, value in values:
-            found += [(name, value)] if isinstance(value, str) else [(name, entry) for row in value for entry in row]
-        return found
+        names = "u_D", "g_N", "psi", "q_S", "obstacle", "f", "kappa", "c"
+        given = [(name, getattr(self, name)) for name in names]
+        return [entry for name, text in given if text is not None for entry in texts_of(name, text)]
 
     def read(self, names: str) -> Problem:
         """The data as trees in these variables.

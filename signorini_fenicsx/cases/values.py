@@ -1,5 +1,7 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
+import itertools
+from collections.abc import Mapping
 from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -120,12 +122,18 @@ def _text_by_region(value: object) -> object:
     return texts if isinstance(value, dict) else texts[""]
 
 
-def texts_of(name: str, given: str | dict[str, str]) -> list[tuple[str, str]]:
-    """An expression with its name, or the one of each region with name and region."""
-    return [(name, given)] if isinstance(given, str) else [(f"{name}.{region}", text) for region, text in given.items()]
+type Text = str | list[list[str]]
+type ConductivityText = Text | dict[str, Text]
 
 
-type ConductivityText = str | list[list[str]] | dict[str, str | list[list[str]]]
+def texts_of(name: str, given: Text | Mapping[str, Text]) -> list[tuple[str, str]]:
+    """Each expression with its name, to which that of its region is added; those of a matrix share a name."""
+    values = {f"{name}.{key}": text for key, text in given.items()} if isinstance(given, Mapping) else {name: given}
+    found = []
+    for key, value in values.items():
+        found += [(key, text) for text in ([value] if isinstance(value, str) else itertools.chain(*value))]
+    return found
+
 
 Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(number)]
