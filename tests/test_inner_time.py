@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from test_inner import energy_error
-from test_time_files import run, table
+from test_time_files import run_in_two, table
 
-from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.meshes.uniform import refined_uniformly
-from signorini_fenicsx.output.steps import StepFolder
 
 COMM = MPI.COMM_WORLD
 OPEN, SHUT = "max(x - 0.3 - 0.4*t, 0)", "max(0.3 + 0.4*t - x, 0)"
@@ -70,18 +68,8 @@ def test_bounds_of_steps():
 @pytest.mark.parallel(2)
 def test_ranks_and_a_restart(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """On two ranks, after a failure, the run goes on; the files are those of a run on one rank."""
-    case, save = opening(), StepFolder.save
-
-    def ended(steps: StepFolder, instant: object, row: object) -> None:
-        save(steps, instant, row)
-        if instant.step == 2:
-            raise NumericalFailure("ended", instant.solution)
-
-    monkeypatch.setattr(StepFolder, "save", ended)
-    with pytest.raises(NumericalFailure):
-        run(case, folder / "x", certify_steps=False)
-    monkeypatch.setattr(StepFolder, "save", save)
-    run(case, folder / "x", restart=True, certify_steps=False)
+    case = opening()
+    run_in_two(case, folder / "x", 2, monkeypatch)
     last = None
     for instant in evolve_case(case, MPI.COMM_SELF):
         last = instant.solution

@@ -57,6 +57,22 @@ def run(
     solve_in_time(about, COMM, folder, start_from, **kept, plot=plot, quiet=True, as_json=False)
 
 
+def run_in_two(about: Case, folder: Path, step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run without bounds, fail after a step, and go on."""
+    save = StepFolder.save
+
+    def ended(steps: StepFolder, instant: object, row: object) -> None:
+        save(steps, instant, row)
+        if instant.step == step:
+            raise NumericalFailure("ended", instant.solution)
+
+    monkeypatch.setattr(StepFolder, "save", ended)
+    with pytest.raises(NumericalFailure):
+        run(about, folder, certify_steps=False)
+    monkeypatch.setattr(StepFolder, "save", save)
+    run(about, folder, restart=True, certify_steps=False)
+
+
 def table(path: Path) -> list[dict[str, Any]]:
     with path.open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
@@ -259,17 +275,6 @@ def test_an_obstacle_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert float(rows[-1]["cells_measure"]) == pytest.approx(last["contact_measure"])
     assert all(float(row["bound"]) < 10 for row in rows)
     assert (tmp_path / "whole" / "contact.png").stat().st_size > 1000
-    save = StepFolder.save
-
-    def ended(steps: StepFolder, instant: object, row: object) -> None:
-        save(steps, instant, row)
-        if instant.step == 3:
-            raise NumericalFailure("ended", instant.solution)
-
-    monkeypatch.setattr(StepFolder, "save", ended)
-    with pytest.raises(NumericalFailure):
-        run(falling, tmp_path / "x", certify_steps=False)
-    monkeypatch.setattr(StepFolder, "save", save)
-    run(falling, tmp_path / "x", restart=True, certify_steps=False)
+    run_in_two(falling, tmp_path / "x", 3, monkeypatch)
     again = table(tmp_path / "x" / "steps.csv")
     assert [row["contact_cells"] for row in again] == [row["contact_cells"] for row in rows]
