@@ -1,0 +1,487 @@
+"""What the program can do, as commands with their results: a net under every change of the code that keeps results.
+
+Each `Capability` is some commands in one folder. Its results are the exit status of each command and, of every file
+that the last one wrote, numbers that depend neither on the number of ranks nor on time: those of JSON files, and for
+each column of a table and each array of a checkpoint its sum and its size.
+
+Usage: mpirun -n RANKS python tests/capabilities.py record FILE [WORD]     write the results of all, or of those with
+                                                                           this word in their names
+       python tests/capabilities.py compare BEFORE AFTER                   print the largest differences; status 1 if
+                                                                           one is too large
+
+`tests/capabilities.json` holds the results that `test_capabilities.py` compares with.
+"""
+
+import contextlib
+import csv
+import io
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Set
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.parallel import collect_garbage, collector_off
+from signorini_fenicsx.cli.main import main
+from signorini_fenicsx.output.steps import StepFolder
+
+COMM = MPI.COMM_WORLD
+GOLDEN = Path(__file__).with_name("capabilities.json")
+OF_0_4 = Path(__file__).with_name("results_of_0.4")
+TOLERANCE = 1e-10
+"""Largest difference of a number, relative to its own size or to that of the numbers beside it."""
+OF_ONE_RUN = {"timings", "peak_memory", "ranks", "versions", "command", "seconds", "reason", "linear_iterations"}
+"""Names whose values differ from run to run."""
+ROUNDING = {"kkt", "own_residual", "remainder", "divergence.npy"}
+"""Names of numbers that may be rounding."""
+TIES = {"contact", "contact_facets", "contact_measure", "condition=zero_trace", "segment=contact", "iterations"}
+TIES |= {"condition=no_flux", "segment=open", "relative", "oscillation"}
+"""Names of numbers that depend on the side on which sites are whose p and flux are both rounding."""
+PATH = {"changed", "zero_trace", "no_flux", "sigma_change", "u_change"}
+"""Names of numbers of steps on the way to the solution."""
+STRUCTURED = ("--set", "geometry.mesh=structured")
+
+TWO_PARTS = """
+[geometry]
+shape = "square"
+mesh = "structured"
+[boundary]
+signorini = ["bottom"]
+neumann = ["left"]
+[problem]
+f = "30*(x - 0.4)"
+kappa = [["2 + x", "0.3"], ["0.3", "1 + y"]]
+psi = "-0.05 + 0.1*x"
+q_S = "0.1*y - 0.2"
+g_N = "0.3*y"
+u_D = "0.2*x"
+[[law]]
+parts = ["right"]
+kind = "regulator"
+k = "2 + y"
+g_low = -0.3
+g_high = 0.2
+a = 0.1
+[solve]
+h = "1/8"
+"""
+CROSSED = """
+[geometry]
+file = "FAULT"
+[boundary]
+inner = ["fault"]
+sides = {fault = "upper"}
+neumann = ["left", "right"]
+[[law]]
+parts = ["fault"]
+kind = "signorini"
+psi = -0.01
+[problem]
+f = "-2 if y > 0 else -1"
+kappa = {upper = 1, lower = [[2, 0.2], [0.2, 1]]}
+obstacle = "-0.15 + 0.05*x"
+"""
+REACTION = """
+[geometry]
+shape = "cube"
+mesh = "structured"
+[boundary]
+signorini = ["bottom", "left"]
+neumann = ["top"]
+[problem]
+f = "20*(x - 0.5)"
+c = "1 + x"
+kappa = "1 + z"
+[[law]]
+parts = ["right"]
+kind = "graph"
+corners = [[-0.1, 0.2], [0, 0.1], [0.1, 0.1]]
+before = "vertical"
+[solve]
+h = "1/3"
+"""
+BLOCK = """
+physics = "elasticity"
+[geometry]
+shape = "cube"
+mesh = "structured"
+[boundary]
+contact = ["bottom"]
+neumann = ["left", "right", "back"]
+fixed = {front = "n"}
+[problem]
+young = "1 + z"
+poisson = 0.3
+f = ["0", "0", "-0.1*x"]
+u_D = ["0", "0", "-0.05"]
+gap = "0.02*(x - 0.5)^2"
+[solve]
+h = "1/2"
+"""
+TRESCA = """
+physics = "elasticity"
+[geometry]
+shape = "[0, 2] x [0, 1]"
+mesh = "structured"
+[boundary]
+contact = ["bottom"]
+neumann = ["left", "right"]
+[[law]]
+kind = "friction"
+parts = ["bottom"]
+MU
+[problem]
+young = 1
+poisson = 0.3
+u_D = ["0.02", "-0.03"]
+[solve]
+h = "1/4"
+"""
+ENDED = "ended after step 2"
+"""In front of a command in time: it ends as if a solve of step 3 had failed."""
+STUDY = """
+title = "a study"
+case = "example1"
+[set]
+h = "1/8"
+"geometry.mesh" = "structured"
+[vary]
+algorithm = ["alg1", "alg3"]
+eps = [1e-2, 1e-4]
+"""
+
+
+@dataclass(frozen=True)
+class Capability:
+    """Commands that are run one after another in one folder.
+
+    Attributes:
+        name: What it is called.
+        commands: Each a command line of `signorini`.
+        status: Exit status of the last command; the others end with 0.
+        files: Texts of files by their names.
+        slow: Whether it takes more than a few seconds.
+        beside: Names of numbers that are not compared.
+    """
+
+    name: str
+    commands: tuple[tuple[str, ...], ...]
+    status: int = 0
+    files: dict[str, str] = field(default_factory=dict)
+    slow: bool = False
+    beside: frozenset[str] = frozenset()
+
+
+def solved(
+    case: str,
+    *options: str,
+    h: str | None = None,
+    slow: bool = False,
+    status: int = 0,
+    beside: Set[str] = frozenset(),
+    **files: str,
+) -> Capability:
+    """A case solved, with its results in the folder `out`."""
+    size = () if h is None else ("--h", h)
+    name = " ".join(["solve", case, *size, *options])
+    texts = {f"{key}.toml": text for key, text in files.items()}
+    return Capability(
+        name, (("solve", case, *size, *options, "--output", "out"),), status, texts, slow, frozenset(beside)
+    )
+
+
+def then(first: Capability, *options: str, status: int = 0, slow: bool = False) -> Capability:
+    """A command after another one; it writes to the folder `out2`."""
+    command = (*options, "--output", "out2")
+    return Capability(f"{first.name}; {' '.join(options)}", (*first.commands, command), status, first.files, slow)
+
+
+def _shipped() -> Iterator[Capability]:
+    """All shipped cases on coarse meshes."""
+    for case in ("example1", "example4", "biactive", "singular", "transition", "wall", "regulator", "two_sided"):
+        yield solved(case, *STRUCTURED, h="1/8")
+    for case in ("staircase", "friction"):
+        yield solved(case, *STRUCTURED, h="1/8")
+    for case in ("example2", "example5"):
+        yield solved(case, *STRUCTURED, h="1/4")
+    for case in ("example3", "example6", "crack"):
+        yield solved(case, h="1/4")
+    for case in ("cube", "singular3d", "transition3d"):
+        yield solved(case, *STRUCTURED, h="1/3")
+    for case in ("lprism", "edge"):
+        yield solved(case, *STRUCTURED, h="1/2")
+    yield solved("ball", h="1/2")
+    for case in ("dam", "electropainting", "fault"):
+        yield solved(case)
+    yield solved("sphere", *STRUCTURED, h="1/2")
+    yield solved("dam_baiocchi", *STRUCTURED, h="2", beside=PATH)
+    yield solved("hertz", *STRUCTURED, h="1/8")
+    yield solved("clamp", "--h", "4")
+    few = ("--set", "time.steps=4", "--certify-steps")
+    yield solved("membrane", *STRUCTURED, *few, h="1/6", beside=TIES)
+    yield solved("moving_transition", *STRUCTURED, *few, h="1/6")
+    yield solved("seepage_falling", *few)
+
+
+def _methods() -> Iterator[Capability]:
+    """Methods and backends."""
+    for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "snes2", "vi", "qp"):
+        beside = PATH if algorithm in ("snes1", "snes2", "vi") else frozenset()
+        yield solved("example5", *STRUCTURED, "--algorithm", algorithm, h="1/4", beside=beside)
+    for algorithm in ("primal-pdas", "primal-penalty", "psor", "mixed-uzawa1", "mixed-uzawa2", "mixed-uzawa-h12"):
+        yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6")
+    for algorithm in ("uzawa", "mixed-uzawa-wang", "slimane"):
+        yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6")
+    for case in ("example2", "friction", "sphere"):
+        yield solved(case, *STRUCTURED, "--backend", "mixed", h="1/2")
+    yield solved("fault", "--algorithm", "alg2", "--backend", "mixed")
+    yield solved("fault", "--algorithm", "qp")
+    yield solved("example4", *STRUCTURED, "--algorithm", "alg4", "--eps", "1e-3", "--for-signorini", h="1/8")
+    yield solved("hertz", *STRUCTURED, "--algorithm", "alg2", h="1/8")
+    yield solved("example1", *STRUCTURED, "--set", "solve.max_iterations=1", h="1/8", status=1)
+    yield solved("example1", *STRUCTURED, "--algorithm", "alg9", h="1/8", status=2)
+    yield solved("hertz", "--algorithm", "qp", status=2)
+    yield solved("transition", *STRUCTURED, h="2^-7", slow=True)
+    yield solved("example1", *STRUCTURED, h="2^-7", slow=True)
+
+
+def _rare() -> Iterator[Capability]:
+    """Paths that are taken seldom."""
+    yield solved("own.toml", own=TWO_PARTS)
+    yield solved("own.toml", "--backend", "mixed", "--algorithm", "alg2", own=TWO_PARTS)
+    yield solved("crossed.toml", crossed=CROSSED)
+    yield solved("reaction.toml", reaction=REACTION)
+    yield solved("block.toml", block=BLOCK)
+    yield solved("tresca.toml", tresca=TRESCA.replace("MU", "g = 0.01"))
+    yield solved("coulomb.toml", coulomb=TRESCA.replace("MU", "mu = 0.3"))
+    yield solved("example1", *STRUCTURED, "--rigorous", h="1/8")
+    yield solved("cube", *STRUCTURED, "--rigorous", h="1/2")
+    yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2")
+    yield solved("hertz", *STRUCTURED, "--plot", h="1/4")
+    yield then(
+        solved("example1", *STRUCTURED, h="1/4"), "solve", "example1", *STRUCTURED, "--h", "1/8", "--start-from", "out"
+    )
+    yield then(
+        solved("hertz", *STRUCTURED, h="1/4"), "solve", "hertz", *STRUCTURED, "--h", "1/8", "--start-from", "out"
+    )
+    short = ("--set", "time.steps=4")
+    yield then(solved("membrane", *STRUCTURED, *short, h="1/4"), "export", "out")
+    steps = ("solve", "moving_transition", *STRUCTURED, "--h", "1/4", "--set", "time.steps=4", "--output", "out")
+    yield Capability("restart", ((ENDED, *steps), (*steps, "--restart")))
+    for case in ("example2", "hertz"):
+        yield then(solved(case, *STRUCTURED, h="1/4"), "export", "out")
+        twice = solved(case, *STRUCTURED, h="1/4")
+        other = ("solve", case, *STRUCTURED, "--h", "1/8", "--output", "finer")
+        yield Capability(f"compare {case}", (*twice.commands, other, ("compare", "out", "finer", "--output", "out2")))
+    bounded = ("--max-cells", "600", "--output", "out")
+    for case, h in (("example5", "1/2"), ("hertz", "1/4"), ("cube", "1/2"), ("friction", "1/4")):
+        command = ("adapt", case, *STRUCTURED, "--h", h, *bounded)
+        beside = frozenset({"checkpoint"})  # of edges that are equally long the number decides which one is halved
+        yield Capability(f"adapt {case}", (command,), beside=beside)
+    levels = ("--levels", "1:2", "--reference", "4", "--output", "out")
+    yield Capability("convergence example1", (("convergence", "example1", *STRUCTURED, *levels),))
+    by_eps = ("--vary", "eps", "--levels", "1:3", "--h", "1/8", "--output", "out")
+    yield Capability("convergence in eps", (("convergence", "example4", *STRUCTURED, *by_eps),))
+    yield Capability("study", (("study", "study.toml", "--output", "out"),), files={"study.toml": STUDY})
+
+
+def _of_0_4() -> Iterator[Capability]:
+    """Results that version 0.4 has written."""
+    for folder in sorted(OF_0_4.glob("*")):
+        yield Capability(f"export {folder.name} of 0.4", (("export", str(folder), "--output", "out"),))
+        if folder.name != "moving_transition":
+            finer = ("solve", folder.name, *STRUCTURED, "--h", "1/3", "--output", "finer")
+            both = ("compare", str(folder), "finer", "--output", "out")
+            yield Capability(f"compare {folder.name} of 0.4", (finer, both))
+
+
+def capabilities() -> list[Capability]:
+    """All of them."""
+    return [*_shipped(), *_methods(), *_rare(), *_of_0_4()]
+
+
+def run(capability: Capability, folder: Path) -> dict[str, Any]:
+    """The results of a capability in an empty folder; the same on all ranks (collective).
+
+    Returns:
+        The exit status of each command, and the numbers of the files in the output of the last one.
+    """
+    if COMM.rank == 0:
+        for name, text in capability.files.items():
+            fault = Path(__file__).parents[1] / "data" / "meshes" / "fault.msh"
+            (folder / name).write_text(text.replace("FAULT", str(fault)), encoding="utf-8")
+    COMM.Barrier()
+    statuses = [_status(folder, command) for command in capability.commands]
+    numbers: dict[str, list[float]] = {}
+    if COMM.rank == 0 and statuses[-1] != 2:
+        last = capability.commands[-1]
+        numbers = of_folder(folder / last[last.index("--output") + 1])
+    return {"status": statuses, "numbers": COMM.bcast(numbers)}
+
+
+def _status(folder: Path, command: tuple[str, ...]) -> int:
+    """The exit status of a command line of `signorini` in a folder (collective)."""
+    silent = io.StringIO()
+    if command[0] == ENDED:
+        with mock.patch.object(StepFolder, "save", _ended_after(2, StepFolder.save)):
+            return _status(folder, command[1:])
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(silent),
+        contextlib.redirect_stderr(silent),
+        mock.patch.object(sys, "argv", ["signorini", *command]),
+    ):
+        try:
+            main()
+        except SystemExit as end:
+            (status,) = set(COMM.allgather(end.code))
+    return int(status or 0)
+
+
+def _ended_after(step: int, save: Callable[..., None]) -> Callable[..., None]:
+    """A function that saves a step and fails after the one with this number."""
+
+    def ended(steps: StepFolder, instant: Any, row: Any) -> None:
+        save(steps, instant, row)
+        if instant.step == step:
+            raise NumericalFailure("ended", instant.solution)
+
+    return ended
+
+
+def of_folder(folder: Path) -> dict[str, list[float]]:
+    """Sum and size of what the files of a folder hold, by file and name; of pictures and the like that they exist."""
+    found: dict[str, list[float]] = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.suffix == ".json" and path.parent.suffix != ".bp" and path.name != "files.json":
+            content = json.loads(path.read_text(encoding="utf-8"))
+            found |= _of_json({key: value for key, value in content.items() if key != "history"}, name)
+        elif path.suffix == ".csv" and path.name != "timings.csv":
+            found |= _of_table(path, name)
+        elif path.suffix == ".npy":
+            found |= _of_array(np.load(path), name)
+        elif path.suffix in (".png", ".html", ".xdmf", ".h5", ".bp", ".parquet"):
+            found[name] = []
+    return found
+
+
+def _of_json(value: Any, name: str) -> dict[str, list[float]]:
+    if name.rsplit("/", 1)[-1] in OF_ONE_RUN:
+        return {}
+    if isinstance(value, dict):
+        return {
+            key: numbers for part, inner in value.items() for key, numbers in _of_json(inner, f"{name}/{part}").items()
+        }
+    if isinstance(value, list):
+        return {
+            key: numbers
+            for part, inner in enumerate(value)
+            for key, numbers in _of_json(inner, f"{name}/{part}").items()
+        }
+    return {name: [float(value)]} if isinstance(value, bool | int | float) else {}
+
+
+def _of_table(path: Path, name: str) -> dict[str, list[float]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    found: dict[str, list[float]] = {f"{name}/rows": [float(len(rows))]}
+    for column in rows[0] if rows else ():
+        texts = [row[column] for row in rows]
+        if column in OF_ONE_RUN:
+            continue
+        try:
+            found |= _of_array(np.array([float(text) for text in texts if text]), f"{name}/{column}")
+        except ValueError:
+            found |= {f"{name}/{column}={text}": [float(texts.count(text))] for text in sorted(set(texts))}
+    return found
+
+
+def _of_array(values: np.ndarray, name: str) -> dict[str, list[float]]:
+    """Sum and size of an array, each column of a matrix by itself; places of cells in files depend on ranks."""
+    if values.dtype.kind not in "fb":  # whole numbers are numbers of things, which depend on ranks
+        return {}
+    columns = np.asarray(values, dtype=float).reshape(len(np.atleast_1d(values)), int(np.prod(values.shape[1:])))
+    whole = columns[np.isfinite(columns).all(axis=1)]
+    return {name: [*whole.sum(axis=0).tolist(), float(np.sqrt((whole**2).sum())), float(np.abs(whole).sum())]}
+
+
+def _group(name: str) -> str:
+    """The numbers beside a number: those of a file that have the same first key, those of an array."""
+    file, _, keys = name.partition(".json/")
+    return f"{file}.json/{keys.split('/')[0]}" if keys else name
+
+
+def differences(
+    before: dict[str, Any], after: dict[str, Any], beside: Set[str] = frozenset()
+) -> list[tuple[float, str]]:
+    """What two results differ in, but for names in `beside`, with the size of each difference, the largest first.
+
+    A difference is relative to the largest number beside it; it is infinite where something is missing.
+    """
+    if before["status"] != after["status"]:
+        return [(np.inf, f"exit status {before['status']} and {after['status']}")]
+    one, other = before["numbers"], after["numbers"]
+    found = [(np.inf, f"{name}: only in one") for name in sorted(one.keys() ^ other.keys())]
+    scales: dict[str, float] = {}
+    for name, values in one.items():
+        group = _group(name)
+        scales[group] = max(scales.get(group, 0.0), *np.abs(np.nan_to_num(values)), 0.0)
+    for name in one.keys() & other.keys():
+        a, b = np.array(one[name]), np.array(other[name])
+        if (ROUNDING | beside) & set(name.split("/")):
+            continue
+        if a.shape != b.shape:
+            found.append((np.inf, f"{name}: {a.shape} and {b.shape} numbers"))
+        elif len(a) and not np.array_equal(a, b, equal_nan=True):
+            off = np.abs(a - b).max() / max(scales[_group(name)], 1e-300)
+            found.append((float(off) if np.isfinite(off) else np.inf, name))
+    return sorted(found, reverse=True)
+
+
+@collector_off()
+def record(path: Path, word: str) -> None:
+    """Write the results of all capabilities, or of those with this word in their names (collective)."""
+    found = {}
+    for capability in capabilities():
+        if word in capability.name:
+            with tempfile.TemporaryDirectory() as place:
+                found[capability.name] = run(capability, Path(COMM.bcast(place)))
+                COMM.Barrier()
+            collect_garbage(COMM)
+            if COMM.rank == 0:
+                print(found[capability.name]["status"], capability.name, flush=True)
+    if COMM.rank == 0:
+        path.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def compare(before: Path, after: Path) -> int:
+    """Print the largest difference of each capability that has one; return 1 if one is above the tolerance."""
+    one, other = (json.loads(path.read_text(encoding="utf-8")) for path in (before, after))
+    bad = 0
+    for capability in capabilities():
+        name = capability.name
+        if name not in one or name not in other:
+            print(f"missing: {name}")
+            bad += 1
+            continue
+        found = differences(one[name], other[name], capability.beside)
+        for size, where in [each for each in found if each[0] > TOLERANCE][:5]:
+            print(f"{size:9.1e}  {name}  {where}")
+            bad += 1
+    print(f"{len(one)} capabilities, {bad} differences above {TOLERANCE:g}")
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "record":
+        record(Path(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else "")
+    else:
+        sys.exit(compare(Path(sys.argv[2]), Path(sys.argv[3])))
