@@ -22,14 +22,14 @@ import numpy as np
 from mpi4py import MPI
 from p2_contact import solve_p2
 
-from signorini_fenicsx.backends.elastic import ElasticBackend
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.conditions import SiteConditions
-from signorini_fenicsx.discrete.elastic_data import elastic_data
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.options import Options
 

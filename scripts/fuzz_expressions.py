@@ -21,7 +21,6 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.expressions import (
     interval_and_gradient,
     parse_expression,
@@ -31,6 +30,7 @@ from signorini_fenicsx.expressions import (
 )
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 
 SECONDS = 2.0
 """Largest CPU time for a text."""

@@ -32,12 +32,12 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, options_of
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.points import owned_cells
-from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

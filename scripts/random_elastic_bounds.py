@@ -23,12 +23,12 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
-from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 

@@ -22,9 +22,9 @@ from random_problems import Result, distance, distort, random_case, random_data,
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.discrete.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
-from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.contact.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -25,9 +25,9 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, options_of
-from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import solve
 
 type Array = npt.NDArray[np.float64]

@@ -17,10 +17,10 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.api import Boundary, Evolution, Problem, Solution, Solver, Wall, evolve
-from signorini_fenicsx.backends.earlier import EarlierSolutions
-from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 
 COMM = MPI.COMM_WORLD
 GROWS = "(1 + sin(t)/5)"

@@ -31,7 +31,7 @@ Other laws on the boundary are objects; their parts need not be listed in `Bound
 >>> {part: list(segments) for part, segments in solve(domain, Boundary([]), sliding).segments_of_parts().items()}
 {'right': ['slip+', 'stick', 'slip-'], 'bottom': ['inflow', 'closed']}
 
-Your own law is a small class, see `signorini_fenicsx.discrete.laws`.
+Your own law is a small class, see `signorini_fenicsx.contact.laws`.
 
 A solution gives values at points and fluxes, writes the files of the command line and draws itself in a notebook. See
 the docstring of `Solution`:
@@ -76,8 +76,6 @@ Elastic contact has a problem and a boundary of its own. Here a block that is 0.
 True
 """
 
-from signorini_fenicsx.backends.contract import Backend, Iterate
-from signorini_fenicsx.backends.facets import FacetBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
@@ -88,21 +86,23 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.comparing.comparison import compare
-from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.evolution import Evolution
-from signorini_fenicsx.discrete.laws import Corners, Friction, Graph, Law, Regulator, Signorini, TwoSided, Wall
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.contact.backend import Backend, Iterate
+from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.history import Outcome, Step
+from signorini_fenicsx.contact.laws import Corners, Friction, Graph, Law, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.methods.history import Outcome, Step
 from signorini_fenicsx.methods.registry import METHODS, Method
-from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.evolution import Evolution
+from signorini_fenicsx.physics.diffusion.facets import FacetBackend
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.evolving import Instant, evolve

@@ -8,10 +8,10 @@ from dolfinx.mesh import GhostMode
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.discrete.johnson_mercier import Cells, compliance_product, reference, to_matrices
 from signorini_fenicsx.forms.elasticity import strain, stress
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, compliance_product, reference, to_matrices
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 

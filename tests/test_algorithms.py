@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
-from signorini_fenicsx.methods.set_rules import (
+from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.set_rules import (
     ALGORITHM_1,
     ALGORITHM_2,
     SetRule,

@@ -43,10 +43,10 @@ from signorini_fenicsx.api import (
     solve_case,
     solve_elastic,
 )
-from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 
 COMM = MPI.COMM_WORLD
 OWN = SetRule(

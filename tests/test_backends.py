@@ -11,21 +11,21 @@ from conftest import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends import hybrid
-from signorini_fenicsx.backends.facet_system import FacetSystem
-from signorini_fenicsx.backends.hybrid import HybridBackend
-from signorini_fenicsx.backends.two_level import choose_smoother
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, solve_case
-from signorini_fenicsx.discrete.conditions import SiteConditions
-from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.spaces import build_spaces
+from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1
+from signorini_fenicsx.linear.two_level import choose_smoother
 from signorini_fenicsx.meshes.uniform import refined_uniformly
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1
+from signorini_fenicsx.physics.diffusion import hybrid
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 

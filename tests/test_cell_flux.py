@@ -9,17 +9,18 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_cube, create_unit_square
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.small_matrices import determinants, inverses
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.relaxation import _Gap
-from signorini_fenicsx.discrete.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.discrete.cell_shapes import cell_nodes, corners
+from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
-from signorini_fenicsx.discrete.spaces import assembled, build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 
 
 @pytest.mark.parallel([1, 2])

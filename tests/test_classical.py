@@ -12,19 +12,19 @@ from dolfinx import fem
 from exact import F, exact_sigma, exact_u
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.comparing.method_comparison import compare_methods, distance, mass_imbalance
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm
 from signorini_fenicsx.methods.classical.projection import scattered_values
 from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.solving.solution import Solution
 
 COMM = MPI.COMM_WORLD

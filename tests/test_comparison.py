@@ -14,8 +14,8 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 
 COMM = MPI.COMM_WORLD
 

@@ -16,7 +16,7 @@ import signorini_fenicsx
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cli.app import app
-from signorini_fenicsx.discrete.laws import LAWS
+from signorini_fenicsx.contact.laws import LAWS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

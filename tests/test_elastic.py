@@ -9,19 +9,19 @@ from elastic import box, complementary_energy, half_plane_contact, smooth
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.discrete.elastic_data import elastic_data
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
-from signorini_fenicsx.discrete.johnson_mercier import (
+from signorini_fenicsx.contact.laws import Wall
+from signorini_fenicsx.forms.elasticity import hellinger_reissner, strain, stress_product
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     Cells,
     compliance_product,
     opposite,
     reference,
     to_matrices,
 )
-from signorini_fenicsx.discrete.laws import Wall
-from signorini_fenicsx.forms.elasticity import hellinger_reissner, strain, stress_product
-from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options

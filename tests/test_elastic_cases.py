@@ -18,14 +18,14 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.comparing.differences import ElasticDifferences, differences
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.laws import Friction
-from signorini_fenicsx.discrete.spaces import NEUMANN
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.elastic import contact_table, in_space, von_mises
 from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.gather import PARTLY_FIXED
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 

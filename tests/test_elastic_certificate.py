@@ -14,8 +14,8 @@ from random_elastic_bounds import measured
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.certificate.korn import KORN, TRACE
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 

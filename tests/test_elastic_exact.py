@@ -6,7 +6,7 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 

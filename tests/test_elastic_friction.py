@@ -13,9 +13,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options

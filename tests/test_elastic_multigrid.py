@@ -12,7 +12,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
@@ -55,7 +55,7 @@ def test_same_as_factorisation(dim: int, nu: float):
     assert (direct.outcome.linear_solver, iterations(found) > 1) == ("preonly+cholesky+mumps", True)
     sets = [[(step.no_flux, step.zero_trace) for step in one.outcome.history] for one in (direct, found)]
     assert sets[0] == sets[1]
-    assert 0 < found.contact()[0] == direct.contact()[0] < found.spaces.scalar.Lambda.dofmap.index_map.size_global * dim
+    assert 0 < found.contact()[0] == direct.contact()[0] < found.spaces.Lambda.dofmap.index_map.size_global * dim
     assert found.norms() == pytest.approx(direct.norms(), rel=1e-9)
     if COMM.size == 1:
         np.testing.assert_allclose(found.stresses, direct.stresses, atol=1e-8)

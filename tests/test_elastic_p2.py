@@ -7,7 +7,7 @@ from mpi4py import MPI
 from p2_contact import solve_p2, stress, stress_norm
 
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 
 GAP = 0.02

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.spaces import assembled
+from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.solving.solution import Solution

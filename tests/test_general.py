@@ -17,8 +17,8 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.forms.norms import l2
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

@@ -5,8 +5,9 @@ import pytest
 from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx.backends import elastic, kept_factors
-from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.linear import kept_factors
+from signorini_fenicsx.physics.elasticity import backend as elastic
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 

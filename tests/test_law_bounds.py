@@ -16,12 +16,12 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap, with_mean
-from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
-from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.rigorous.proof import proof_of
 from signorini_fenicsx.solving.solver import solve
 

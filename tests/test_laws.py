@@ -17,8 +17,8 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.laws import (
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.laws import (
     Corners,
     Friction,
     Graph,
@@ -29,12 +29,12 @@ from signorini_fenicsx.discrete.laws import (
     Values,
     Wall,
 )
-from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, Present
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, Present
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver, solve

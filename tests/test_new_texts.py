@@ -16,12 +16,12 @@ from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.discrete import points
-from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature, owned_cells
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.expressions import read
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

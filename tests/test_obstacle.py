@@ -18,9 +18,9 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.spaces import build_spaces
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 from signorini_fenicsx.rigorous.proof import proof_of
 
 COMM = MPI.COMM_WORLD

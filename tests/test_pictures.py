@@ -18,8 +18,8 @@ from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output import sample
 from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.gather import (

@@ -9,16 +9,16 @@ import pytest
 from conftest import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.facet_system import FacetSystem
-from signorini_fenicsx.backends.patch import Patch
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.spaces import build_spaces
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.patch import Patch
+from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 
 COMM = MPI.COMM_WORLD
 ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)

@@ -18,10 +18,10 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 from scipy.optimize import linprog
 
-from signorini_fenicsx.solving.rigid_motions import Limits
+from signorini_fenicsx.physics.elasticity.rigid_motions import Limits
 
 COMM = MPI.COMM_WORLD
 

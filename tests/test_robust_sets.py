@@ -7,20 +7,20 @@ import pytest
 from mpi4py import MPI
 from own_mesh import Array, Mask, own_domain
 
-from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import build_spaces
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

@@ -21,9 +21,9 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
-from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving import solver as solver_module
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution

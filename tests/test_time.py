@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.petsc import LinearSolver
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.laws import Wall
 from signorini_fenicsx.discrete import data as data_module
-from signorini_fenicsx.discrete.evolution import Evolution
-from signorini_fenicsx.discrete.laws import Wall
-from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.linear.petsc import LinearSolver
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.evolution import Evolution
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving import evolving
 from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.options import Options

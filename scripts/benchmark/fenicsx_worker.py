@@ -13,21 +13,21 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.facets import FacetBackend
-from signorini_fenicsx.backends.hybrid import HybridBackend
-from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.parallel import Stopwatch, abort_all_on_exception, peak_memory
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
-from signorini_fenicsx.discrete.conditions import SiteConditions
-from signorini_fenicsx.discrete.data import Data, project_data
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.meshes.domain import Domain, distribute
 from signorini_fenicsx.meshes.meshing import label_parts
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.facets import FacetBackend
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 

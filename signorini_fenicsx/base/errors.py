@@ -21,3 +21,7 @@ class NumericalFailure(Exception):
 
 class WriteFailure(Exception):
     """A library could not write on this rank, and the other ranks may wait for it forever: exit status 1."""
+
+
+class LinearSolveFailure(NumericalFailure):
+    """A Krylov or direct solver of PETSc gave up."""

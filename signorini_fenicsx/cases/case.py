@@ -25,14 +25,14 @@ from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Sectio
 from signorini_fenicsx.cases.texts import ProblemTexts, Time
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, choice, texts_of, within
-from signorini_fenicsx.discrete.given import parsed
-from signorini_fenicsx.discrete.problem import Problem
 from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import BACKENDS
 
 

@@ -9,8 +9,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
 from signorini_fenicsx.cases.parts import Parts, Section
 from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice
-from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
-from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
 from signorini_fenicsx.solving.elastic import RULES
 
 ELASTICITY = "elasticity"

@@ -13,19 +13,20 @@ from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import boundary_of
-from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.elastic_data import elastic_data
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
-from signorini_fenicsx.discrete.evolution import Steps
 from signorini_fenicsx.discrete.known import Known
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
 from signorini_fenicsx.meshes.cut import opened
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
-from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.evolution import Steps
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
+from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.solver import check_solvability
 
 START_SECONDS = 3.0
@@ -151,12 +152,12 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
         domain = mesh_case(case, comm)
     with doing("assembly"):
         contact = "signorini"
+        spaces: MeshSpaces
         if isinstance(case, ElasticCase):
             problem = case.data()
             boundary_of_body = case.boundary.read().touching_on(problem.rough)
-            contact, elastic = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
-            check_rigid_motions(elastic, elastic_data(elastic, problem))
-            spaces = elastic.scalar
+            contact, spaces = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
+            check_rigid_motions(spaces, elastic_data(spaces, problem))
         else:
             boundary = boundary_of(case)
             spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)

@@ -15,9 +15,9 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
-from signorini_fenicsx.methods.history import OnStep
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.evolving import Instant, Past, evolve

@@ -13,9 +13,9 @@ from signorini_fenicsx.cases.values import (
     texts_of,
     within,
 )
-from signorini_fenicsx.discrete.evolution import SCHEMES, Evolution
-from signorini_fenicsx.discrete.given import parsed
-from signorini_fenicsx.discrete.problem import Problem
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.physics.diffusion.evolution import SCHEMES, Evolution
+from signorini_fenicsx.physics.diffusion.problem import Problem
 
 
 class ProblemTexts(Section):

@@ -15,19 +15,19 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.hybrid import HybridBackend
-from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import force
-from signorini_fenicsx.discrete.cell_flux import CellFlux
-from signorini_fenicsx.discrete.conditions import Condition, Kinds, Penalty, SiteConditions
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 ROUNDING = 1e-9

@@ -27,10 +27,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.jets import cut_off, larger
-from signorini_fenicsx.discrete.nodes import facet_nodes, largest_around
 from signorini_fenicsx.discrete.points import (
     Points,
     facet_lattice,
@@ -38,7 +35,10 @@ from signorini_fenicsx.discrete.points import (
     owned_cells,
     quadratic_nodes,
 )
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.jets import cut_off, larger
+from signorini_fenicsx.physics.diffusion.nodes import facet_nodes, largest_around
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 type Indices = npt.NDArray[np.int32]

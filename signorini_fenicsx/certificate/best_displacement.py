@@ -17,10 +17,6 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Backend, Inexact, Iterate
-from signorini_fenicsx.backends.facets import FieldChange
-from signorini_fenicsx.backends.kept_factors import KeptFactors
-from signorini_fenicsx.backends.petsc import direct_solver
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.boundary_nodes import (
@@ -29,16 +25,20 @@ from signorini_fenicsx.certificate.boundary_nodes import (
     excess,
     facet_coefficients,
 )
-from signorini_fenicsx.discrete.chains import Chains, joined
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
-from signorini_fenicsx.discrete.elastic_friction import friction_chains
-from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.johnson_mercier import SplitQuadrature, split_vertices
+from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
+from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.forms.elasticity import strain, strain_energy
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.kept_factors import KeptFactors
+from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_rule
+from signorini_fenicsx.physics.elasticity.friction import friction_chains
+from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 
 class BestDisplacement:

@@ -17,14 +17,14 @@ from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.elastic_data import ElasticData
-from signorini_fenicsx.discrete.elastic_problem import NORMAL
-from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces
-from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX
-from signorini_fenicsx.discrete.nodes import extreme_around
 from signorini_fenicsx.discrete.points import from_within, in_facets
-from signorini_fenicsx.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.discrete.vector_datum import VectorDatum
+from signorini_fenicsx.physics.diffusion.nodes import extreme_around
+from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
 
 ALONG = 1e-8
 """A direction is given at a node if it is within this angle of those that are."""

@@ -60,11 +60,11 @@ from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.oscillation import contact_excess, load_oscillation
 from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.discrete.cell_flux import CellFlux
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, owned_cells
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 QUADRATIC = 2

@@ -36,12 +36,12 @@ from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.elastic_oscillation import load_oscillation
-from signorini_fenicsx.discrete.elastic_data import MOST, ElasticData, facet_moments
-from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.forms.elasticity import stress_gap
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1
+from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, facet_moments
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 UPDATES = 30
@@ -102,7 +102,7 @@ def _certificate(solution: ElasticSolution) -> Certificate:
     remainder = solution.kkt.tractions * energy
     bound = np.sqrt(2 * gap) + osc + remainder if feasible else np.inf
     sigma_bound = np.sqrt(2 * gap + osc**2) + remainder if feasible else np.inf
-    indicator = fem.Function(spaces.scalar.Q, name="indicator")
+    indicator = fem.Function(spaces.Q, name="indicator")
     indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
     missing = _not_in_the_spaces(data)
     return ElasticCertificate(

@@ -8,18 +8,18 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.korn import korn_constants, trace_constants
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.elastic_data import MOST, ElasticData, blocks_of_cells
-from signorini_fenicsx.discrete.elastic_problem import NORMAL
-from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.johnson_mercier import (
+from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     SIMPLEX,
     Cells,
     SplitQuadrature,
     facet_normals,
     split_vertices,
 )
-from signorini_fenicsx.discrete.points import CellPoints, in_facets
-from signorini_fenicsx.discrete.vector_datum import VectorDatum
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 

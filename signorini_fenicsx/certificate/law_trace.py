@@ -37,10 +37,11 @@ from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
-from signorini_fenicsx.discrete.boundary_laws import PartLaw
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.nodes import (
+from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.nodes import (
     Jumps,
     extreme_around,
     facet_nodes,
@@ -48,8 +49,7 @@ from signorini_fenicsx.discrete.nodes import (
     quadratic_on_sides,
     set_means,
 )
-from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 

@@ -30,13 +30,13 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.discrete.boundary_laws import PartLaw
-from signorini_fenicsx.discrete.chains import Chains, joined
-from signorini_fenicsx.discrete.conditions import Kinds
+from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.conditions import Kinds
+from signorini_fenicsx.contact.laws import Graph, Signorini, Values
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
-from signorini_fenicsx.discrete.laws import Graph, Signorini, Values
 from signorini_fenicsx.discrete.points import FacetPoints, in_facets
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import determinants, inverses, squares_of
-from signorini_fenicsx.discrete.cell_flux import CellFlux
 from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time, squared_arms
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import in_cells, owned_cells, quadratic_nodes
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 
 @dataclass(frozen=True)

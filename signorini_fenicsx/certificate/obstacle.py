@@ -34,11 +34,12 @@ from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.law_bounds import Bound
 from signorini_fenicsx.certificate.relaxation import Edges
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.obstacle import Obstacle
+from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells, quadratic_nodes
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.obstacle import Obstacle
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 ROOM = 2.0
 """Factor of the largest I_hψ − ψ in the points of a quadrature."""

@@ -11,9 +11,9 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.discrete.conditions import Kinds
+from signorini_fenicsx.contact.conditions import Kinds
 from signorini_fenicsx.discrete.points import facet_type
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
 
 RIGID = 1e4

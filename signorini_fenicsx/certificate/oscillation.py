@@ -38,7 +38,6 @@ from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import Force
 from signorini_fenicsx.certificate.reaction import ReactionTerms
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import (
     CellPoints,
@@ -49,7 +48,8 @@ from signorini_fenicsx.discrete.points import (
     owned_cells,
     quadratic_nodes,
 )
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 OF_MEMORY = 8
 """Degree of the square of a bubble, also in space."""

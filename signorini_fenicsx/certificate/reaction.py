@@ -30,12 +30,12 @@ from signorini_fenicsx.certificate.interpolants import bernstein
 from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells, owned_cells
-from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, polynomial_degree
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 SQUARE = 8
 """Degree of (pv)² for two quadratics."""

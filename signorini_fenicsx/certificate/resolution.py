@@ -41,14 +41,14 @@ from signorini_fenicsx.certificate.interpolants import (
 )
 from signorini_fenicsx.certificate.local_fluxes import facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.given import Rows
 from signorini_fenicsx.discrete.points import FacetPoints, cell_quadrature
-from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
+from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 type Indices = npt.NDArray[np.int32]
 

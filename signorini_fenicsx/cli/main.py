@@ -44,7 +44,7 @@ def _run(command: Callable[[], object]) -> int:
         _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
         return EXIT_BAD_INPUT if is_input else EXIT_FAILED
     except RuntimeError as error:
-        from signorini_fenicsx.backends.petsc import refuse_options
+        from signorini_fenicsx.linear.petsc import refuse_options
 
         try:
             refuse_options(error)

@@ -13,7 +13,7 @@ from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.report import named
-from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 if TYPE_CHECKING:  # SciPy takes a second to load

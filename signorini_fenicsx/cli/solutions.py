@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.cases.elastic_case import AnyCase
     from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.certify import Certificate
-    from signorini_fenicsx.methods.history import Step
+    from signorini_fenicsx.contact.history import Step
     from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.solving.solved import Solved
 

@@ -109,7 +109,7 @@ def _elastic_differences(coarse: ElasticSolution, fine: ElasticSolution) -> Elas
     spaces, source = fine.spaces, coarse.spaces.domain
     comm, degree = spaces.mesh.comm, fine.data.quadrature.degree
     moduli, dx = moduli_on_split(spaces, fine.data, spaces.split, degree)
-    gamma = spaces.scalar.Lambda.mesh
+    gamma = spaces.Lambda.mesh
     metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
     ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
 

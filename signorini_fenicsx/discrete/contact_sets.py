@@ -13,8 +13,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import passed_on
-from signorini_fenicsx.discrete.conditions import Kinds
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.contact.conditions import Kinds
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import curve_gap, of_unit_size, sampled
 
 OVERLAP_DEGREE = 10
@@ -34,7 +34,7 @@ class FacetSet:
         inside: Mask of `spaces.facets`: True for those in the set.
     """
 
-    spaces: Spaces
+    spaces: MeshSpaces
     inside: npt.NDArray[np.bool_]
 
     def indicator(self) -> fem.Function:
@@ -62,17 +62,17 @@ class Segments:
         cells: The same for each owned cell, if there is an obstacle; otherwise None.
     """
 
-    spaces: Spaces
+    spaces: MeshSpaces
     segment: Kinds
     cells: Kinds | None = None
 
     @classmethod
-    def of_sites(cls, spaces: Spaces, segment: Kinds, *, obstacle: bool) -> Self:
+    def of_sites(cls, spaces: MeshSpaces, segment: Kinds, *, obstacle: bool) -> Self:
         """Those of facets and, with an obstacle, of the cells behind them."""
         number = len(spaces.facets)
         return cls(spaces, segment[:number], segment[number:] if obstacle else None)
 
-    def on(self, spaces: Spaces) -> Kinds:
+    def on(self, spaces: MeshSpaces) -> Kinds:
         """Those of the sites of another mesh of the domain: that at the midpoint of each (collective)."""
         if spaces is self.spaces:
             return self.segment if self.cells is None else np.append(self.segment, self.cells)
@@ -108,7 +108,7 @@ class Segments:
         return np.flatnonzero(np.all((low <= centroids) & (centroids <= high), axis=1)).astype(np.int32)
 
 
-def transferred(contact: FacetSet, spaces: Spaces) -> Mask:
+def transferred(contact: FacetSet, spaces: MeshSpaces) -> Mask:
     """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
     return Segments(contact.spaces, contact.inside.astype(np.int8)).on(spaces) > 0
 

@@ -9,15 +9,15 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, facet_type, in_facets, quadratic_nodes
-from signorini_fenicsx.discrete.spaces import Spaces
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
 """Relative size of a sum of loads that counts as rounding."""
 
 
-def check_nodes(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> None:
+def check_nodes(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> None:
     """Make sure that continuous data are finite at the vertices and edge midpoints of these facets (collective).
 
     Raises:
@@ -29,7 +29,7 @@ def check_nodes(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.
         raise InputError(f"{_key(name)}: not finite everywhere {where}")
 
 
-def check_finite(spaces: Spaces, name: str, where: str, datum: Datum, cells: npt.NDArray[np.int32]) -> None:
+def check_finite(spaces: MeshSpaces, name: str, where: str, datum: Datum, cells: npt.NDArray[np.int32]) -> None:
     """Make sure that a scalar and its gradient are finite at the quadrature points of these cells (collective).
 
     Raises:
@@ -43,7 +43,7 @@ def check_finite(spaces: Spaces, name: str, where: str, datum: Datum, cells: npt
         raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
 
 
-def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
+def check_means(name: str, where: str, means: Array, spaces: MeshSpaces) -> None:
     """Make sure that means are finite, and neither too large nor too small (collective).
 
     Raises:
@@ -58,7 +58,7 @@ def check_means(name: str, where: str, means: Array, spaces: Spaces) -> None:
         raise InputError(f"{_key(name)}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
 
 
-def facet_means(spaces: Spaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:
+def facet_means(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:
     """Mean on each of these boundary facets (collective).
 
     Raises:

@@ -24,10 +24,10 @@ from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.given import Given
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import Points, in_cells, owned_cells
-from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, to_ufl, values, values_and_gradient
+from signorini_fenicsx.expressions.given import Given
 
 DEGREES = 8, 30
 """Least and largest degree of a quadrature of data."""
@@ -182,7 +182,7 @@ def quadrature_degree(*data: Datum, power: int = 1) -> int:
     return min(max(least, power * max(datum.degree for datum in data)), most)
 
 
-def datum_of(spaces: Spaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Datum:
+def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Datum:
     """A datum from what was given, with numbers and texts as trees (collective).
 
     Functions of points become piecewise quadratic, those that may jump by inner points.
@@ -236,7 +236,7 @@ def _is_matrix(given: object) -> TypeGuard[list[list[Tree]]]:
 
 
 def _interpolated(
-    spaces: Spaces, name: str, given: Callable[[Array], npt.ArrayLike], *, continuous: bool
+    spaces: MeshSpaces, name: str, given: Callable[[Array], npt.ArrayLike], *, continuous: bool
 ) -> fem.Function:
     """A function of points as a function on the mesh (collective).
 
@@ -261,12 +261,12 @@ def _interpolated(
     return function
 
 
-def conductivity_of(spaces: Spaces, given: Given | Mapping[str, Given]) -> Datum:
+def conductivity_of(spaces: MeshSpaces, given: Given | Mapping[str, Given]) -> Datum:
     """κ, see `regional_datum` (collective)."""
     return regional_datum(spaces, "kappa", given, matrix=True)
 
 
-def regional_datum(spaces: Spaces, key: str, given: Given | Mapping[str, Given], *, matrix: bool = False) -> Datum:
+def regional_datum(spaces: MeshSpaces, key: str, given: Given | Mapping[str, Given], *, matrix: bool = False) -> Datum:
     """A datum that may have a value for each region (collective).
 
     Raises:

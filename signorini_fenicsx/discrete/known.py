@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.given import is_fixed
 from signorini_fenicsx.expressions import Tree, linear_terms
+from signorini_fenicsx.expressions.given import is_fixed
 
 MOST_TERMS = 8
 """Trees of more terms are always made as a whole; each term is kept."""

@@ -8,9 +8,13 @@ independent check of them.
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.facet_system import FacetSystem
-from signorini_fenicsx.backends.petsc import (
+from signorini_fenicsx.base.signals import pass_on
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.linear.petsc import (
     MUMPS_WORKSPACE,
     options_of,
     petsc_reason,
@@ -19,12 +23,9 @@ from signorini_fenicsx.backends.petsc import (
     solver_name,
     take_options,
 )
-from signorini_fenicsx.base.signals import pass_on
-from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.recorder import Recorder
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
 
 PREFIX = "vi_"
 """Prefix of its PETSc options."""

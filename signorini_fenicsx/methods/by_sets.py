@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from signorini_fenicsx.backends.contract import Backend, Iterate
-from signorini_fenicsx.backends.petsc import LinearSolveFailure
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.methods.history import Outcome
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
+from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.contact.backend import Backend, Iterate
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
-from signorini_fenicsx.methods.set_rules import SetRule
 from signorini_fenicsx.methods.task import Task
 
 

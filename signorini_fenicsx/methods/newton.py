@@ -9,8 +9,15 @@ from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.petsc import (
+from signorini_fenicsx.base.signals import pass_on
+from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.history import OnStep, Outcome
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
+from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
+from signorini_fenicsx.linear.petsc import (
     options_of,
     petsc_reason,
     refuse_options,
@@ -18,16 +25,10 @@ from signorini_fenicsx.backends.petsc import (
     solver_name,
     take_options,
 )
-from signorini_fenicsx.base.signals import pass_on
-from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
-from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
-from signorini_fenicsx.methods.history import OnStep, Outcome, Recorder
+from signorini_fenicsx.methods.recorder import Recorder
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 PREFIX = "newton_"
 """Prefix of its PETSc options."""

@@ -10,18 +10,19 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Inexact
-from signorini_fenicsx.backends.hybrid import HybridBackend
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.conditions import Kinds, SiteConditions
+from signorini_fenicsx.contact.backend import Inexact
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Kinds, SiteConditions
+from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.set_rules import Present, SetRule
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.methods.task import Coarser
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
@@ -122,7 +123,7 @@ class Prediction:
         return None
 
     def settle(
-        self, backend: Inexact, spaces: Spaces, chains: Chains, conditions: SiteConditions
+        self, backend: Inexact, spaces: MeshSpaces, chains: Chains, conditions: SiteConditions
     ) -> tuple[SiteConditions, int]:
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
@@ -168,7 +169,7 @@ class Prediction:
         return law.conditions(np.minimum(earlier.on(spaces), law.count))
 
     def _settled_nearby(
-        self, backend: Inexact, spaces: Spaces, law: Chains, conditions: SiteConditions, wanted: SiteConditions
+        self, backend: Inexact, spaces: MeshSpaces, law: Chains, conditions: SiteConditions, wanted: SiteConditions
     ) -> SiteConditions:
         """Follow the sets by solves on a patch around the facets that change, if this patch is small (collective).
 

@@ -16,13 +16,13 @@ from functools import partial
 from importlib import import_module
 from typing import Any, Self
 
-from signorini_fenicsx.discrete.conditions import Condition, Penalty
-from signorini_fenicsx.discrete.laws import Law, Signorini, TwoSided
+from signorini_fenicsx.contact.conditions import Condition, Penalty
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.laws import Law, Signorini, TwoSided
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
 from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.methods.by_sets import solve_by_sets
-from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.newton import solve_by_newton
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
 from signorini_fenicsx.methods.task import Task
 
 MANY = 100_000

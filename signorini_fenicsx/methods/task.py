@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.backends.contract import BackendFactory, Iterate
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.backend import BackendFactory, Iterate
+from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.kkt import KKTResiduals, kkt_residuals
-from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.history import OnStep
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.residuals import KKTResiduals, kkt_residuals
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 type Coarser = Callable[[float], tuple[Spaces, Data]]
 """Maps a factor > 1 to the same problem on a mesh that is coarser by this factor (collective). Raises InputError if

@@ -9,7 +9,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -21,19 +20,20 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import AnySolution, options_of
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.data import project_data
-from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticLaw, ElasticProblem
-from signorini_fenicsx.discrete.kkt import kkt_residuals, touching
-from signorini_fenicsx.discrete.laws import LAWS, Friction, Law
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.laws import LAWS, Friction, Law
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.output.checkpoint_elastic import read_elastic_solution
 from signorini_fenicsx.output.checkpoint_file import Arrays, Checkpoint, GivenInPython, read_checkpoint
 from signorini_fenicsx.output.checkpoint_parts import damage_of, made, outcome_of, read_domain, rows_of_facets
 from signorini_fenicsx.output.checkpoint_writing import COSTS
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, touching
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticLaw, ElasticProblem
 from signorini_fenicsx.solving.options import OWN, Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import gamma_s

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import fetch_rows
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.discrete.elastic_data import elastic_data
-from signorini_fenicsx.discrete.elastic_friction import law_of_sites
-from signorini_fenicsx.discrete.elastic_kkt import elastic_kkt
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.output.checkpoint_file import Checkpoint
 from signorini_fenicsx.output.checkpoint_parts import damage_of, outcome_of, read_domain, rows_of_facets
 from signorini_fenicsx.output.checkpoint_writing import COSTS
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.friction import law_of_sites
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
+from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 
@@ -35,7 +35,7 @@ def read_elastic_solution(
     try:
         domain = read_domain(found, comm, boundary.named)
         spaces = build_elastic_spaces(domain, boundary, problem.rough)
-        rows = rows_of_facets(found, spaces.scalar)
+        rows = rows_of_facets(found, spaces)
     except InputError as error:
         raise InputError(f"{path}: is damaged: its mesh: {error}") from None
     cells = spaces.mesh.topology.original_cell_index

@@ -23,15 +23,15 @@ from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import boundary_of
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary
-from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.history import Step
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.domain import AXES, Boundary
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
-from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, STEP_LAYOUT, VALUES
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary
 
 type Arrays = dict[str, npt.NDArray]
 

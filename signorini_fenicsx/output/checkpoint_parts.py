@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.backends.contract import Iterate
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import find_rows
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.discrete.conditions import SiteConditions
-from signorini_fenicsx.discrete.kkt import Residuals
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.shapes import shape_of
-from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.output.checkpoint_file import About, Checkpoint
 from signorini_fenicsx.output.checkpoint_writing import OUTCOME
@@ -57,7 +57,7 @@ def read_domain(found: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequence[s
     return domain
 
 
-def rows_of_facets(found: Checkpoint, spaces: Spaces) -> Indices:
+def rows_of_facets(found: Checkpoint, spaces: MeshSpaces) -> Indices:
     """For each facet of Γ_S of this rank its row in the checkpoint (collective).
 
     Raises:

@@ -23,12 +23,12 @@ from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.elastic_case import ELASTICITY
 from signorini_fenicsx.cases.solving import AnySolution
-from signorini_fenicsx.discrete.elastic_problem import Coulomb
-from signorini_fenicsx.discrete.laws import LAWS, Law
+from signorini_fenicsx.contact.laws import LAWS, Law
 from signorini_fenicsx.meshes.domain import Boundary, cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.gather import cell_values, facet_table
+from signorini_fenicsx.physics.elasticity.problem import Coulomb
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
@@ -88,7 +88,7 @@ def _about(solution: AnySolution) -> dict[str, Any]:
     domain = solution.spaces.domain
     of_kind: dict[str, Any] = {}
     if isinstance(solution, ElasticSolution):
-        part_names = solution.spaces.scalar.part_names
+        part_names = solution.spaces.part_names
         of_kind = {"physics": ELASTICITY, "bound_changes": list(solution.bound_changes)}
     else:
         part_names = solution.spaces.part_names

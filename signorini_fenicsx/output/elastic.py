@@ -13,11 +13,11 @@ from dolfinx import fem, io
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.elastic_kkt import imbalance
-from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
 from signorini_fenicsx.output.field_files import write_vtx
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
+from signorini_fenicsx.physics.elasticity.residuals import imbalance
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 DIGITS = 10
@@ -61,7 +61,7 @@ def write_table_of_contact(folder: Path, solution: ElasticSolution) -> None:
     """
     comm, parts = solution.spaces.mesh.comm, solution.contact_parts
     friction = solution.data.friction is not None
-    if solution.spaces.scalar.Lambda.dofmap.index_map.size_global <= solution.options.tuning.one_table_up_to:
+    if solution.spaces.Lambda.dofmap.index_map.size_global <= solution.options.tuning.one_table_up_to:
         table = contact_table(solution)
         columns = {} if table is None else contact_columns(parts, table, friction=friction)
         on_root(comm, lambda: write_columns(folder / "contact.csv", columns))
@@ -113,10 +113,10 @@ def _contact_rows(solution: ElasticSolution) -> Array:
     spaces = solution.spaces
     contact, dim = spaces.contact, spaces.dim
     x = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim)))
-    part = np.repeat(spaces.scalar.part_of_facet, dim)
+    part = np.repeat(spaces.part_of_facet, dim)
     along = np.empty(len(part))
     flat = x.reshape(-1, 3)
-    for index, name in enumerate(spaces.scalar.part_names):
+    for index, name in enumerate(spaces.part_names):
         along[part == index] = spaces.domain.parts[name].along(flat[part == index].T)
     middle = np.broadcast_to(np.sort(x, axis=1).mean(axis=1, keepdims=True), x.shape).reshape(-1, 3)
     values = [solution.pressure.ravel(), solution.linear_gap.ravel(), solution.touching.ravel()]

@@ -7,10 +7,10 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.discrete.elastic_data import blocks_of_cells
-from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI
+from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.gather import PARTLY_FIXED, Boundary, FacetTable, Fields, sample_of
+from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
@@ -38,7 +38,7 @@ class Body:
 def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None) -> Body | None:
     """Collect an elastic solution on rank 0; None elsewhere (collective)."""
     spaces = solution.spaces
-    dim, sample = spaces.dim, sample_of(spaces.scalar)
+    dim, sample = spaces.dim, sample_of(spaces)
     stress = von_mises(in_space(solution)).max(axis=(1, 2))
     by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
     u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
@@ -88,14 +88,14 @@ def von_mises(stresses: Array) -> Array:
 
 def _facets(solution: ElasticSolution) -> tuple[FacetTable | None, Array, Array]:
     spaces = solution.spaces
-    contact, scalar, dim = spaces.contact, spaces.scalar, spaces.dim
+    contact, dim = spaces.contact, spaces.dim
     middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - dim)))
     along = np.empty(len(middle))
-    for index, name in enumerate(scalar.part_names):
-        mine = scalar.part_of_facet == index
+    for index, name in enumerate(spaces.part_names):
+        mine = spaces.part_of_facet == index
         along[mine] = spaces.domain.parts[name].along(middle[mine].T)
     columns: list[np.ndarray] = [
-        scalar.part_of_facet,
+        spaces.part_of_facet,
         along,
         middle,
         contact.measure,
@@ -129,16 +129,16 @@ def _facets(solution: ElasticSolution) -> tuple[FacetTable | None, Array, Array]
 
 
 def _boundary(solution: ElasticSolution) -> Boundary | None:
-    scalar = solution.spaces.scalar
+    spaces = solution.spaces
     none = np.empty(0, dtype=np.int32)
-    fixed = np.concatenate([none, *(scalar.domain.facets[part] for part in solution.boundary.fixed)])
-    free = np.setdiff1d(scalar.neumann_facets, fixed)
-    kinds = {SIGNORINI: scalar.facets, DIRICHLET: scalar.dirichlet_facets, NEUMANN: free, PARTLY_FIXED: fixed}
+    fixed = np.concatenate([none, *(spaces.domain.facets[part] for part in solution.boundary.fixed)])
+    free = np.setdiff1d(spaces.neumann_facets, fixed)
+    kinds = {SIGNORINI: spaces.facets, DIRICHLET: spaces.dirichlet_facets, NEUMANN: free, PARTLY_FIXED: fixed}
     columns = [
-        np.column_stack([np.full(len(facets), kind), facet_vertices(scalar.mesh, facets)])
+        np.column_stack([np.full(len(facets), kind), facet_vertices(spaces.mesh, facets)])
         for kind, facets in kinds.items()
     ]
-    rows = gather_rows(scalar.mesh.comm, np.concatenate(columns))
+    rows = gather_rows(spaces.mesh.comm, np.concatenate(columns))
     if rows is None:
         return None
     return Boundary(rows[:, 0].astype(np.int64), np.full(len(rows), np.nan), rows[:, 1:].astype(np.int64))

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN, SIGNORINI, Spaces, cells_and_dofs
+from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.solution import Solution
@@ -198,7 +198,7 @@ def cell_values(solution: Solution) -> dict[str, Array]:
     return {"u": solution.u.x.array, "sigma": flux.centroid, "divergence": flux.divergence}
 
 
-def sample_of(spaces: Spaces) -> Sample:
+def sample_of(spaces: MeshSpaces) -> Sample:
     """The mesh for pictures of a solution on these spaces (collective)."""
     return Sample(spaces.mesh, np.concatenate([spaces.facets, spaces.dirichlet_facets, spaces.neumann_facets]))
 

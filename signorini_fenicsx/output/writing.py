@@ -25,9 +25,9 @@ from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.discrete.cell_shapes import some_at_a_time
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.methods.history import Step
 from signorini_fenicsx.output import elastic
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_files, write_vtx

@@ -8,27 +8,27 @@ from dataclasses import replace
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.elastic import ElasticBackend
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import OnStep, Outcome, Step
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.discrete.contact_sets import transferred
-from signorini_fenicsx.discrete.elastic_data import elastic_data
-from signorini_fenicsx.discrete.elastic_kkt import elastic_kkt
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.methods.history import OnStep, Outcome, Step
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
 from signorini_fenicsx.methods.prediction import Prediction
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2
+from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
+from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 from signorini_fenicsx.solving.solver import Remesh, same_domain
 
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
@@ -164,7 +164,7 @@ def _settled(backend: ElasticBackend, options: Options, first: SiteConditions | 
     rule = RULES[str(options.algorithm)]
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
     first = first or backend.chains.conditions(rule.first(backend.chains))
-    return prediction.settle(backend, backend.spaces.scalar, backend.chains, first)
+    return prediction.settle(backend, backend.spaces, backend.chains, first)
 
 
 def _with_friction(
@@ -219,7 +219,7 @@ def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_co
     spaces = backend.spaces
     touching = np.full(len(spaces.contact.facets), held_by_contact)
     if start is not None:
-        found = transferred(start.contact_set(), spaces.scalar)
+        found = transferred(start.contact_set(), spaces)
         if not held_by_contact or spaces.mesh.comm.allreduce(int(found.sum())) > 0:
             touching = found
     elif not held_by_contact:

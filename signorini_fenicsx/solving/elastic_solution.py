@@ -13,17 +13,17 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.discrete.conditions import Condition
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
-from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
-from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT, resultants, subcell_squares
-from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.errors import EXACT_CONTACT
-from signorini_fenicsx.discrete.johnson_mercier import Cells, SplitQuadrature
-from signorini_fenicsx.discrete.laws import Friction
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.physics.diffusion.errors import EXACT_CONTACT
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, resultants, subcell_squares
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 
@@ -125,7 +125,7 @@ class ElasticSolution(Solved):
     def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:
         """The function on the mesh of Γ_C that is linear on each facet, from values at its vertices (collective)."""
         spaces = self.spaces
-        multipliers = spaces.scalar.Lambda
+        multipliers = spaces.Lambda
         space = fem.functionspace(multipliers.mesh, ("DG", 1))
         function = fem.Function(space, name=name)
         size = multipliers.dofmap.index_map.size_local
@@ -151,7 +151,7 @@ class ElasticSolution(Solved):
 
     def contact_set(self) -> FacetSet:
         """The facets of Γ_C with a vertex in contact."""
-        return FacetSet(self.spaces.scalar, self.touching.any(axis=1))
+        return FacetSet(self.spaces, self.touching.any(axis=1))
 
     def contact(self) -> tuple[int, float]:
         """Number of facet vertices in contact, and their share of Γ_C's measure (collective)."""
@@ -233,13 +233,13 @@ class ElasticSolution(Solved):
         open_by = (gap - np.einsum("nai,ni->n", u, facets.normals)) / facets.measure
         largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
         largest = max(spaces.mesh.comm.allgather(float(largest)))
-        return FacetSet(spaces.scalar, open_by <= EXACT_CONTACT * largest)
+        return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
 
     def _sets(self) -> dict[str, Any]:
         vertices, measure = self.contact()
         return {
             "physics": "elasticity",
-            "contact_facets": self.spaces.scalar.Lambda.dofmap.index_map.size_global,
+            "contact_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,
             "touching_vertices": vertices,
             "contact_measure": measure,

@@ -11,13 +11,13 @@ from dolfinx import fem
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.evolution import Evolution, Steps
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
-from signorini_fenicsx.methods.history import OnStep
+from signorini_fenicsx.physics.diffusion.evolution import Evolution, Steps
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver, check_start, gamma_s

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from functools import partial
 from numbers import Real
 
-from signorini_fenicsx.backends.contract import BackendFactory
-from signorini_fenicsx.backends.hybrid import HybridBackend
-from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.backend import BackendFactory
+from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.registry import METHODS, Method
-from signorini_fenicsx.methods.set_rules import SetRule
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 
 BACKENDS: Mapping[str, Callable[[Tuning], BackendFactory]] = {
     "hybrid": lambda tuning: partial(HybridBackend, tuning=tuning),

@@ -17,18 +17,19 @@ from dolfinx import fem, la
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
-from signorini_fenicsx.discrete.cell_flux import CellFlux
-from signorini_fenicsx.discrete.chains import Chains
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.errors import exact_contact, exact_errors, missed_contact
-from signorini_fenicsx.discrete.kkt import KKTResiduals
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.sampling import at_points
-from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 
@@ -99,7 +100,7 @@ class Solution(Solved):
     data: Data
     p: fem.Function
     outcome: Outcome
-    kkt: KKTResiduals
+    kkt: Residuals
     source: object = None
     step: int | None = None
     timings: dict[str, float] = field(default_factory=dict)

@@ -6,12 +6,11 @@ from typing import Any, ClassVar
 from dolfinx import fem
 
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT
-from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.kkt import KKTResiduals
-from signorini_fenicsx.discrete.spaces import Spaces
-from signorini_fenicsx.methods.history import Outcome
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.methods.registry import Method
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.options import Options
 
 
@@ -23,7 +22,7 @@ class Solved(ABC):
     options: Options
     spaces: Spaces | ElasticSpaces
     outcome: Outcome
-    kkt: KKTResiduals | ElasticKKT
+    kkt: Residuals
     timings: dict[str, float]
     peak_memory: int
 

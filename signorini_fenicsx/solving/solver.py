@@ -8,27 +8,28 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Backend, Iterate, Renewable
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.backend import Backend, Iterate, Renewable
+from signorini_fenicsx.contact.history import OnStep, Outcome
+from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.data import Data, project_data
-from signorini_fenicsx.discrete.kkt import KKTResiduals, far_bound
 from signorini_fenicsx.discrete.known import Known
-from signorini_fenicsx.discrete.laws import LAWS
-from signorini_fenicsx.discrete.problem import Problem
-from signorini_fenicsx.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.sampling import curve_gap
-from signorini_fenicsx.methods.history import OnStep, Outcome
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.residuals import far_bound
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solution import Solution
 
@@ -215,7 +216,7 @@ def _run(task: Task, options: Options) -> Outcome:
         return Outcome.interrupted(interruption, options.backend_name)
 
 
-def _judged(task: Task, outcome: Outcome, method: Method) -> tuple[Outcome, KKTResiduals]:
+def _judged(task: Task, outcome: Outcome, method: Method) -> tuple[Outcome, Residuals]:
     """Judge an outcome by its own residual if it has one, else by its KKT residuals (collective)."""
     kkt = outcome.kkt or task.kkt(outcome.iterate, method.penalty)
     violation = kkt.violation()

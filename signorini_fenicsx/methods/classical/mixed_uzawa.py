@@ -15,11 +15,10 @@ import math
 import numpy as np
 import ufl
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.methods.classical.half_norm import HalfNorm
 from signorini_fenicsx.methods.classical.projection import (
@@ -28,8 +27,10 @@ from signorini_fenicsx.methods.classical.projection import (
     scattered_values,
     step_length,
 )
-from signorini_fenicsx.methods.history import Outcome, Recorder
+from signorini_fenicsx.methods.recorder import Recorder
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 
 class _Response:

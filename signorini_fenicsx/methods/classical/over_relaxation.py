@@ -16,10 +16,10 @@ from scipy.sparse.linalg import eigsh
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import STEP
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.methods.classical.primal import P1History, P1System, primal_outcome
-from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.task import Task
 
 

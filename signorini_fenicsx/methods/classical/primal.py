@@ -10,19 +10,20 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.petsc import LinearSolver, direct_solver
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.spaces import Spaces, assembled, owned_on_facets
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import History, Outcome, reached
+from signorini_fenicsx.discrete.mesh_spaces import assembled, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
 from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
-from signorini_fenicsx.methods.history import History, Outcome, reached
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.petsc import LinearSolver, direct_solver
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 type Indices = npt.NDArray[np.int32]
 

@@ -5,15 +5,15 @@ from functools import cached_property
 
 import numpy as np
 
-from signorini_fenicsx.backends.contract import Inexact, Iterate, Pairs
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.chains import Chains
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.backend import Inexact, Iterate, Pairs
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_2, ALGORITHM_3, SetRule
 from signorini_fenicsx.methods.classical.primal import P1Change, P1System, not_solved
-from signorini_fenicsx.methods.history import Outcome
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
-from signorini_fenicsx.methods.set_rules import ALGORITHM_2, ALGORITHM_3, SetRule
 from signorini_fenicsx.methods.task import Task
 
 PRIMAL_DUAL = replace(ALGORITHM_2, forgets_start=False)

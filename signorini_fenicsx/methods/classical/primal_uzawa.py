@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.methods.classical.primal import P1History, P1System, primal_outcome
 from signorini_fenicsx.methods.classical.projection import iterate_projection, scattered, step_length
-from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.methods.task import Task
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import STEP
-from signorini_fenicsx.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 POWER_STEPS = 30
 """Power iterations for λ_max. Their error is small compared with the distance of RELAXATION from 2."""

@@ -26,20 +26,22 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
-from signorini_fenicsx.backends.contract import Iterate
-from signorini_fenicsx.backends.jumps import with_one_flux
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import LINEAR, ROUNDING
-from signorini_fenicsx.discrete.data import Data
-from signorini_fenicsx.discrete.kkt import touching
-from signorini_fenicsx.discrete.spaces import Spaces, assembled
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.set_rules import ALGORITHM_2
+from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
 from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
-from signorini_fenicsx.methods.history import Outcome, Recorder
-from signorini_fenicsx.methods.set_rules import ALGORITHM_2
+from signorini_fenicsx.methods.recorder import Recorder
 from signorini_fenicsx.methods.task import Task, nothing_yet
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.jumps import with_one_flux
+from signorini_fenicsx.physics.diffusion.residuals import touching
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 
 def quadratic_programme(task: Task) -> Outcome:

@@ -17,14 +17,15 @@ from dataclasses import replace
 import ufl
 from dolfinx import fem
 
-from signorini_fenicsx.backends.mixed import MixedBackend
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import STEP
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.methods.history import Outcome, Recorder
-from signorini_fenicsx.methods.loop import Parameters, iterate_sets
-from signorini_fenicsx.methods.set_rules import ALGORITHM_1
+from signorini_fenicsx.methods.recorder import Recorder
 from signorini_fenicsx.methods.task import Task, nothing_yet
+from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 
 
 def stabilised_form(task: Task) -> Outcome:

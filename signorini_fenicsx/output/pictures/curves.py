@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary
-from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.sheet import Sheet
 

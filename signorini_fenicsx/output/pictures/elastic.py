@@ -16,8 +16,8 @@ from matplotlib.tri import Triangulation
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.discrete.laws import Friction
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.elastic_body import Body
 from signorini_fenicsx.output.pictures import plane_files, style
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.discrete.spaces import SIGNORINI
+from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, creases, thinned
 

@@ -16,7 +16,7 @@ from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.discrete.spaces import DIRICHLET, NEUMANN
+from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.output.gather import PARTLY_FIXED
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.discrete.conditions import Condition
-from signorini_fenicsx.methods.history import Step
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
 from signorini_fenicsx.output.pictures import style
 

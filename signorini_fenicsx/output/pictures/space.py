@@ -14,7 +14,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.discrete.spaces import SIGNORINI
+from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.plane import log_norm
 from signorini_fenicsx.output.pictures.rendering import cropped, offscreen, screen, triad

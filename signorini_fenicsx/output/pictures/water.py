@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.spaces import DIRICHLET
+from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains
 

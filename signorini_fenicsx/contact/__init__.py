@@ -1,0 +1,1 @@
+"""The heart: sites with a law, the set rules, and the one loop that all algorithms share; imports `base` alone."""

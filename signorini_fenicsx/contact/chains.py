@@ -1,0 +1,195 @@
+"""Monotone laws between p and σ·n as chains of segments, one chain per site.
+
+A law is a graph in the plane of p and σ·n that falls from small p and large σ·n to large p and small σ·n: corners, and
+straight segments before, between and beyond them. A segment is vertical, p = a, or has a slope β ≥ 0, σ·n + βp = q;
+either is one of the conditions of a linear problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
+
+
+@dataclass(frozen=True)
+class Chains:
+    """A chain per site of this rank; p and σ·n are measured from a point of it, the reference.
+
+    Sites with fewer corners than others have corners at p = ∞, σ·n = −∞, and no site is ever beyond these.
+
+    Attributes:
+        p: Trace at each corner, ascending, shape (sites, corners).
+        flux: σ·n there, descending.
+        slope: β of each segment, ∞ if it is vertical, shape (sites, corners + 1).
+        value: p on a vertical segment, σ·n + βp on another.
+        plain: Whether all chains, on all ranks, have one corner, and that at the reference: then all values are 0.
+    """
+
+    p: Array
+    flux: Array
+    slope: Array
+    value: Array
+    plain: bool = False
+
+    @classmethod
+    def at_corner(cls, sites: int, before: float = np.inf, beyond: float = 0.0) -> Chains:
+        """Chains with one corner at the reference, by default those of Signorini: p ≥ 0, σ·n ≥ 0, one of them 0."""
+        corner = np.zeros((sites, 1))
+        return cls(corner, corner, np.tile([before, beyond], (sites, 1)), np.zeros((sites, 2)), plain=True)
+
+    @classmethod
+    def through(cls, p: Array, flux: Array, before: Array, beyond: Array) -> Chains:
+        """Chains through these corners.
+
+        Args:
+            p: Ascending, shape (sites, corners).
+            flux: Descending, shape (sites, corners).
+            before: β of the first segment, ∞ if it is vertical, shape (sites,).
+            beyond: β of the last one.
+        """
+        run, fall = np.diff(p, axis=1), -np.diff(flux, axis=1)
+        between = np.divide(fall, run, out=np.full_like(run, np.inf), where=run > 0)
+        slope = np.column_stack([before, between, beyond])
+        left = np.maximum(np.arange(slope.shape[1]) - 1, 0)
+        vertical = np.isinf(slope)
+        value = np.where(vertical, p[:, left], flux[:, left] + np.where(vertical, 0.0, slope) * p[:, left])
+        return cls(p, flux, slope, value)
+
+    def with_penalty(self, penalty: Penalty | None, eps: float) -> Chains:
+        """The law of a penalty in the place of that of Signorini."""
+        return self if penalty is None else Chains.at_corner(len(self.p), *penalty.slopes(eps))
+
+    @property
+    def corners(self) -> int:
+        """The largest number of corners of a chain."""
+        return self.p.shape[1]
+
+    @property
+    def count(self) -> Kinds:
+        """The number of corners of each chain."""
+        return np.isfinite(self.p).sum(axis=1).astype(np.int8)
+
+    @property
+    def kinds(self) -> Kinds:
+        """A `Condition` per segment, shape (sites, corners + 1)."""
+        flat = np.where(self.slope == 0, Condition.NO_FLUX, Condition.ROBIN)
+        return np.where(np.isinf(self.slope), Condition.ZERO_TRACE, flat).astype(np.int8)
+
+    def conditions(self, segment: Kinds) -> SiteConditions:
+        """The conditions of one segment of each chain."""
+        kind, slope, value = (_chosen(values, segment) for values in (self.kinds, self.slope, self.value))
+        beta = np.where(kind == Condition.ROBIN, slope, 1.0)
+        return SiteConditions(kind, beta, 0.0 if self.plain else value)
+
+    def segments(self, conditions: SiteConditions) -> Kinds:
+        """The segment of each chain whose condition this is; the first of its kind if none is quite the same."""
+        same = self.kinds == conditions.kind[:, None]
+        value, beta = (np.broadcast_to(x, conditions.kind.shape)[:, None] for x in (conditions.value, conditions.beta))
+        robin = self.kinds == Condition.ROBIN
+        alike = same & (self.value == value) & (~robin | (self.slope == beta))
+        best = 2 * alike + same.astype(np.int8)
+        return np.argmax(best, axis=1).astype(np.int8)
+
+    def nearest(self, kind: Kinds, p: Array, flux: Array) -> Kinds:
+        """The segment of each chain that has this kind and whose line is nearest to p and σ·n."""
+        off = np.abs(self.residuals(p, flux, np.ones(len(p))))
+        return np.argmin(np.where(self.kinds == kind[:, None], off, np.inf), axis=1).astype(np.int8)
+
+    def beside_reference(self, *, steep: bool) -> Kinds:
+        """The segment that the reference is on; of two the steeper or the flatter one."""
+        before = (self.p < 0) | (self.flux > 0)
+        at = (self.p == 0) & (self.flux == 0)
+        return (before if steep else before | at).sum(axis=1).astype(np.int8)
+
+    def towards(self, present: Kinds, wanted: Kinds) -> Kinds:
+        """The next segment of each chain on the way from one to another.
+
+        Past such as are on the line of the first, and such as are only a point: they would send a site back.
+        """
+        step = np.sign(wanted - present)
+        following = present + step
+        length = np.ones_like(self.slope, dtype=bool)
+        with np.errstate(invalid="ignore"):  # ∞ − ∞ beyond the last corner
+            length[:, 1:-1] = (np.diff(self.p, axis=1) != 0) | (np.diff(self.flux, axis=1) != 0)
+        for _ in range(self.corners - 1):
+            alike = [_chosen(values, following) == _chosen(values, present) for values in (self.slope, self.value)]
+            skipped = (alike[0] & alike[1]) | ~_chosen(length, following)
+            following = following + step * (skipped & (following != wanted))
+        return following
+
+    def steepest(self) -> Kinds:
+        """The steepest segment of each chain, the first of them."""
+        inside = np.arange(self.corners + 1) <= self.count[:, None]
+        return np.argmax(np.where(inside, self.slope, -1.0), axis=1).astype(np.int8)
+
+    def residuals(self, p: Array, flux: Array, unit: Array) -> Array:
+        """How far p and σ·n are off the line of each segment, as a flux; one unit of p is so many of σ·n."""
+        vertical = np.isinf(self.slope)
+        slope = np.where(vertical, 0.0, self.slope)
+        of_trace = unit[:, None] * (p[:, None] - self.value)
+        of_flux = (flux[:, None] + slope * p[:, None] - self.value) / (1 + slope / unit[:, None])
+        return np.where(vertical, of_trace, of_flux)
+
+    def extent(self) -> tuple[Array, Array, Array, Array]:
+        """The least and the largest p and the least and the largest σ·n of each chain, infinite ones among them."""
+        last = self.count - 1
+        beyond = _chosen(self.slope, self.count)
+        return (
+            np.where(np.isinf(self.slope[:, 0]), self.p[:, 0], -np.inf),
+            np.where(np.isinf(beyond), _chosen(self.p, last), np.inf),
+            np.where(beyond == 0, _chosen(self.flux, last), -np.inf),
+            np.where(self.slope[:, 0] == 0, self.flux[:, 0], np.inf),
+        )
+
+    def distances(self, p: Array, flux: Array, unit: Array) -> tuple[Array, Array, Array]:
+        """How far p and σ·n are off the chains, in each site.
+
+        Returns:
+            By how much p is outside of what any σ·n allows; by how much σ·n is outside of what any p allows; and the
+            distance to the graph, as a flux, but for what these two say. One unit of p is so many of σ·n.
+        """
+        low_p, high_p, low, high = self.extent()
+        inner_p, inner = np.clip(p, low_p, high_p), np.clip(flux, low, high)
+        off = np.abs(self.residuals(p, flux, unit))
+        with np.errstate(invalid="ignore"):
+            past = np.maximum(unit[:, None] * (inner_p[:, None] - self.p), self.flux - inner[:, None])
+            short = np.maximum(unit[:, None] * (self.p - inner_p[:, None]), inner[:, None] - self.flux)
+        off[:, :-1] = np.maximum(off[:, :-1], past)
+        off[:, 1:] = np.maximum(off[:, 1:], short)
+        return p - inner_p, flux - inner, off.min(axis=1)
+
+    def take(self, sites: slice | np.ndarray) -> Chains:
+        """Those of some sites."""
+        return replace(self, p=self.p[sites], flux=self.flux[sites], slope=self.slope[sites], value=self.value[sites])
+
+
+def joined(parts: Sequence[tuple[np.ndarray, Chains]], sites: int) -> Chains:
+    """Chains of some sites each, put together.
+
+    Args:
+        parts: Which sites, and their chains; all ranks have the same number of them, with the same numbers of corners.
+        sites: How many there are on this rank.
+    """
+    corners = max(chains.corners for _, chains in parts)
+    all_of_them = Chains(
+        p=np.full((sites, corners), np.inf),
+        flux=np.full((sites, corners), -np.inf),
+        slope=np.zeros((sites, corners + 1)),
+        value=np.zeros((sites, corners + 1)),
+        plain=all(chains.plain for _, chains in parts),
+    )
+    for rows, chains in parts:
+        for name in ("p", "flux", "slope", "value"):
+            values = getattr(chains, name)
+            getattr(all_of_them, name)[rows, : values.shape[1]] = values
+    return all_of_them
+
+
+def _chosen[T: np.generic](values: np.ndarray[tuple[int, int], np.dtype[T]], column: Kinds) -> np.ndarray:
+    """One of the columns for each row."""
+    return np.take_along_axis(values, column[:, None].astype(np.int64), axis=1)[:, 0]

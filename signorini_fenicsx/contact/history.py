@@ -1,0 +1,157 @@
+"""What a method reports: a step per iteration, and how it ended."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base import progress
+from signorini_fenicsx.base.signals import LoopInterruption
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.residuals import Residuals
+
+type OnStep = Callable[["Step"], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of the history: iteration n of the algorithm. The start solve is n = 0 and has no row.
+
+    Sites are the facets of Γ_S or, for conforming P1, its vertices on Γ_S. Their numbers are sums over all ranks.
+
+    Attributes:
+        iteration: n, from 1.
+        no_flux: Sites with σ·n = 0.
+        zero_trace: Sites with p = 0.
+        robin: Sites with σ·n + βp = 0.
+        changed: Sites whose condition differs from iteration n − 1.
+        clipped: Sites where Algorithm 3 set a negative σ·n to 0 (36).
+        sigma_change: ‖σ^(n) − σ^(n−1)‖_V.
+        u_change: ‖u^(n) − u^(n−1)‖_Q.
+        linear_iterations: Iterations of the linear solver under these conditions. A set that repeats is not solved
+            again; its row shows the iterations of its only solve.
+        seconds: Wall time of the iteration.
+    """
+
+    iteration: int
+    no_flux: int
+    zero_trace: int
+    robin: int
+    changed: int
+    clipped: int
+    sigma_change: float
+    u_change: float
+    linear_iterations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a solve ended.
+
+    Attributes:
+        iterate: Last solution.
+        conditions: Conditions on the Γ_S facets of this rank under which it was computed.
+        history: One step per iteration.
+        reason: Why it ended, in words.
+        converged: Whether the sets repeated; in a `Solution`, whether its residuals are small as well.
+        backend: Name of the discrete system that was solved; SNES always uses the mixed one, SNESVI the hybrid one.
+        dofs: Unknowns of the linear systems, over all ranks.
+        linear_solver: Name of their solver.
+        own_residual: Largest residual, scale-free, of the discrete problem that the method solves, if that is neither
+            (9) nor a penalty formulation of it. It is judged instead of the KKT residuals.
+        details: Further numbers that the method chose or found, such as ρ.
+        rough_steps: Earlier solves that were stopped early, to predict the sets.
+        kkt: KKT residuals, if the method has computed them.
+    """
+
+    iterate: Iterate
+    conditions: SiteConditions
+    history: list[Step]
+    reason: str
+    converged: bool
+    backend: str
+    dofs: int
+    linear_solver: str
+    own_residual: float | None = None
+    details: dict[str, float] = field(default_factory=dict)
+    rough_steps: int = 0
+    kkt: Residuals | None = None
+
+    @classmethod
+    def interrupted(cls, by: LoopInterruption, backend: str, dofs: int = 0, linear_solver: str = "interrupted") -> Self:
+        """The last state of a run that was told to end; the last two where they are known."""
+        iterate, conditions, history = by.state
+        return cls(
+            iterate=iterate,
+            conditions=conditions,
+            history=history,
+            reason=str(by),
+            converged=False,
+            backend=backend,
+            dofs=dofs,
+            linear_solver=linear_solver,
+        )
+
+    def ended(self, failure: str | None) -> Self:
+        """The outcome after its residuals have been judged."""
+        return replace(self, converged=failure is None, reason=failure or self.reason)
+
+
+class History:
+    """Builds the history: one step per iteration, whose conditions are compared with those before."""
+
+    def __init__(self, comm: MPI.Comm, conditions: SiteConditions, on_step: OnStep):
+        """Begin with the start, which is not a step itself.
+
+        Args:
+            comm: Communicator.
+            conditions: Conditions of the start.
+            on_step: Called on all ranks with each step.
+        """
+        self.steps: list[Step] = []
+        self._comm = comm
+        self._last_conditions, self._on_step = conditions, on_step
+        self._began = time.perf_counter()
+
+    def append(
+        self,
+        conditions: SiteConditions,
+        change: tuple[float, float],
+        *,
+        linear_iterations: int = 1,
+        clipped: int = 0,
+    ) -> None:
+        """Record an iteration: its conditions, and the norms of its changes of σ and u (collective)."""
+        counts = conditions.counts(self._comm)
+        now = time.perf_counter()
+        step = Step(
+            iteration=len(self.steps) + 1,
+            no_flux=counts[Condition.NO_FLUX],
+            zero_trace=counts[Condition.ZERO_TRACE],
+            robin=counts[Condition.ROBIN],
+            changed=int(conditions.changes([self._last_conditions], self._comm)[0]),
+            clipped=clipped,
+            sigma_change=change[0],
+            u_change=change[1],
+            linear_iterations=linear_iterations,
+            seconds=now - self._began,
+        )
+        self.steps.append(step)
+        self._last_conditions, self._began = conditions, now
+        progress.detail("iteration", step.iteration)
+        self._on_step(step)
+
+
+@contextlib.contextmanager
+def reached(state: Callable[[], tuple[Iterate, SiteConditions]], history: list[Step]) -> Iterator[None]:
+    """Add the state that the method has reached to an interruption that a step raises (collective)."""
+    try:
+        yield
+    except LoopInterruption as interruption:
+        interruption.state = (*state(), history)
+        raise

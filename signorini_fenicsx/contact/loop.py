@@ -1,0 +1,228 @@
+"""The loop that all active/inactive-set algorithms share: rule, solve, until the sets repeat.
+
+It works on sites with a pair (p, σ·n) each, whether these are facets of Γ_S or vertices.
+
+*Ties.* A site where p and σ·n are both rounding (biactive sites, symmetry, no load) keeps its condition. After the
+algorithm's own start there is no condition to keep; there a tie counts as p = σ·n = 0. The backend's scales and
+`tolerances.TIE` define what is rounding.
+
+*Cycles.* Each set determines the next one, so if a set occurs a second time, the same sets repeat forever. Every rule
+is principal pivoting for a linear complementarity problem: p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
+Schur complement S on Γ_S. For the penalties this holds in the shifted quantities of `Penalty.shift`, with
+(S⁻¹ + ε/|e|)⁻¹ or S + ε|e| in place of S. These matrices are symmetric and positive definite. For them, changing one
+site at a time ends after finitely many steps, if it is always the last, in a fixed order, of those that want to change
+(Murty). It also ends if all sites change whenever fewer want to change than ever before, and one at a time otherwise
+(Júdice and Pires, Computers & Operations Research 21, 1994). The loop does this from the first repetition on. Both
+hold as well for laws with several corners, where a site moves by one segment at a time.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.base.tolerances import TIE
+from signorini_fenicsx.contact.backend import Backend, Pairs
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Kinds, SiteConditions
+from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
+from signorini_fenicsx.contact.set_rules import Present, SetRule
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of an iteration.
+
+    Attributes:
+        rho: ρ > 0 of the rule.
+        eps: ε > 0 of the penalty.
+        max_iterations: Solves allowed after the start.
+        tie: A value below this share of its scale is rounding.
+        floating: |e| per site if there is no Γ_D, so that some site must hold u; otherwise None.
+    """
+
+    rho: float = 1.0
+    eps: float = 1.0
+    max_iterations: int = 50
+    tie: float = TIE
+    floating: Array | None = None
+
+
+def iterate_sets[I: Pairs](
+    backend: Backend[I],
+    rule: SetRule,
+    parameters: Parameters,
+    *,
+    start: SiteConditions | None = None,
+    before: I | None = None,
+    on_step: OnStep = lambda step: None,
+) -> Outcome:
+    """Run an algorithm until the sets repeat (collective).
+
+    A set that equals its predecessor ends the loop without another solve, because it has the same solution. A set that
+    equals an earlier one means that the algorithm cycles. Then a rule with a clip goes on without the clip; Algorithm 3
+    becomes full-step semismooth Newton for (25). If there is no clip, or if that cycles too, the loop goes on with the
+    safeguarded changes of the module. The reason tells both.
+
+    Args:
+        backend: Solves under given conditions.
+        rule: The algorithm.
+        parameters: Of the rule and the loop.
+        start: Conditions to start from, instead of the algorithm's own start.
+        before: An earlier iterate, to which the first change refers; None for that of the start.
+        on_step: Called on all ranks after each iteration.
+
+    Raises:
+        LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
+    """
+    site, sites = backend.noun
+    law = rule.law(backend.chains, parameters.eps)
+    solved_with = start or law.conditions(rule.first(law))
+    iterate = backend.solve(solved_with)
+    before = before or iterate
+    history = History(backend.comm, solved_with, on_step)
+    conditions = _wanted(backend, rule, law, parameters, iterate, start)
+    safeguard = _Safeguard(backend, law, clips=rule.clip is not None)
+
+    def end(reason: str, *, converged: bool) -> Outcome:
+        mixed, of_facets = backend.in_mixed_spaces(iterate, solved_with)
+        return Outcome(
+            iterate=mixed,
+            conditions=of_facets,
+            history=history.steps,
+            reason=reason + safeguard.remark,
+            converged=converged,
+            backend=backend.name,
+            dofs=backend.dofs,
+            linear_solver=backend.solver(),
+        )
+
+    while True:
+        clipped = 0
+        if conditions.changes([solved_with], backend.comm)[0] > 0:
+            try:
+                iterate = backend.solve(conditions)
+            except LinearSolveFailure as failure:
+                return end(str(failure), converged=False)
+            if rule.clip is not None and safeguard.clips:
+                iterate, clipped = _clipped(backend, iterate, rule.clip(conditions.kind, iterate.flux))
+        solved_with = conditions
+        change = (0.0, 0.0) if iterate is before else backend.change(iterate, before)
+        before = iterate
+        with reached(partial(backend.in_mixed_spaces, iterate, solved_with), history.steps):
+            history.append(conditions, change, linear_iterations=iterate.linear_iterations, clipped=clipped)
+
+        wanted = _wanted(backend, rule, law, parameters, iterate, solved_with)
+        changing = safeguard.look(conditions, wanted, len(history.steps))
+        if changing == 0:
+            return end(f"the {site} sets repeat", converged=True)
+        if len(history.steps) == parameters.max_iterations:
+            ended = counted(parameters.max_iterations, "iteration")
+            return end(f"{changing} {sites} still change after {ended}", converged=False)
+        conditions = safeguard.allowed(conditions, wanted)
+
+
+def _wanted[I: Pairs](
+    backend: Backend[I],
+    rule: SetRule,
+    law: Chains,
+    parameters: Parameters,
+    iterate: I,
+    solved_with: SiteConditions | None,
+) -> SiteConditions:
+    """The next conditions by the rule. Ties keep theirs; after the own start they have none (collective)."""
+    scales = backend.scales(iterate)
+    segment = None if solved_with is None else law.segments(solved_with)
+    p, flux = iterate.p, iterate.flux
+    if solved_with is None and rule.forgets_start:
+        p, flux = np.zeros_like(p), np.zeros_like(flux)
+    present = Present(segment, parameters.tie * scales[0], parameters.tie * scales[1])
+    following = rule.following(law, p, flux, parameters.rho, present)
+    if parameters.floating is not None and not law.plain:
+        following = _held(law, following, iterate, parameters.floating, backend.comm)
+    return law.conditions(following)
+
+
+def _held(law: Chains, segment: Kinds, iterate: Pairs, measure: Array, comm: MPI.Comm) -> Kinds:
+    """The segments; if all of them are flat, u is moved up or down until one site is at a corner (collective).
+
+    The total flux says whether up or down; the site goes to its segment that is not flat.
+    """
+    rows = np.arange(len(segment))
+    steep, flat_flux = law.slope[rows, segment] > 0, law.value[rows, segment]
+    total = np.array([np.count_nonzero(steep), measure @ np.where(steep, 0.0, flat_flux - iterate.flux)])
+    number, excess = comm.allreduce(total).tolist()
+    if number > 0:
+        return segment
+    up = excess > 0
+    there = np.clip(segment + (1 if up else -1), 0, law.count)
+    corner = np.minimum(np.minimum(segment, there), law.corners - 1)
+    reachable = (there != segment) & (law.slope[rows, there] > 0)
+    distance = np.full(len(segment), np.inf)
+    distance[reachable] = np.abs(law.p[rows, corner] - iterate.p)[reachable]
+    nearest = comm.allreduce(distance.min(initial=np.inf), MPI.MIN)
+    return np.where(distance <= nearest, there, segment) if np.isfinite(nearest) else segment
+
+
+def _clipped[I: Pairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I, int]:
+    """The iterate without the flux of these sites, and their number over all ranks (collective)."""
+    number = backend.comm.allreduce(int(np.count_nonzero(where)))
+    return (backend.without_flux(iterate, where) if number > 0 else iterate), number
+
+
+@dataclass
+class _Safeguard[I: Pairs]:
+    """Notices cycles and ends them, see the module.
+
+    Attributes:
+        backend: The backend with the sites.
+        law: The law of each site.
+        clips: Whether the algorithm still clips.
+        remark: What was changed to end a cycle, in words; empty if nothing.
+    """
+
+    backend: Backend[I]
+    law: Chains
+    clips: bool
+    remark: str = ""
+    _seen: list[SiteConditions] = field(default_factory=list)
+    _places: Array | None = None  # from the first single change on
+    _fewest: int = 0
+    _last: int = 0
+
+    def look(self, conditions: SiteConditions, wanted: SiteConditions, iterations: int) -> int:
+        """Remember the conditions of an iteration; return how many sites the wanted ones change (collective)."""
+        self._seen.append(conditions)
+        *earlier, self._last = wanted.changes(self._seen, self.backend.comm).tolist()
+        if self._last > 0 and 0 in earlier and self._places is None:
+            period = len(self._seen) - earlier.index(0)
+            cycle = f"from iteration {iterations + 1} on: the sets cycle with period {period}"
+            if self.clips:
+                self.remark = f", without the clip (36) {cycle}"
+                self.clips, self._seen = False, []
+            else:
+                self.remark += f", by changing single {self.backend.noun[1]} {cycle}"
+                self._places, self._fewest = self.backend.places(), self._last
+        return self._last
+
+    def allowed(self, conditions: SiteConditions, wanted: SiteConditions) -> SiteConditions:
+        """The next conditions: the wanted ones, on all sites or on one (collective)."""
+        if self._places is None:
+            return wanted
+        all_may = self._last < self._fewest
+        self._fewest = min(self._fewest, self._last)
+        return wanted if all_may else self._one_changed(conditions, wanted, self._places)
+
+    def _one_changed(self, conditions: SiteConditions, wanted: SiteConditions, places: Array) -> SiteConditions:
+        """Conditions with one site changed: the last by its place, an order for any ranks (collective)."""
+        changing = [(*places[i], i) for i in np.flatnonzero(conditions.differ(wanted))]
+        *place, index = max(changing, default=(-1,))
+        last = max(self.backend.comm.allgather(place))
+        segment = self.law.segments(conditions)
+        if place and place == last:
+            segment[index] = self.law.segments(wanted)[index]
+        return self.law.conditions(segment)

@@ -1,0 +1,1 @@
+"""The physics that can be solved: each has a folder of its own, with files of the same names."""

@@ -1,0 +1,201 @@
+"""The laws of a problem on a mesh: a chain per facet of Γ_S, from the means of their data over it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.laws import Graph, Law, Signorini
+from signorini_fenicsx.discrete.data_values import check_nodes, facet_means
+from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+ROUNDING = 1e-12
+"""Relative size of what is rounding in the order of bounds."""
+BOUNDS = ("psi", "psi_upper")
+"""Data that must be continuous."""
+
+
+@dataclass(frozen=True)
+class PartLaw:
+    """A law and where it holds.
+
+    Attributes:
+        law: The law.
+        name: How messages call it: "law.0" for the first one that is listed, empty for ψ and q_S of the problem.
+        rows: Its facets of this rank, as rows of `Spaces.facets`.
+        data: Its data by their names.
+    """
+
+    law: Law
+    name: str
+    rows: Indices
+    data: Mapping[str, Datum]
+
+    def key(self, name: str) -> str:
+        """The name of one of its data in messages."""
+        return f"{self.name}.{name}" if self.name else name
+
+    def chains(self, points: FacetPoints) -> Chains:
+        """The law in each of some points of its facets, measured from u = 0 and κ∇u·n = 0."""
+        values = {name: datum.values(points).ravel() for name, datum in self.data.items()}
+        return chains_of(replace(self.law.graph(values), reference=(0.0, 0.0)), points.shape[0] * points.shape[1])
+
+
+@dataclass(frozen=True)
+class BoundaryLaws:
+    """The laws on Γ_S.
+
+    Attributes:
+        of_parts: Each law with its parts; first ψ and q_S of the problem on the parts that `Boundary.signorini` lists.
+        chains: Their graphs per facet, measured from the references.
+    """
+
+    of_parts: tuple[PartLaw, ...]
+    chains: Chains
+
+    @property
+    def listed(self) -> bool:
+        """Whether there are laws besides ψ and q_S of the problem."""
+        return any(part.name for part in self.of_parts)
+
+    def names(self) -> list[str]:
+        """Names of all segments, law after law; see `labels`."""
+        return [segment for part in self.of_parts for segment in part.law.segments]
+
+    def labels(self, segment: np.ndarray) -> np.ndarray:
+        """For each facet the row of its segment in `names`."""
+        labels = np.array(segment, dtype=np.int64)
+        first = 0
+        for part in self.of_parts:
+            labels[part.rows] += first
+            first += len(part.law.segments)
+        return labels
+
+
+def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> tuple[BoundaryLaws, Array, Array]:
+    """The laws of all parts of Γ_S (collective).
+
+    Returns:
+        They, and u and κ∇u·n at the reference of each facet: the means of ψ and q_S where these hold.
+
+    Raises:
+        InputError: If data are not what their law allows; the message says where.
+    """
+    listed = _listed(spaces, problem)
+    plain = [part for part in spaces.part_names if part not in listed]
+    laws: list[tuple[str, Law, Mapping[str, Datum]]] = []
+    if plain or not problem.laws:
+        laws.append(("", Signorini(plain), {"psi": psi, "q_S": q_S}))
+    for i, law in enumerate(problem.laws):
+        laws.append((f"law.{i}", law, _data(spaces, law, f"law.{i}")))
+    number = len(spaces.facets)
+    psi_h, q_Sh = np.empty(number), np.empty(number)
+    of_parts, chains = [], []
+    for name, law, data in laws:
+        rows = np.flatnonzero(np.isin(spaces.part_of_facet, [spaces.part_names.index(part) for part in law.parts]))
+        part = PartLaw(law, name, rows, data)
+        means = _means(spaces, part)
+        _refuse(spaces, part)
+        graph = law.graph(means)
+        psi_h[rows], q_Sh[rows] = graph.reference
+        chains.append((rows, chains_of(graph, len(rows))))
+        of_parts.append(part)
+    return BoundaryLaws(tuple(of_parts), joined(chains, number)), psi_h, q_Sh
+
+
+def _listed(spaces: Spaces, problem: Problem) -> set[str]:
+    """The parts of all laws.
+
+    Raises:
+        InputError: If one is not of Γ_S, or is listed twice.
+    """
+    listed: set[str] = set()
+    for i, law in enumerate(problem.laws):
+        for part in law.parts:
+            if part not in spaces.part_names:
+                known = ", ".join(spaces.part_names)
+                raise InputError(f"law.{i}.parts: '{part}' is not a part of Γ_S, whose parts are {known}")
+            if part in listed:
+                raise InputError(f"law.{i}.parts: '{part}' is listed twice")
+            listed.add(part)
+    return listed
+
+
+def chains_of(graph: Graph, number: int) -> Chains:
+    """Chains through the corners of a graph at so many sites, measured from its reference."""
+    p, flux = (
+        np.stack([np.broadcast_to(corner[axis] - graph.reference[axis], number) for corner in graph.corners], axis=1)
+        for axis in (0, 1)
+    )
+    p, flux = np.maximum.accumulate(p, axis=1), np.minimum.accumulate(flux, axis=1)  # but for rounding they are so
+    before, beyond = (np.broadcast_to(slope, number) for slope in (graph.before, graph.beyond))
+    chains = Chains.through(p, flux, before, beyond)
+    return replace(chains, plain=len(graph.corners) == 1 and graph.corners[0] is graph.reference)
+
+
+def _data(spaces: Spaces, law: Law, name: str) -> dict[str, Datum]:
+    """The data of a law (collective).
+
+    Raises:
+        InputError: If a text cannot be read, or is no scalar.
+    """
+    found: dict[str, Datum] = {}
+    for key, given in law.data().items():
+        try:
+            tree: Any = parsed(given, "xyz"[: spaces.mesh.geometry.dim])
+        except InputError as error:
+            raise InputError(f"{name}.{key}: {error}") from None
+        found[key] = datum_of(spaces, f"{name}.{key}", tree)
+    return found
+
+
+def _means(spaces: Spaces, part: PartLaw) -> dict[str, Array]:
+    """Means of the data over the facets, some of them weighted (collective).
+
+    Raises:
+        InputError: If a datum is not finite.
+    """
+    facets, where = spaces.facets[part.rows], "on its parts" if part.name else "on Γ_S"
+    means = {key: facet_means(spaces, part.key(key), datum, facets, where) for key, datum in part.data.items()}
+    for key in BOUNDS:
+        if key in part.data:
+            check_nodes(spaces, part.key(key), part.data[key], facets, where)
+    for key, by in part.law.weights.items():
+        datum, weight = part.data[key], part.data[by]
+        if weight.number is None:
+            points = facet_quadrature(spaces.mesh, facets, quadrature_degree(datum, weight, power=2))
+            moments = points.means(datum.values(points) * weight.values(points))
+            means[key] = np.divide(moments, points.means(weight.values(points)), out=means[key], where=means[by] > 0)
+    return means
+
+
+def _refuse(spaces: Spaces, part: PartLaw) -> None:
+    """Refuse data that their law does not allow, in points of a quadrature (collective).
+
+    Raises:
+        InputError: On all ranks, with the place of the worst.
+    """
+    comm, dim = spaces.mesh.comm, spaces.mesh.geometry.dim
+    points = facet_quadrature(spaces.mesh, spaces.facets[part.rows], quadrature_degree(*part.data.values()))
+    values = {key: datum.values(points).ravel() for key, datum in part.data.items()}
+    largest = max([0.0, *(float(np.abs(each).max(initial=0.0)) for each in values.values())])
+    rounding = ROUNDING * comm.allreduce(largest, MPI.MAX)
+    for what, size in part.law.refused(values):
+        worst: tuple[float, tuple[float, ...]] = (0.0, ())
+        if size.max(initial=0.0) > rounding:
+            worst = float(size.max()), tuple(points.x.reshape(-1, dim)[np.argmax(size)].tolist())
+        excess, place = max(comm.allgather(worst))
+        if place:
+            at = ", ".join(f"{x:.4g}" for x in place)
+            raise InputError(f"{part.name} ({part.law.name}): {what}, as at ({at}), by {excess:.3g}")

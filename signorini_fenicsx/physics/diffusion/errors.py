@@ -1,0 +1,89 @@
+"""Errors of a discrete solution where u is known."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import (
+    BESIDE,
+    BesideFacets,
+    FacetPoints,
+    cell_quadrature,
+    facet_quadrature,
+    owned_cells,
+)
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+EXACT_CONTACT = 1e-12
+"""An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
+
+
+def exact_errors(
+    spaces: Spaces, data: Data, exact: Datum, flux: CellFlux, u: fem.Function, p: fem.Function
+) -> dict[str, float]:
+    """L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S (collective).
+
+    In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
+    """
+    mesh, degree = spaces.mesh, quadrature_degree(exact)
+    squares = np.zeros(4)
+    for points in cell_quadrature(mesh, owned_cells(mesh), degree):
+        jet, kappa = exact.jet(points, gradient=True), data.kappa.values(points)
+        slope = jet[:, :, 1:, None]
+        exact_flux = kappa[..., None] * slope[..., 0] if kappa.ndim == 2 else (kappa @ slope)[..., 0]
+        balance = data.f.values(points) - data.c.values(points) * jet[:, :, 0] + flux.divergence[points.cells, None]
+        errors = [
+            ((exact_flux - flux.at(points)) ** 2).sum(axis=2),
+            balance**2,
+            (jet[:, :, 0] - u.x.array[points.cells, None]) ** 2,
+        ]
+        squares[:3] += [points.integrals(error).sum() for error in errors]
+    on_signorini = facet_quadrature(mesh, spaces.facets, degree)
+    traces = p.x.array[: len(spaces.facets), None]
+    squares[3] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
+    norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
+    found = dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
+    if data.memory is not None or data.obstacle is not None:
+        del found["div_sigma_L2"]
+    return found
+
+
+def missed_contact(spaces: Spaces, data: Data, exact: Datum, contact: Mask) -> float:
+    """Measure of the cells in contact where u > ψ in the centroid, and of the others where u = ψ (collective)."""
+    assert data.obstacle is not None
+    mesh, held = spaces.mesh, np.zeros(len(contact), dtype=bool)
+    for points in cell_quadrature(mesh, owned_cells(mesh), 1):
+        u, psi = exact.values(points)[:, 0], data.obstacle.psi.values(points)[:, 0]
+        held[points.cells] = u - psi <= EXACT_CONTACT * np.maximum(np.abs(u), np.abs(psi))
+    return float(mesh.comm.allreduce(spaces.cell_measures[held != contact].sum()))
+
+
+def exact_trace(spaces: Spaces, exact: Datum, points: FacetPoints) -> Array:
+    """The exact u, or its jump, in points of all facets of Γ_S, shape (facets, points) (collective)."""
+    trace, inner = exact.values(points), spaces.inner
+    if inner.present:
+        opposite, order = points.across(inner.rows, inner.facets)
+        named, across = (exact.values(BesideFacets.of(side, BESIDE)) for side in (points, opposite))
+        trace[inner.rows] = named[inner.rows] - np.take_along_axis(across, order, axis=1)
+    return trace
+
+
+def exact_contact(spaces: Spaces, data: Data, exact: Datum) -> FacetSet:
+    """The facets of Γ_S in whose midpoints the exact u is ψ, or a value at which another law holds it (collective)."""
+    trace = exact_trace(spaces, exact, facet_quadrature(spaces.mesh, spaces.facets, 1))[:, 0]
+    rounding = (BESIDE if spaces.inner.present else EXACT_CONTACT) * spaces.mesh.comm.allreduce(
+        np.abs(trace).max(initial=0.0), MPI.MAX
+    )
+    held = np.zeros(len(trace), dtype=bool)
+    for part in data.laws.of_parts:
+        law = part.chains(facet_quadrature(spaces.mesh, spaces.facets[part.rows], 1))
+        beside = np.abs(trace[part.rows, None] - law.value) <= rounding
+        held[part.rows] = (beside & np.isinf(law.slope)).any(axis=1)
+    return FacetSet(spaces, held)

@@ -1,0 +1,275 @@
+"""The facet system: one SPD problem with one unknown per facet, from which the mixed solution is recovered."""
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem.petsc import create_vector
+from petsc4py import PETSc
+from ufl import Form
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
+from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.jumps import jumps_of_facets
+from signorini_fenicsx.physics.diffusion.sources import sources
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+
+class FacetSystem:
+    """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`).
+
+    A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
+    one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
+    Inside the domain the unknown of a facet of Γ_S is the jump of u, see `jumps`.
+
+    With an obstacle the conditions of the cells follow those of the facets. A cell in contact, ZERO_TRACE, has another
+    source, so it changes the matrix and the load.
+
+    Attributes:
+        spaces: The discrete spaces.
+        space: Crouzeix-Raviart functions.
+        matrix: The Crouzeix-Raviart matrix under the conditions last applied.
+        b: Its right side.
+        x: Its solution, u_CR minus the lift of u_D and ψ; the start of the next iterative solve.
+        trace_dofs: The unknown of each Γ_S facet.
+        dofs: Unknowns over all ranks.
+        large: Whether an iterative solver is the default at this size.
+        sources: Those of the cells under the conditions last applied.
+    """
+
+    def __init__(self, spaces: Spaces, data: Data, tuning: Tuning):
+        """Assemble (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            data: The data and their means over cells and facets.
+            tuning: Has the size from which it is large.
+        """
+        self.spaces = spaces
+        self.space = spaces.crouzeix_raviart
+        self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
+        self._neumann_dofs = cells_and_dofs(self.space, spaces.neumann_facets)[1]
+        self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
+        self.dofs = self.space.dofmap.index_map.size_global
+        self.large = self.dofs > tuning.direct_up_to
+        self._named = self.trace_dofs[spaces.inner.rows]
+        self._across = cells_and_dofs(self.space, spaces.inner.facets)[1]
+        self._facets = slice(len(spaces.facets))
+        self.sources = sources(spaces, data)
+        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
+        self.matrix = self._operator.matrix
+        self._imposed: SiteConditions | None = None
+        self.x, self.b = create_vector(self.space), create_vector(self.space)
+        self.x.set(0.0)
+        self._rows: PETSc.Mat | None = None
+        self._take(data)
+
+    @property
+    def natural(self) -> PETSc.Mat:
+        """The matrix without conditions on facets."""
+        return self._operator.natural
+
+    @property
+    def follows_cells(self) -> bool:
+        """Whether conditions of cells change `natural`."""
+        return self._data.obstacle is not None
+
+    def _form(self, data: Data) -> fem.Form:
+        """The bilinear form (collective)."""
+        spaces, s = self.spaces, self.sources.s
+        form: fem.Form = (
+            spaces.kept(_stiffness, data.kappa_h) if s is None else spaces.kept(_with_reaction, data.kappa_h, s)
+        )
+        return form
+
+    def _take(self, data: Data) -> None:
+        """Assemble the right side (collective)."""
+        self._data = data
+        self._assemble_load()
+
+    def _assemble_load(self) -> None:
+        """Add up the right side without conditions on Γ_S: sources and given fluxes, less what the lift has of them.
+
+        Collective.
+        """
+        data, spaces = self._data, self.spaces
+        y, dofs = self.sources.b.x.array, self.space.dofmap.list
+        load = fem.Function(self.space).x
+        per_facet = np.repeat(y * spaces.cell_measures / dofs.shape[1], dofs.shape[1])
+        load.array[:] = np.bincount(dofs.ravel(), per_facet, len(load.array))
+        load.scatter_reverse(la.InsertMode.add)
+        owned = load.array[: self.b.getLocalSize()]
+        owned[self._across] += owned[self._named]  # the jump is on the named side alone
+        owned[self.trace_dofs] += data.q_Sh * spaces.facet_measure
+        owned[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
+        lift, image = self.matrix.createVecs()
+        lift.array_w[:] = data.u_lift.x.array[: len(owned)]
+        self._operator.natural.mult(lift, image)
+        self._load = owned - image.array_r
+        for vector in (lift, image):
+            vector.destroy()
+
+    def _assemble_again(self, data: Data) -> None:
+        """Assemble the matrix with another κ, or other sources (collective)."""
+        self._operator.renew(self._form(data))
+        self._rows = None
+
+    def renew(self, data: Data) -> bool:
+        """Go on with other data, the next iterative solve from solutions of earlier ones (collective).
+
+        Returns:
+            Whether κ and c, and so the matrix, stay.
+        """
+        same = data.same_operator(self._data, self.spaces)
+        kept = same and data.obstacle is None
+        self.sources = self.sources.renewed(data) if kept else sources(self.spaces, data)
+        if not kept:
+            self._assemble_again(data)
+            self._imposed = None
+        self._take(data)
+        return same
+
+    def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
+        """The owned unknowns of some sites."""
+        of_cells = self.space.dofmap.list[np.flatnonzero(sites[self._facets.stop :])].ravel()
+        own = of_cells[of_cells < self.space.dofmap.index_map.size_local]
+        return np.union1d(self.trace_dofs[sites[self._facets]], own).astype(np.int32)
+
+    def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
+        self.impose(conditions)
+        return self.load(conditions)
+
+    def impose(self, conditions: SiteConditions) -> None:
+        """Impose conditions on `matrix`, unless they are those of last time (collective)."""
+        if conditions.same(self._imposed, self.spaces.mesh.comm):
+            return
+        self._hold_cells(conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE)
+        on_facets = conditions.take(self._facets)
+        robin = on_facets.kind == Condition.ROBIN
+        added = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]
+        self._operator.impose(self._fixed(on_facets), self.trace_dofs[robin], added)
+        self._imposed = conditions
+
+    def _hold_cells(self, contact: Mask) -> None:
+        """Let u_T be ψ_T on the cells in contact with the obstacle (collective)."""
+        if self._data.obstacle is not None:
+            self.sources = sources(self.spaces, self._data).held(contact, self._data.obstacle.means)
+            self._assemble_again(self._data)
+            self._assemble_load()
+
+    def load(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        """Impose conditions on `b` and `x` alone and return the owned unknowns that they fix.
+
+        Collective if the conditions have values.
+        """
+        conditions = conditions.take(self._facets)
+        fixed = self._fixed(conditions)
+        self.b.array_w[:] = self._load
+        given = np.zeros(len(fixed))
+        if conditions.has_values:
+            self._add_values(conditions)
+            held = conditions.kind == Condition.ZERO_TRACE
+            given[len(self._dirichlet_dofs) :] = conditions.values_where(held)
+        self.b.array_w[fixed] = given
+        self.x.array_w[fixed] = given
+        return fixed
+
+    def _fixed(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
+        return np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
+
+    def _add_values(self, conditions: SiteConditions) -> None:
+        """The loads of fluxes that are not 0, and those of traces that are not, in `b` (collective)."""
+        zero_trace = conditions.kind == Condition.ZERO_TRACE
+        known, image = self.matrix.createVecs()
+        known.set(0.0)
+        known.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)
+        self._operator.natural.mult(known, image)
+        self.b.array_w[:] -= image.array_r
+        self.b.array_w[self.trace_dofs[~zero_trace]] += (
+            conditions.values_where(~zero_trace) * self.spaces.facet_measure[~zero_trace]
+        )
+        for vector in (known, image):
+            vector.destroy()
+
+    def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
+        """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
+        spaces = self.spaces
+        sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
+        u_cr = self._with_lift(self.x)
+        through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
+        sigma.x.array[spaces.V.dofmap.list] = through[spaces.broken_crouzeix_raviart.dofmap.list] / spaces.outflow
+        sigma.x.scatter_forward()
+        u.x.array[:] = self.sources.values(u_cr)[0]
+        flux = spaces.normal_flux(sigma) - self._data.q_Sh
+        p, flux = self._pairs(self.x, flux, conditions)
+        on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
+        sigma.x.array[spaces.flux_dofs] = on_facets / spaces.basis_flux
+        sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
+        sigma.x.scatter_forward()
+        spaces.carry_across(sigma)
+        contact = None
+        if self._data.obstacle is not None:
+            contact = conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE
+            u.x.array[contact] = self._data.obstacle.means[contact]
+        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, contact=contact)
+
+    def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective).
+
+        A facet of Γ_S has one cell, so its row of the system without conditions is |e|(σ·n − q_S).
+        """
+        if self._rows is None:
+            first, end = self._operator.natural.getOwnershipRange()
+            rows = PETSc.IS().createGeneral(first + self.trace_dofs, comm=self.x.getComm())
+            own = PETSc.IS().createStride(end - first, first, comm=self.x.getComm())
+            self._rows = self._operator.natural.createSubMatrix(rows, own)
+        loads = self._rows.createVecLeft()
+        self._rows.mult(x, loads)
+        flux: Array = (loads.array_r - self._load[self.trace_dofs]) / self.spaces.facet_measure
+        return self._pairs(x, flux, conditions)
+
+    def _pairs(self, x: PETSc.Vec, flux: Array, conditions: SiteConditions) -> tuple[Array, Array]:
+        """Both p − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
+        data, trace = self._data, x.array_r[self.trace_dofs]
+        if data.obstacle is not None:
+            u, source = self.sources.values(self._with_lift(x))
+            trace = np.append(trace, u - data.obstacle.means)
+            force = source - data.f_h.x.array
+            if data.c_h is not None:
+                force += data.c_h.x.array * u
+            flux = np.append(flux, force)
+        return conditions.clean(trace, flux, data.conductance)
+
+    def _with_lift(self, x: PETSc.Vec) -> fem.Function:
+        """u_CR (collective)."""
+        owned: Array = x.array_r
+        u_cr = fem.Function(self.space)
+        u_cr.x.array[: len(owned)] = owned
+        u_cr.x.array[self._named] += owned[self._across]
+        u_cr.x.scatter_forward()
+        u_cr.x.array[:] += self._data.u_lift.x.array
+        return u_cr
+
+
+def _stiffness(spaces: Spaces, kappa: Expr) -> Form:
+    space = spaces.crouzeix_raviart
+    return stiffness(ufl.TrialFunction(space), ufl.TestFunction(space), ufl.dx, kappa)
+
+
+def _with_reaction(spaces: Spaces, kappa: Expr, s: Expr) -> Form:
+    space = spaces.crouzeix_raviart
+    return _stiffness(spaces, kappa) + reaction(ufl.TrialFunction(space), ufl.TestFunction(space), ufl.dx, s)
+
+
+def _outflow(spaces: Spaces, kappa: Expr, source: Expr, u_cr: Expr) -> Form:
+    """At a facet between two cells what flows out of one flows into the other, up to the linear residual."""
+    return outflow(u_cr, source, ufl.TestFunction(spaces.broken_crouzeix_raviart), ufl.dx, kappa)

@@ -1,0 +1,192 @@
+"""Nodes of continuous functions on facets: those of each facet, values on which all ranks agree, jumps in the domain.
+
+On facets inside the domain, where the mesh is cut, a function v has two nodes in one place: one of the named side and
+one of the other. With the jump of v in the node of the named side, and all else as it is, a condition on the jump is
+one on a node. At the edge of the cut both sides share a node, and there is no jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.matrices import identity_with
+from signorini_fenicsx.discrete.points import (
+    Entities,
+    facet_lattice,
+    facet_type,
+    from_inside,
+    in_facets,
+    quadratic_nodes,
+)
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+
+def facet_nodes(space: fem.FunctionSpace, facets: Entities) -> Entities:
+    """Nodes of boundary facets in a space of linear or quadratic functions, shape (facets, nodes of a facet)."""
+    points = facet_lattice(space.mesh, facets, 1)
+    closures = np.array(space.element.basix_element.entity_closure_dofs[space.mesh.topology.dim - 1])
+    return np.take_along_axis(space.dofmap.list[points.cells], closures[points.local], axis=1)
+
+
+def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> Array:
+    """For values ≥ 0 per facet, the largest value of the facets around each node, or 0 without facets (collective)."""
+    largest = fem.Function(space)
+    np.maximum.at(largest.x.array, nodes.ravel(), np.repeat(values, nodes.shape[1]))
+    vector = largest.x.petsc_vec
+    vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    largest.x.scatter_forward()
+    return np.asarray(largest.x.array, dtype=np.float64)
+
+
+def extreme_around(space: fem.FunctionSpace, nodes: Entities, values: Array, *, largest: bool) -> Array:
+    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
+    sign = 1.0 if largest else -1.0
+    found = fem.Function(space)
+    found.x.array[:] = -np.inf
+    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
+    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    found.x.scatter_forward()
+    return np.asarray(sign * found.x.array, dtype=np.float64)
+
+
+def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
+    """Set the nodes of some facets to the means of what the facets say (collective)."""
+    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
+    np.add.at(total.x.array, nodes.ravel(), values.ravel())
+    np.add.at(count.x.array, nodes.ravel(), 1.0)
+    for each in (total, count):
+        each.x.scatter_reverse(la.InsertMode.add)
+        each.x.scatter_forward()
+    found = count.x.array > 0
+    function.x.array[found] = total.x.array[found] / count.x.array[found]
+
+
+def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -> fem.Function:
+    """A datum by its values in the nodes of quadratics; on a cut in the domain by those of each side (collective)."""
+    dim, inner = spaces.mesh.topology.dim, spaces.inner
+    function = datum.at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell()))
+    if inner.present and datum.number is None:
+        facets = np.concatenate([spaces.facets[inner.rows], inner.facets])
+        points = in_facets(spaces.mesh, facets, quadratic_nodes(facet_type(dim)))
+        set_means(function, facet_nodes(space, facets), from_inside(datum.values, points))
+    return function
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """The change of unknowns of a continuous function to jumps at facets inside the domain.
+
+    Attributes:
+        jump: Mask of the nodes of this rank that have the jump; no other part of Γ_S has these nodes.
+        tips: Nodes of this rank at the edge of the cut.
+        meets: Nodes of this rank in places where inner parts meet each other or other parts of Γ_S, or Γ_D on one side
+            only. They keep the values of the function.
+        basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes.
+        inverse: Its inverse.
+        pairs: Nodes of the inner facets, and those in the same places of the other side, shape (facets, nodes) each.
+    """
+
+    jump: Mask
+    tips: npt.NDArray[np.intp]
+    meets: npt.NDArray[np.intp]
+    basis: PETSc.Mat
+    inverse: PETSc.Mat
+    pairs: tuple[Entities, Entities]
+
+    @classmethod
+    def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps | None:
+        """Those of a space of linear or quadratic functions; None without facets inside the domain (collective)."""
+        if not spaces.inner.present:
+            return None
+        numbers, inner = space.dofmap.index_map, spaces.inner
+        pairs = named, across = _in_pairs(space, spaces.facets[inner.rows], inner.facets)
+        tip = named == across
+        named, across, tips = (nodes.ravel()[:, None] for nodes in (named[~tip], across[~tip], named[tip]))
+        other = largest_around(space, named, 1.0 + numbers.local_to_global(across.ravel()))
+        below, at_edge, beside = (
+            largest_around(space, nodes, np.ones(len(nodes))) > 0
+            for nodes in (across, tips, facet_nodes(space, spaces.facets[spaces.outer_rows]))
+        )
+        wall = np.zeros(len(other), dtype=bool)
+        wall[fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, spaces.dirichlet_facets)] = True
+        meets = (other > 0) & below | beside & (below | at_edge | (other > 0))
+        half = wall[named] != wall[across]
+        meets[named[half]] = meets[across[half]] = True
+        meets = _over_places(space, pairs, meets.astype(np.float64)) > 0
+        jump = (other > 0) & ~meets
+        own = np.flatnonzero(jump[: numbers.size_local])
+        more = numbers.local_range[0] + own, other[own].astype(np.int64) - 1
+        basis, inverse = (
+            identity_with(space.mesh.comm, numbers.size_local, *more, np.full(len(own), sign)) for sign in (1.0, -1.0)
+        )
+        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), basis, inverse, pairs)
+
+    def join(self, v: fem.Function, at: Mask, given: Entities) -> None:
+        """Let v be continuous in the places of some nodes, in place: of `given` values, else the largest (collective).
+
+        Args:
+            v: A function by the values in its nodes, ghosts updated.
+            at: Mask of nodes of this rank.
+            given: Nodes of this rank that keep their values.
+        """
+        space, known, value = v.function_space, np.zeros(len(at)), v.x.array.copy()
+        known[given] = 1.0
+        somewhere = _over_places(space, self.pairs, known) > 0
+        value[somewhere & (known == 0)] = -np.inf
+        there = _over_places(space, self.pairs, at.astype(np.float64)) > 0
+        v.x.array[there] = _over_places(space, self.pairs, value)[there]
+
+    def taken(self, v: fem.Function) -> None:
+        """Put the jumps of a function in the place of its values, ghosts updated (collective)."""
+        _apply(self.inverse, v)
+
+    def undone(self, v: fem.Function) -> None:
+        """The other way (collective)."""
+        _apply(self.basis, v)
+
+    def transposed(self, values: Array) -> Array:
+        """The transpose of `basis` times values of the owned nodes (collective)."""
+        right, left = self.basis.createVecs()
+        left.array_w[:] = values
+        self.basis.multTranspose(left, right)
+        return right.array_r.copy()
+
+
+def _apply(matrix: PETSc.Mat, v: fem.Function) -> None:
+    right, left = matrix.createVecs()
+    right.array_w[:] = v.x.array[: right.getLocalSize()]
+    matrix.mult(right, left)
+    v.x.array[: left.getLocalSize()] = left.array_r
+    v.x.scatter_forward()
+
+
+def _over_places(space: fem.FunctionSpace, pairs: tuple[Entities, Entities], values: Array) -> Array:
+    """In each node the largest value of the nodes in its place, which pairs connect (collective)."""
+    nodes = np.vstack(pairs)
+    while True:
+        larger = np.maximum(*(values[side] for side in pairs))
+        found = np.maximum(values, extreme_around(space, nodes, np.vstack([larger, larger]), largest=True))
+        if not space.mesh.comm.allreduce(bool((found > values).any()), MPI.LOR):
+            return found
+        values = found
+
+
+def _in_pairs(space: fem.FunctionSpace, named: Entities, across: Entities) -> tuple[Entities, Entities]:
+    """The nodes of facets, and for each the node in the same place of the facet that lies on it."""
+    corners = [facet_lattice(space.mesh, facets, 1).vertices for facets in (named, across)]
+    dim = space.mesh.topology.dim
+    same = np.all(corners[0][:, :, None] == corners[1][:, None], axis=3)
+    vertex = np.argmax(same, axis=2)
+    nodes = [facet_nodes(space, facets) for facets in (named, across)]
+    order = vertex
+    if nodes[0].shape[1] > dim:  # an edge has the number of the vertex opposite to it, in 2D it is the facet
+        order = np.hstack([vertex, dim + (vertex if dim == 3 else np.zeros_like(vertex[:, :1]))])
+    return nodes[0], np.take_along_axis(nodes[1], order, axis=1)

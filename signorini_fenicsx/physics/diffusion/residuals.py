@@ -1,0 +1,233 @@
+"""Residuals of the discrete Signorini problem that do not depend on units."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.small_matrices import inverses
+from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.contact.conditions import Penalty
+from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.obstacle import Obstacle
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+FAR = 1e6
+"""If ψ is this many times as large as u, the rounding of u − ψ may be above the tolerance beside u."""
+CONSTANT = 1e-10
+"""If the energy of u is below this share of ‖√k u‖/L, u counts as constant, and its σ as an error of linear solvers."""
+
+
+@dataclass(frozen=True)
+class KKTResiduals(Residuals):
+    """Residuals of (MLM-I)_h and (MLM-II)_h, with p and σ·n standing for p − ψ and σ·n − q_S.
+
+    Each residual is measured twice, as a gradient and as a flux, and the larger value counts: where κ jumps, a wrong
+    sign shows as a gradient where κ is small and as a flux where κ is large. L = |Ω|^(1/d) is a length; k is the mean
+    eigenvalue of κ_h on a cell, and on a facet that of the cell behind it. Residuals are compared with the gradient
+    G = ‖κ_h⁻¹σ‖ and the flux S = ‖σ‖. If u is constant, σ is rounding; then G = ‖u‖/L and S = ‖ku‖/L, or the same with
+    the largest |u_D| or |ψ| in place of u if these are larger. u can be constant only without loads and with constant
+    u_D. All residuals are 0 if S = 0. The constant that u_D and ψ have in common is subtracted from u, u_D and ψ first.
+
+    With an obstacle λ = −∇·σ − s is its force in each cell, s = f_h − c_h u. Primal, dual and complementarity then have
+    parts from Ω as well, ‖[u − ψ]_-‖ / (L G), ‖h_T k⁻¹[λ]_-‖ / G and ‖min(|u − ψ|/L, h_T k⁻¹|λ|)‖ / G, and the same as
+    fluxes.
+
+    For other laws p and σ·n are measured from the reference. Then primal and dual are how far p is outside of what any
+    σ·n allows, and σ·n outside of what any p allows. Complementarity is the rest of the distance to the graph, in the
+    maximum norm of (k/L)p and σ·n: on each facet the distance to the nearest segment.
+
+    A penalty formulation is the same system with p replaced by p + εσ·n (I) or σ·n by σ·n + εp (II). Its residuals
+    primal, dual and complementarity are those of the replaced quantities.
+
+    On a facet inside the domain p is the jump of u, and the flux of its two sides is one unknown.
+
+    Attributes:
+        primal: ‖[p]_-‖_Λ / (√L G) and ‖k [p]_-‖_Λ / (√L S), the violation of p ≥ 0.
+        dual: √L ‖k⁻¹[σ·n]_-‖_Λ / G and √L ‖[σ·n]_-‖_Λ / S, the violation of σ·n ≥ 0.
+        complementarity: √L ‖min(|p|/L, k⁻¹|σ·n|)‖_Λ / G and √L ‖min(k|p|/L, |σ·n|)‖_Λ / S, the smaller of p and σ·n on
+            each facet. Their product is not used, since it can be as small as the square of an error.
+        stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
+            matrix of RT0 and W that of (κ_h⁻¹σ, τ).
+        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell, unless
+            there is an obstacle; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+    """
+
+    primal: float
+    dual: float
+    complementarity: float
+    stationarity: float
+    mass_balance: float
+
+
+def kkt_residuals(
+    spaces: Spaces,
+    data: Data,
+    sigma: fem.Function,
+    u: fem.Function,
+    p: fem.Function,
+    penalty: Penalty | None,
+    eps: float,
+) -> KKTResiduals:
+    """Residuals of a discrete solution, computed from its fields alone (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        data: The data and their means over cells and facets.
+        sigma: Flux in RT0, with ghost values.
+        u: Scalar in P0, with ghost values.
+        p: Trace in P0(Γ_S), with ghost values.
+        penalty: Penalty law; None for the Signorini condition.
+        eps: ε of the penalty.
+    """
+    constant = data.common_constant(spaces)
+    data, u = data.less(spaces, constant), u.copy()
+    p = p.copy()
+    p.x.array[spaces.outer_rows] -= constant
+    p.x.scatter_forward()
+    u.x.array[:] -= constant
+    length = spaces.length
+    in_cells = CellFlux.of(spaces, sigma)
+    scales = _scales(spaces, in_cells, u, data)
+    if scales[1] == 0:
+        return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
+
+    e, k = spaces.facet_measure, data.conductivities(spaces)[spaces.cells]
+    trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    if penalty is not None:
+        trace, flux = penalty.shift(trace, flux, eps)
+    low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
+    sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
+    squares = length * np.array(sums) + _over_obstacle(spaces, data, in_cells, u)
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares)) / scales
+    return KKTResiduals(
+        primal=float(primal.max()),
+        dual=float(dual.max()),
+        complementarity=float(complementarity.max()),
+        stationarity=float((_stationarity(spaces, in_cells, u, p, data) / scales).max()),
+        mass_balance=float((_imbalance(spaces, in_cells, sigma, u, data) / scales).max()),
+    )
+
+
+def far_bound(spaces: Spaces, data: Data, u: fem.Function) -> str:
+    """What to do about residuals that come from a ψ far from u, as the end of a sentence; empty if it is near.
+
+    Collective. The data and u are those without the constant that u_D and ψ have in common.
+    """
+    furthest = np.abs(data.extent(spaces)).max()
+    largest = spaces.mesh.comm.allreduce(np.abs(u.x.array).max(initial=0.0), MPI.MAX)
+    if furthest <= FAR * largest:
+        return ""
+    return (
+        f"; u is at most {largest:.1e} and ψ is up to {furthest:.1e} away, so too few digits of u are left in u − ψ: "
+        "where there is no contact, give a ψ that is nearer to u"
+    )
+
+
+def touching(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Mask | None:
+    """Mask of the owned cells in contact with the obstacle, None without one (collective)."""
+    if data.obstacle is None:
+        return None
+    above, force = _obstacle_pairs(spaces, data, data.obstacle, CellFlux.of(spaces, sigma), u)
+    return np.asarray(np.abs(above) <= force)
+
+
+def _obstacle_pairs(
+    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: CellFlux, u: fem.Function
+) -> tuple[Array, Array]:
+    """(k/L)(u − ψ) and h_T λ per owned cell."""
+    above = data.conductivities(spaces) / spaces.length * (u.x.array - obstacle.means)
+    return above, -_missing_mass(spaces, data, sigma, u)
+
+
+def _over_obstacle(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
+    """Squares of what the cells of this rank add to primal, dual and complementarity."""
+    if data.obstacle is None:
+        return np.zeros((3, 2))
+    k, (above, force) = data.conductivities(spaces), _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
+    parts = np.minimum(above, 0.0), np.minimum(force, 0.0), np.minimum(np.abs(above), np.abs(force))
+    return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
+
+
+def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
+    """G and S (collective)."""
+    comm = spaces.mesh.comm
+    if data.kappa.number is not None:
+        flux = np.sqrt(comm.allreduce(sigma.squares(1.0).sum()))
+        energy, gradient = flux / np.sqrt(data.kappa.number), flux / data.kappa.number
+    else:
+        inverse = inverses(data.matrices(spaces))
+        of_flux = np.array([sigma.squares(weight).sum() for weight in (1.0, inverse, inverse @ inverse)])
+        flux, energy, gradient = np.sqrt(comm.allreduce(of_flux))
+    k, measures = data.conductivities(spaces), spaces.cell_measures
+    values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
+    squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
+    of_u, of_given = np.sqrt(comm.allreduce(squares)) / spaces.length
+    if energy <= max(CONSTANT * of_u[0], ROUNDING * of_given[0]) and not _is_driven(spaces, u, data):
+        return np.maximum(of_u, of_given)[1:]
+    return np.array([gradient, flux])
+
+
+def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
+    """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective).
+
+    Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load. In time neither
+    does an earlier u that is only rounding.
+    """
+    comm = spaces.mesh.comm
+    lowest, highest = data.dirichlet_extent(spaces)
+    source, f_h, flux = (
+        comm.allreduce(np.abs(values.x.array).max(initial=0.0), MPI.MAX)
+        for values in (data.source(u), data.f_h, data.sigma_lift)
+    )
+    loaded = source > ROUNDING * f_h and not _is_at_rest(spaces, data)
+    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or loaded or flux > 0)
+
+
+def _is_at_rest(spaces: Spaces, data: Data) -> bool:
+    """Whether f is 0 and u was 0 in the steps before, if there are any, up to the rounding of data (collective)."""
+    if data.f.number != 0:
+        return False
+    f_h, c_h = data.f_h.x.array, np.zeros(1) if data.c_h is None else data.c_h.x.array
+    before = np.divide(np.abs(f_h), c_h, where=c_h > 0, out=np.zeros(len(f_h)))
+    largest = spaces.mesh.comm.allreduce(before.max(initial=0.0), MPI.MAX)
+    return bool(largest <= ROUNDING * np.abs(data.extent(spaces)).max())
+
+
+def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
+    """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
+    k, n = data.conductivities(spaces), spaces.neumann_cells
+    missing = np.zeros(len(k)) if data.obstacle is not None else _missing_mass(spaces, data, in_cells, u)
+    difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
+    lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
+    squares = [
+        spaces.cell_measures @ (missing / w) ** 2 + spaces.length * (spaces.neumann_measure @ (lacking / v) ** 2)
+        for w, v in ((k, k[n]), (1.0, 1.0))
+    ]
+    return np.sqrt(spaces.mesh.comm.allreduce(np.array(squares)))
+
+
+def _missing_mass(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
+    """h_T (∇·σ + s) on each owned cell."""
+    return spaces.cell_diameters * (sigma.divergence + data.source(u).x.array)
+
+
+def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Function, data: Data) -> Array:
+    """Norm of the residual of (9a), as a gradient and as a flux (collective)."""
+    kappa = data.kappa.number
+    inverse = inverses(data.matrices(spaces)) if kappa is None else 1 / kappa
+    trace = data.u_lift.copy()  # p on Γ_S, u_D on Γ_D, 0 on all other facets
+    trace.x.array[cells_and_dofs(trace.function_space, spaces.facets)[1]] = p.x.array[: len(spaces.facets)]
+    jump = u.x.array[:, None] - trace.x.array[trace.function_space.dofmap.list]
+    residual = joined(spaces, spaces.outflow * (sigma.tested(inverse) + jump))
+    residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
+    spaces.join_across(residual)
+    size = spaces.V.dofmap.index_map.size_local
+    owned, M = residual[:size], mass_diagonal(spaces, 1.0)[:size]
+    W = mass_diagonal(spaces, inverse)[:size] if kappa is None else M / kappa
+    return np.sqrt(spaces.mesh.comm.allreduce(np.array([owned @ (owned / M), (owned / W) @ (M * owned / W)])))

@@ -1,0 +1,87 @@
+"""The source of each cell as a function of u_CR, see `forms/crouzeix_raviart.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.small_matrices import inverses
+from signorini_fenicsx.discrete import cell_shapes
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+
+@dataclass(frozen=True)
+class Sources:
+    """y_T = b_T − s_T ū_T on each owned cell, with ū_T the mean of a Crouzeix-Raviart function.
+
+    Attributes:
+        s: s_T ≥ 0 in P0; None if it is 0 everywhere.
+        b: b_T in P0.
+        moments: m_T.
+    """
+
+    s: fem.Function | None
+    b: fem.Function
+    moments: Array
+
+    def renewed(self, data: Data) -> Sources:
+        """Those for another f_h, with the same κ_h and c_h."""
+        if self.s is None or data.c_h is None:
+            return replace(self, b=data.f_h)
+        b = fem.Function(self.b.function_space)
+        c = data.c_h.x.array
+        b.x.array[:] = data.f_h.x.array * np.divide(self.s.x.array, c, out=np.ones_like(c), where=c > 0)
+        return replace(self, b=b)
+
+    def at(self, u_cr: fem.Function) -> fem.Function:
+        """y_T for a function with up-to-date ghost values; b itself without s."""
+        if self.s is None:
+            return self.b
+        source = fem.Function(self.b.function_space)
+        source.x.array[:] = self.values(u_cr)[1]  # no ghost cells
+        return source
+
+    def values(self, u_cr: fem.Function) -> tuple[Array, Array]:
+        """u_T = ū_T + m_T y_T and y_T per owned cell, for a function with up-to-date ghost values."""
+        means, y = _means(u_cr), self.b.x.array
+        if self.s is not None:
+            y = y - self.s.x.array * means
+        return means + self.moments * y, y
+
+    def held(self, cells: Mask, values: Array) -> Sources:
+        """The sources with which u_T has these values on some cells; there is an s."""
+        assert self.s is not None
+        s, b = self.s.copy(), self.b.copy()
+        s.x.array[cells] = 1 / self.moments[cells]
+        b.x.array[cells] = values[cells] / self.moments[cells]
+        return Sources(s, b, self.moments)
+
+
+def sources(spaces: Spaces, data: Data) -> Sources:
+    """Those of −∇·σ + c_h u = f_h, without contact with an obstacle."""
+    moments = mean_moments(spaces, data)
+    if data.c_h is None and data.obstacle is None:
+        return Sources(None, data.f_h, moments)
+    s = fem.Function(spaces.Q)
+    if data.c_h is not None:
+        s.x.array[:] = data.c_h.x.array / (1 + data.c_h.x.array * moments)
+    return Sources(s, data.f_h, moments).renewed(data)
+
+
+def mean_moments(spaces: Spaces, data: Data) -> Array:
+    """m_T = mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, divided by d², for each owned cell."""
+    if data.kappa.number is not None:
+        squared = spaces.squared_arms / data.kappa.number
+    else:
+        squared = cell_shapes.squared_arms(spaces.mesh, inverses(data.matrices(spaces)))
+    return cell_shapes.mean_moments(squared) / spaces.mesh.geometry.dim**2
+
+
+def _means(u_cr: fem.Function) -> Array:
+    """ū_T on each owned cell."""
+    of_cells = u_cr.x.array[u_cr.function_space.dofmap.list]
+    return np.asarray(np.einsum("cf->c", of_cells) / of_cells.shape[1])

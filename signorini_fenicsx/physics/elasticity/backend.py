@@ -1,0 +1,227 @@
+"""The elastic backend: the facet system with a contact condition per facet vertex of Γ_C.
+
+Small systems are factorised, larger ones solved by CG with multigrid.
+
+Where only contact holds the body, a set on the way may be too small for that. Then weak springs hold the free sites;
+under the load they give way so far that the next set is larger. No result has springs: its residuals would be large.
+"""
+
+from collections.abc import Callable
+from functools import cached_property, partial
+
+import numpy as np
+from dolfinx import la
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.field_change import FieldChange
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.kept_factors import KeptFactors
+from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.friction import law_of_sites
+from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, STIFF, ElasticCoarse
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.system import ElasticSystem
+
+MOST_ITERATIONS = 400
+"""If CG needs more, it gives way to a factorisation."""
+HELD = 1e-12
+"""Sites hold a motion of size 1 if the squares of its means add up to more."""
+SPRING = 1e-6
+"""Share of a site's diagonal entry that is its spring."""
+
+
+class ElasticBackend:
+    """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
+
+    ZERO_TRACE is contact, NO_FLUX a free vertex. After these sites come those with friction, where p = u_t and the flux
+    is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips.
+    """
+
+    name = "elastic"
+    noun = ("vertex", "vertices")
+    cheap = False
+    precise: Callable[[], Backend[Iterate]] | None = None
+
+    def __init__(
+        self, spaces: ElasticSpaces, data: ElasticData, tuning: Tuning | None = None, motions: Array | None = None
+    ):
+        """Assemble and choose the solver (collective).
+
+        Args:
+            spaces: The spaces.
+            data: The data.
+            tuning: Has the size from which CG with multigrid is the default.
+            motions: Means of r_n at the sites for each rigid motion that only contact prevents; None for none.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self.spaces, self._data = spaces, data
+        self.comm = spaces.mesh.comm
+        self._unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
+        self._measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
+        self.sites = len(self._unknowns)
+        self.friction = data.friction
+        self.system = ElasticSystem(spaces, data)
+        self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
+        self.dofs = self._operator.matrix.getSize()[0]
+        large = self.dofs > (tuning or Tuning()).elastic_direct_up_to[spaces.dim]
+        stiff = data.stiffness_of_volume(spaces) >= STIFF
+        make = partial(ElasticCoarse, spaces, self._operator.matrix, stiff) if large else None
+        self._solver = FacetSolver(self._operator.matrix, "facet_", DEFAULTS, make, MOST_ITERATIONS)
+        self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, spaces.dim)
+        self._x, self._b = self._operator.matrix.createVecs()
+        self._x.set(0.0)
+        self._largest = 0.0, 0.0
+        self._motions = np.zeros((self.sites, 0)) if motions is None else motions
+        self._applied: SiteConditions | None = None
+        self._sprung = False
+        self._springs = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site; with friction by its present bounds."""
+        return law_of_sites(self.spaces, self.friction)
+
+    @property
+    def inexact(self) -> Inexact | None:
+        """The backend itself if its linear solver iterates."""
+        return self if self._solver.iterates else None
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return self._solver.name()
+
+    def solve(self, conditions: SiteConditions) -> Iterate:
+        """Solve as `Backend.solve` says, starting from the last solution (collective).
+
+        Raises:
+            InputError: If a condition is neither contact nor free.
+            LinearSolveFailure: If the linear solver fails.
+        """
+        self._solve(conditions)
+        return self._recovered(conditions)
+
+    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve as `Inexact.solve_until` says (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        with self._solver.stopping(lambda x: enough(*self._pairs(x, conditions))):
+            self._solve(conditions)
+        return self._pairs(self._x, conditions)
+
+    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
+        """None: there are no solves on patches."""
+
+    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
+        forces = x.duplicate()
+        self._operator.natural.mult(x, forces)
+        left = (forces.array_r - self.system.load)[self._unknowns] / self._measure
+        signs = np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
+        return conditions.clean(signs * x.array_r[self._unknowns], signs * left, 1.0)
+
+    def _loose(self, contact: Mask) -> bool:
+        """Whether these sites leave a rigid motion free (collective)."""
+        if self._motions.shape[1] == 0:
+            return False
+        rows = self._motions[contact]
+        return bool(np.linalg.eigvalsh(self.comm.allreduce(rows.T @ rows))[0] <= HELD)
+
+    def _solve(self, conditions: SiteConditions) -> None:
+        """Solve, unless the last solve under the same conditions converged (collective)."""
+        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
+            raise InputError("elastic contact takes no penalty; use alg1 or alg2")
+        if conditions.same(self._applied, self.comm) and self._solver.converged:
+            return
+        self._applied = None
+        contact = conditions.kind == Condition.ZERO_TRACE
+        load = self.system.load.copy()
+        if conditions.has_values:
+            load[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
+        loose = self._loose(contact)
+        if loose or self._sprung:
+            self._factors.forget()
+            self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
+        if not self._factors.solve(load, self._x, contact):
+            self._solve_anew(load, contact, sprung=~contact & loose)
+        self._applied, self._sprung = conditions, loose
+
+    def _solve_anew(self, load: Array, contact: Mask, *, sprung: Mask) -> None:
+        """Set the solver up and solve (collective)."""
+        essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
+        self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
+        self._b.array_w[:] = load
+        for vector in (self._b, self._x):
+            vector.array_w[essential] = 0.0
+        if self._solver.levels is not None:
+            with self._solver.options():
+                self._solver.levels.update(self._data.fixed, essential)
+        self._solver.solve(self._b, self._x)
+        self._factors.keep(essential, contact)
+
+    def _recovered(self, conditions: SiteConditions) -> Iterate:
+        spaces = self.spaces
+        index_map = spaces.traces.dofmap.index_map
+        x = la.vector(index_map, spaces.dim**2)
+        owned: Array = self._x.array_r
+        x.array[: len(owned)] = owned
+        x.scatter_forward()
+        stresses, displacements = self.system.recover(x.array + self._data.lift)
+        trace = np.concatenate([-owned[spaces.sites], owned[spaces.slip_sites]])
+        traction = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
+        p, flux = conditions.clean(trace, traction, 1.0)
+        self._largest = self._extent(np.abs(displacements), np.abs(stresses))
+        return Iterate(
+            p=p,
+            flux=flux,
+            linear_iterations=self._solver.ksp.getIterationNumber(),
+            sigma=spaces.split.stress(stresses),
+            u=spaces.displacement(displacements),
+        )
+
+    def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
+        """Refused: there is no clip without a penalty.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("elastic contact takes no penalty; use alg1 or alg2")
+
+    def scales(self, iterate: Iterate) -> tuple[Array, Array]:
+        """The largest |u| and the largest |σ|, see `Backend.scales`."""
+        u, sigma = self._largest
+        return np.full(self.sites, u), np.full(self.sites, sigma)
+
+    @cached_property
+    def change(self) -> FieldChange:
+        """Norms of what changed, see `Backend.change`."""
+        return FieldChange(self.spaces.split.stresses, self.spaces.displacements)
+
+    def places(self) -> Array:
+        """The vertex, the sum of its facet's vertices, and whether the site is one of friction."""
+        contact, rough = self.spaces.contact.vertices, self.spaces.rough.vertices
+        vertices = np.concatenate([contact, rough])
+        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
+        places = np.concatenate([vertices, of_facet], axis=2).reshape(self.sites, 2 * self.spaces.dim)
+        return np.column_stack([places, np.arange(self.sites) >= len(self.spaces.sites)])
+
+    def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
+        """As they are: σ in the Johnson-Mercier space, u linear on each cell, and conditions per facet vertex."""
+        return iterate, conditions
+
+    def _extent(self, *values: Array) -> tuple[float, float]:
+        largest = np.array([one.max(initial=0.0) for one in values])
+        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        u, sigma = largest.tolist()
+        return u, sigma

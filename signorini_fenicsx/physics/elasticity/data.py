@@ -1,0 +1,254 @@
+"""The data of an elastic contact problem as the discrete problem sees them: values in points, moments on facets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.data_values import check_means, check_nodes
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, regional_datum
+from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, friction_bounds
+from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature
+from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem, Plane
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum, vector_datum_of
+
+DEGREE, MOST = DEGREES
+BLOCK = {2: 4096, 3: 512}
+"""Cells, by dimension, whose values are held at a time: some tens of megabytes."""
+
+
+@dataclass(frozen=True)
+class ElasticData:
+    """The data on a mesh.
+
+    Attributes:
+        f: Force.
+        u_D: Displacement where it is given.
+        g_N: Tractions, by the part where they are given; "" is everywhere.
+        tractions: ∫ g_N φ_a over the facets of `spaces.neumann`, shape (facets, d, d).
+        gap: g.
+        exact: u, where it is known.
+        young: E.
+        poisson: ν.
+        in_space: Whether θ is ν/(1 + ν), as in space and for plane stress; otherwise it is ν.
+        quadrature: What the discrete problem takes f, E and ν by.
+        lift: û where it is given, g in the normal component on Γ_C, and 0 elsewhere: unknowns of this rank, ghosts too.
+        load: ⟨g_N, q⟩ for each owned unknown.
+        fixed: Owned unknowns that are given.
+        friction: Bounds of the shear; None without friction.
+    """
+
+    f: VectorDatum
+    u_D: VectorDatum
+    g_N: Mapping[str, VectorDatum]
+    tractions: Array
+    gap: Datum
+    exact: VectorDatum | None
+    young: Datum
+    poisson: Datum
+    in_space: bool
+    quadrature: SplitQuadrature
+    lift: Array
+    load: Array
+    fixed: npt.NDArray[np.int32]
+    friction: FrictionBounds | None
+
+    @property
+    def uniform(self) -> bool:
+        """Whether E and ν are numbers, perhaps one for each region."""
+        return self.young.polynomial == 0 and self.poisson.polynomial == 0
+
+    def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
+        """The points of the quadrature."""
+        return CellPoints(spaces.mesh, cells, self.quadrature.points, self.quadrature.weights)
+
+    def moduli(self, points: CellPoints) -> tuple[Array, Array]:
+        """1/2μ and θ, shape (cells, points) (collective)."""
+        young, poisson = self.young.values(points), self.poisson.values(points)
+        return (1 + poisson) / young, poisson / (1 + poisson) if self.in_space else poisson
+
+    def stiffness_of_volume(self, spaces: ElasticSpaces) -> float:
+        """The largest λ/μ, without limit as ν → ½; in plane stress λ is that in the plane (collective)."""
+        largest = 0.0
+        for cells in blocks_of_cells(spaces):
+            _, theta = self.moduli(self.points(spaces, cells))
+            largest = max(largest, float((2 * theta / (1 - spaces.dim * theta)).max(initial=0.0)))
+        return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
+
+    def moments_of_f(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
+        """(f, φ_v) for the hats of the vertices of cells with these |T|, shape (cells, d + 1, d) (collective)."""
+        subcells, number, _ = self.quadrature.hats.shape
+        values = self.f.values(self.points(spaces, cells)).reshape(len(cells), subcells, number, spaces.dim)
+        sums = np.einsum("nsqr,sqv,q->nvr", values, self.quadrature.hats, self.quadrature.weights, optimize=True)
+        return measure[:, None, None] / subcells * np.take_along_axis(sums, spaces.order[cells][:, :, None], axis=1)
+
+    def masses(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> tuple[Array, Array]:
+        """∫ φ_a φ_b/2μ and ∫ θ φ_a φ_b/2μ over the subcells of cells, see `compliance_product` (collective).
+
+        Args:
+            spaces: The spaces.
+            cells: The cells.
+            measure: Their |T|.
+        """
+        inverse, theta = self.moduli(self.points(spaces, cells))
+        local, weights = self.quadrature.local, self.quadrature.weights
+        size = local.shape[1]
+        products = np.einsum("q,qa,qb->qab", weights, local, local)
+        cell, subcell, vertex = (place[..., None] for place in spaces.as_dolfinx(cells))
+        order = cell, subcell, vertex, vertex.swapaxes(2, 3)
+        of_all, of_traces = (
+            measure[:, None, None, None] / size * np.tensordot(values, products, 1)[order]
+            for values in (inverse.reshape(-1, size, len(weights)), (inverse * theta).reshape(-1, size, len(weights)))
+        )
+        return of_all, of_traces
+
+
+def blocks_of_cells(spaces: ElasticSpaces) -> Iterator[npt.NDArray[np.int32]]:
+    """The owned cells, so many at a time and equally often on all ranks (collective)."""
+    size = len(spaces.order)
+    parts = max(spaces.mesh.comm.allreduce(-(-size // BLOCK[spaces.dim]), MPI.MAX), 1)
+    yield from np.array_split(np.arange(size, dtype=np.int32), parts)
+
+
+def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
+    """Read the data and check them (collective).
+
+    Raises:
+        InputError: If something is not finite where it is needed, E ≤ 0 or ν not between −1 and ½ somewhere, or a
+            region has no value; if plane stress is asked for in space.
+    """
+    dim = spaces.dim
+    if dim == 3 and problem.plane != Plane.STRAIN:
+        raise InputError(f"[problem] plane: a body in space is not in plane {problem.plane}; leave it out")
+    f = vector_datum_of(spaces, "f", problem.f, continuous=False)
+    u_D = vector_datum_of(spaces, "u_D", problem.u_D)
+    by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}
+    g_N = {part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()}
+    gap = datum_of(spaces, "gap", parsed(problem.gap, "xyz"[:dim]))
+    young = regional_datum(spaces, "young", parsed(problem.young, "xyz"[:dim]))
+    poisson = regional_datum(spaces, "poisson", parsed(problem.poisson, "xyz"[:dim]))
+    uniform = young.polynomial == 0 and poisson.polynomial == 0
+    of_f = DEGREE if f.polynomial is None else f.polynomial
+    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if uniform else DEGREE, of_f + 1), MOST))
+    lift = fem.Function(spaces.traces)
+    load = la.vector(lift.function_space.dofmap.index_map, dim**2)
+    fixed = _set_given(spaces, u_D, gap, lift)
+    tractions = _traction_moments(spaces, g_N)
+    _add_tractions(spaces, tractions, load)
+    lift.x.scatter_forward()
+    data = ElasticData(
+        f=f,
+        u_D=u_D,
+        g_N=g_N,
+        tractions=tractions,
+        gap=gap,
+        exact=None if problem.exact is None else vector_datum_of(spaces, "exact", problem.exact),
+        young=young,
+        poisson=poisson,
+        in_space=problem.plane == Plane.STRESS or dim == 3,
+        quadrature=quadrature,
+        lift=lift.x.array.astype(np.float64),
+        load=load.array,
+        fixed=fixed,
+        friction=friction_bounds(spaces, problem.laws),
+    )
+    _check_cells(spaces, data)
+    return data
+
+
+def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:
+    """Make sure of f, E and ν in the points of the quadrature (collective)."""
+    force, low, high, stiff, soft = 0.0, np.inf, -np.inf, np.inf, -np.inf
+    for cells in blocks_of_cells(spaces):
+        points = data.points(spaces, cells)
+        young, poisson = (np.nan_to_num(datum.values(points), nan=-np.inf) for datum in (data.young, data.poisson))
+        force = max(force, float(np.nan_to_num(abs(data.f.values(points)), nan=np.inf, posinf=np.inf).max(initial=0.0)))
+        stiff, soft = min(stiff, float(young.min(initial=np.inf))), max(soft, float(young.max(initial=-np.inf)))
+        low, high = min(low, float(poisson.min(initial=np.inf))), max(high, float(poisson.max(initial=-np.inf)))
+    comm = spaces.mesh.comm
+    check_means("f", "in the domain", np.array([force]), spaces)
+    ends = np.array([stiff, low, -high, -soft])
+    comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
+    stiff, low, high, soft = ends[0], ends[1], -ends[2], -ends[3]
+    if not (stiff > 0 and soft < np.inf):
+        raise InputError(f"[problem] young: must be positive and finite everywhere; its smallest value is {stiff:.3g}")
+    check_means("young", "in the domain", np.array([stiff, soft]), spaces)
+    if not (low > -1 and high < 0.5):
+        wrong = low if not low > -1 else high
+        raise InputError(f"[problem] poisson: must be between -1 and 1/2, without these; it is {wrong:.6g} somewhere")
+
+
+def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:
+    """Points and weights of the reference facet, exact for hats times a polynomial of this degree."""
+    points, weights = basix.make_quadrature(SIMPLEX[dim - 1], min(degree + 1, MOST))
+    return points, weights
+
+
+def facet_moments(
+    spaces: ElasticSpaces, name: str, datum: Datum | VectorDatum, facets: BoundaryFacets, where: str
+) -> Array:
+    """∫ value φ_a over facets (collective).
+
+    Raises:
+        InputError: If the values are not finite, or of no usable size.
+    """
+    degree = DEGREE if datum.polynomial is None else datum.polynomial
+    points = in_facets(spaces.mesh, facets.facets, *facet_rule(spaces.dim, degree))
+    values = datum.values(points)
+    check_means(name, where, values, spaces)
+    return facets.moments(values, points.points, points.weights)
+
+
+def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Function) -> npt.NDArray[np.int32]:
+    """Write what û is where it is given, or g on Γ_C; returns the unknowns that are given (collective)."""
+    unknowns = []
+    for facets, k, letter in spaces.fixed:
+        moments = facet_moments(spaces, "u_D", u_D, facets, "where the displacement is given")
+        values = linear_values(moments, facets.measure)
+        along = np.einsum("nar,nr->na", values, facets.normals) if letter == NORMAL else values[..., AXES.index(letter)]
+        places = spaces.unknowns(facets, k)
+        lift.x.array[places] = along
+        unknowns.append(places.ravel())
+    check_nodes(spaces, "gap", gap, spaces.contact.facets, "on Γ_C")
+    moments = facet_moments(spaces, "gap", gap, spaces.contact, "on Γ_C")
+    lift.x.array[spaces.sites] = moments.ravel() / spaces.site_measure
+    return np.concatenate(unknowns)
+
+
+def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum]) -> Array:
+    """∫ g_N φ_a over the facets of `spaces.neumann`; 0 on parts without one (collective).
+
+    Raises:
+        InputError: If σn is given on no such part.
+    """
+    facets = spaces.neumann
+    moments = np.zeros((len(facets.facets), spaces.dim, spaces.dim))
+    known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
+    for name, datum in g_N.items():
+        if name and name not in known:
+            where = f"only on {', '.join(known)}" if known else "as no part is in Γ_N"
+            raise InputError(f"[problem] g_N: no traction is given on part '{name}', {where}")
+        part = spaces.part(name) if name else facets
+        here = np.searchsorted(facets.facets, part.facets)
+        moments[here] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")
+    return moments
+
+
+def _add_tractions(spaces: ElasticSpaces, moments: Array, load: la.Vector) -> None:
+    """⟨g_N, q⟩ on Γ_N and on parts that are fixed in some components, each for its own unknowns."""
+    by_block = load.array.reshape(-1, spaces.dim**2)
+    by_block[spaces.neumann.blocks] = moments.reshape(-1, spaces.dim**2)
+    for part, matrices in spaces.frames[1:]:
+        by_block[part.blocks] = np.einsum("nij,ni->nj", matrices, by_block[part.blocks])

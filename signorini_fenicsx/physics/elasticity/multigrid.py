@@ -1,0 +1,151 @@
+"""The coarse space of the elastic facet system: conforming P1 displacements, towards ν = ½ with normals of facets.
+
+Where hardly any volume can change, linear displacements lock: they can hardly move at all, and the smoother is left
+alone with what they miss. With one more unknown per facet, a trace n that is constant there, as in the element of
+Bernardi and Raugel, volume passes from cell to cell, and the iterations hardly depend on ν. GAMG knows nothing of such
+a space, so its problem, with a seventh of the unknowns in space, is factorised.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
+from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
+from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+
+DEFAULTS = {
+    "mg_levels_ksp_max_it": "4",
+    "mg_levels_ksp_chebyshev_esteig": "0,0.05,0,1.1",
+    "mg_coarse_pc_mg_cycle_type": "w",
+    "mg_coarse_pc_gamg_aggressive_coarsening": "0",
+    "mg_coarse_mg_levels_ksp_max_it": "4",
+    "mg_coarse_mat_mumps_icntl_14": MUMPS_WORKSPACE["mat_mumps_icntl_14"],
+}
+"""The coarse problem has a tenth of the entries, so a good solution by GAMG costs little."""
+STIFF = 8.0
+"""From this λ/μ on, that is ν = 0.444, the normals save more than the factorisation costs."""
+SHIFT = 1e-10
+"""Share of the coarse diagonal that is added to it: no motion is free, and nothing else is changed."""
+
+
+class ElasticCoarse:
+    """The traces of the coarse displacements are traces of the facet system, so Galerkin's operator is theirs.
+
+    It is made anew for each set, while GAMG's hierarchy is that of all of Γ_C free, see
+    `AuxiliarySpace._build_hierarchy`. Vertices of fixed unknowns stay free: the operator holds them as springs do.
+    """
+
+    def __init__(self, spaces: ElasticSpaces, system: PETSc.Mat, normals: bool, pc: PETSc.PC):
+        """Make `pc` a two-level multigrid with a smoother on the facets' blocks (collective).
+
+        Args:
+            spaces: The spaces.
+            system: The facet system, whose values change with the conditions.
+            normals: Whether the coarse space has the normals of the facets.
+            pc: The preconditioner.
+        """
+        self._system, self._normals = system, normals
+        size = spaces.dim**2
+        system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
+        self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
+        interpolation = trace_interpolation(spaces, self._space, normals=normals)
+        self._levels = TwoLevel(pc, interpolation)
+        pc.getMGSmoother(1).setType("chebyshev")
+        pc.getMGSmoother(1).getPC().setType("vpbjacobi")  # pbjacobi keeps its first blocks
+        if normals:
+            set_direct(self._levels.coarse, "cholesky")
+        self._matrix: PETSc.Mat | None = None
+
+    def update(self, fixed: npt.NDArray[np.int32], essential: npt.NDArray[np.int32]) -> None:
+        """Take over new conditions, which the system has (collective).
+
+        Args:
+            fixed: Owned unknowns that are fixed under all conditions.
+            essential: Those fixed under these.
+        """
+        first = self._matrix is None
+        self._matrix = self._galerkin(fixed if first and not self._normals else essential)
+        if first:
+            self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+            self._levels.coarse.setOperators(self._matrix)
+            self._levels.coarse.setFromOptions()
+            if not self._normals:
+                self._matrix.setNearNullSpace(self._rigid_motions())
+                self._levels.coarse.setUp()
+                self._galerkin(essential)
+
+    def _galerkin(self, essential: npt.NDArray[np.int32]) -> PETSc.Mat:
+        self._levels.leave_out(essential, np.empty(0, dtype=np.int32))
+        found = self._system.PtAP(self._levels.interpolation, result=self._matrix)
+        diagonal = found.getDiagonal()
+        largest = diagonal.max()[1]
+        own = diagonal.array_r
+        diagonal.array_w[:] = np.where(own > 1e-14 * largest, SHIFT * own, largest)
+        found.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
+        return found
+
+    def _rigid_motions(self) -> PETSc.NullSpace:
+        dim = self._space.mesh.geometry.dim
+        size = self._space.dofmap.index_map.size_local
+        x: Array = self._space.tabulate_dof_coordinates()[:size, :dim].ravel()
+        coordinates = PETSc.Vec().createWithArray(x, bsize=dim, comm=self._space.mesh.comm)
+        return PETSc.NullSpace().createRigidBody(coordinates)
+
+
+def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace, *, normals: bool) -> PETSc.Mat:
+    """The unknowns of the traces of continuous linear displacements, and of n on single facets (collective).
+
+    Columns are those of the displacements of a rank, then those of its facets if there are `normals`.
+
+    Args:
+        spaces: The spaces.
+        displacements: The displacements, in P1.
+        normals: Whether there is a column for n on each facet.
+    """
+    dim, mesh = spaces.dim, spaces.mesh
+    of_facet = facet_vertices(displacements, spaces.traces)
+    rows, columns = spaces.traces.dofmap.index_map, displacements.dofmap.index_map
+    number = np.empty(columns.size_local + columns.num_ghosts, dtype=np.int64)
+    number[displacements.dofmap.list] = mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0]]
+    of_facet = np.take_along_axis(of_facet, np.argsort(number[of_facet], axis=1), axis=1)
+
+    size, count = dim**2, len(of_facet)
+    vertices = columns.local_to_global(of_facet.ravel()).astype(np.int64)
+    starts = np.array(mesh.comm.allgather([columns.local_range[0], rows.local_range[0]]))
+    before = starts[np.searchsorted(starts[:, 0], vertices, side="right") - 1, 1] if normals else 0  # columns of facets
+    places = ((dim * vertices + before).reshape(count, dim, 1) + np.arange(dim)).reshape(count, size)
+    values = np.broadcast_to(np.eye(size), (count, size, size)).copy()
+    if normals:
+        last = dim * columns.local_range[1] + rows.local_range[0] + np.arange(count)
+        places = np.column_stack([places, last])
+        values = np.concatenate([values, _normals_at_vertices(spaces)[:count, :, None]], axis=2)
+    for facets, matrices in spaces.frames:
+        values[facets.blocks] = np.linalg.solve(matrices, values[facets.blocks])
+    ascending = np.argsort(places, axis=1)[:, None]
+    places = np.take_along_axis(places[:, None], ascending, axis=2)
+    values = np.take_along_axis(values, ascending, axis=2)
+    used = values != 0
+    begins = np.concatenate([[0], np.cumsum(used.sum(axis=2).ravel())]).astype(PETSc.IntType)
+    indices = np.broadcast_to(places, values.shape)[used].astype(PETSc.IntType)
+    own, of_all = columns.size_local, columns.size_global
+    return PETSc.Mat().createAIJ(
+        [
+            (size * rows.size_local, size * rows.size_global),
+            (dim * own + normals * rows.size_local, dim * of_all + normals * rows.size_global),
+        ],
+        bsize=(size, 1 if normals else dim),
+        csr=(begins, indices, values[used]),
+        comm=mesh.comm,
+    )
+
+
+def _normals_at_vertices(spaces: ElasticSpaces) -> Array:
+    """The normal n of each facet, outer to one of its cells, for each of its vertices, shape (facets, d²)."""
+    areas = facet_normals(spaces.vertices)
+    normals = np.empty((spaces.dofs.max(initial=-1) + 1, spaces.dim))
+    normals[spaces.dofs] = areas / np.linalg.norm(areas, axis=2, keepdims=True)
+    return np.tile(normals, spaces.dim)

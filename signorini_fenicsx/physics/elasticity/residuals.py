@@ -1,0 +1,184 @@
+"""How well a stress and a contact gap satisfy the discrete elastic problem, and the forces that balance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import la
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells, split_vertices
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
+
+
+@dataclass(frozen=True)
+class ElasticKKT(Residuals):
+    """Residuals of the elastic problem, each the share that it is of the stress, so that no unit enters.
+
+    p stands for g − u_n, in means weighted by the hats of facet vertices; L = |Ω|^(1/d); S = ‖σ‖. All are 0 if σ = 0.
+    Without loads a body at rest has only rounding in σ; then S is the stress of a strain with the largest |u_D| or |g|.
+
+    Attributes:
+        primal: 2μ‖[p]_-‖/(√L S) on Γ_C, what penetrates the foundation.
+        dual: √L ‖[−σ_nn]_-‖/S, what pulls at it.
+        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also σ_t less its nearest admissible value to
+            σ_t − 2μu_t/L.
+        tractions: (Σ |e|^(1/(d − 1)) ‖r‖²_e)^½/S, where r is the jump of σn inside Ω, what is left of σn − g_N where
+            the traction is given, and the shear on Γ_C, with friction what is above its bound.
+        equilibrium: ‖h_T (∇·σ + f_h)‖/S, by the moments of both against linear functions on each cell.
+    """
+
+    primal: float
+    dual: float
+    complementarity: float
+    tractions: float
+    equilibrium: float
+
+
+def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Array) -> ElasticKKT:
+    """Residuals by the fields alone, not by what a backend says (collective).
+
+    Args:
+        spaces: The spaces.
+        data: The data.
+        stresses: Values of σ as in `SplitMesh.values`.
+        p: g − u_n at the sites, then u_t at those with friction.
+    """
+    p, slip = np.split(p, [len(spaces.sites)])
+    comm, dim = spaces.mesh.comm, spaces.dim
+    contact = spaces.contact
+    volume = square = unbalanced = 0.0
+    stiffness = np.empty(len(spaces.order))
+    missing = imbalance(spaces, data, stresses)
+    for cells in blocks_of_cells(spaces):
+        measure = Cells(spaces.vertices[cells]).measure
+        square += float((subcell_squares(stresses[cells]) * measure[:, None] / (dim + 1)).sum())
+        stiffness[cells] = 1 / data.moduli(data.points(spaces, cells))[0].mean(axis=1)
+        volume += float(measure.sum())
+        unbalanced += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
+    sums = np.array([volume, square, unbalanced, _jumps(spaces, data, stresses)])
+    volume, square, unbalanced, jumps = comm.allreduce(sums).tolist()
+    norm, length = np.sqrt(square), volume ** (1 / dim)
+    norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
+    if norm == 0:
+        return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
+    k = np.repeat(stiffness[contact.cells], dim) / length
+    pressure = -spaces.normal_stress(stresses)
+    on_sites = [np.minimum(k * p, 0), np.minimum(pressure, 0), np.minimum(np.abs(k * p), np.abs(pressure))]
+    squares = np.array([spaces.site_measure @ values**2 for values in on_sites])
+    if data.friction is not None:
+        g, shear = data.friction.bound.ravel(), spaces.shear(stresses)
+        pulled = shear - np.repeat(stiffness[spaces.rough.cells], dim) / length * slip
+        squares[2] += spaces.slip_measure @ (shear - np.clip(pulled, -g, g)) ** 2
+    squares = comm.allreduce(squares)
+    primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
+    return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
+
+
+def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:
+    """‖σ‖ for a strain of the largest |u_D| or |g|, if only these are given and σ is rounding; else 0 (collective)."""
+    largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, data.tractions)])
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    stiff, given, loads = largest.tolist()
+    size = stiff * given * np.sqrt(volume) / volume ** (1 / len(data.f.components))
+    at_rest = loads == 0 and all(each.number == 0 for each in data.f.components) and norm <= LINEAR * size
+    return size if at_rest else 0.0
+
+
+def subcell_squares(stresses: Array) -> Array:
+    """Means of |σ|² over the subcells, from values at their vertices, shape (cells, d + 1, d + 1, d, d)."""
+    size = stresses.shape[1]
+    own = (stresses**2).sum(axis=(2, 3, 4))
+    of_sum = (stresses.sum(axis=2) ** 2).sum(axis=(2, 3))
+    return (own + of_sum) / (size * (size + 1))
+
+
+def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
+    """Moments of ∇·σ + f against the hats of the cells' vertices, over |T|, shape (cells, d + 1, d)."""
+    dim = spaces.dim
+    found = np.empty((len(spaces.order), dim + 1, dim))
+    for numbers in blocks_of_cells(spaces):
+        cells = Cells(spaces.vertices[numbers])
+        volume = cells.measure / (dim + 1)
+        split = split_vertices(cells.vertices).reshape(-1, dim + 1, dim)
+        inward = (
+            -facet_normals(split).reshape(len(numbers), dim + 1, dim + 1, dim) / dim
+        )  # the hats' gradients · volume
+        divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], inward)
+        moments = np.einsum("vs,nsi->nvi", hats_in_subcells(dim), divergence)
+        moments += data.moments_of_f(spaces, numbers, cells.measure)
+        found[numbers] = moments / (volume * (dim + 1))[:, None, None]
+    return found
+
+
+def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
+    """Σ |e|^(1/(d − 1)) ‖r‖²_e over the facets that this rank owns, see `ElasticKKT.tractions` (collective)."""
+    dim, index_map = spaces.dim, spaces.traces.dofmap.index_map
+    sums = la.vector(index_map, dim**2)
+    normals = facet_normals(spaces.vertices)
+    measures = np.linalg.norm(normals, axis=2)
+    pulls = np.einsum("nsaij,nsj->nsai", stresses[:, :, :dim], normals / measures[:, :, None])
+    np.add.at(sums.array.reshape(-1, dim, dim), spaces.dofs, pulls)
+    sums.scatter_reverse(la.InsertMode.add)
+    left: Array = sums.array.reshape(-1, dim, dim)
+    left[spaces.neumann.blocks] -= linear_values(data.tractions, spaces.neumann.measure)
+    for facets, k, letter in spaces.fixed:
+        if letter == NORMAL:
+            _drop_normal(left, facets)
+        else:
+            left[facets.blocks, :, k] = 0.0
+    _drop_normal(left, spaces.contact)
+    if data.friction is not None:
+        blocks, tangents = spaces.rough.blocks, spaces.tangents
+        along = np.einsum("nai,ni->na", left[blocks], tangents)
+        admissible = np.clip(along, -data.friction.bound, data.friction.bound)
+        left[blocks] -= admissible[:, :, None] * tangents[:, None]
+    size = np.zeros(len(left))
+    size[spaces.dofs] = measures
+    squares = (left**2).sum(axis=(1, 2)) + (left.sum(axis=1) ** 2).sum(axis=1)
+    weighted = size ** (1 + 1 / (dim - 1)) * squares / (dim * (dim + 1))
+    return float(weighted[: index_map.size_local].sum())
+
+
+def _drop_normal(values: Array, facets: BoundaryFacets) -> None:
+    along = np.einsum("nai,ni->na", values[facets.blocks], facets.normals)
+    values[facets.blocks] -= along[:, :, None] * facets.normals[:, None]
+
+
+def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[dict[str, Array], Array]:
+    """Forces and moments about the origin: on each part of the boundary, and the total, which is 0 (collective).
+
+    Returns:
+        By part, and the sum of all on the boundary and of f; each row has the forces and, after them, the moments.
+    """
+    comm = spaces.mesh.comm
+    everything = [spaces.contact, spaces.neumann, spaces.dirichlet]
+    total = np.sum([_resultant(spaces, stresses, facets) for facets in everything], axis=0)
+    for cells in blocks_of_cells(spaces):
+        measure = Cells(spaces.vertices[cells]).measure
+        total += _wrench(spaces.vertices[cells], data.moments_of_f(spaces, cells, measure))
+    parts = {name: comm.allreduce(_resultant(spaces, stresses, spaces.part(name))) for name in spaces.domain.parts}
+    return parts, comm.allreduce(total)
+
+
+def _resultant(spaces: ElasticSpaces, stresses: Array, facets: BoundaryFacets) -> Array:
+    """∫ σn and ∫ x × σn over facets of this rank."""
+    dim = spaces.dim
+    mass = (1 + np.eye(dim)) / (dim * (dim + 1))
+    moments = np.einsum("ab,nbi,n->nai", mass, spaces.tractions(facets, stresses), facets.measure)
+    return _wrench(facets.vertices, moments)
+
+
+def _wrench(vertices: Array, moments: Array) -> Array:
+    """Force and moment of what has these moments against the hats of vertices."""
+    force = moments.sum(axis=(0, 1))
+    if vertices.shape[2] == 2:
+        turning = vertices[..., 0] * moments[..., 1] - vertices[..., 1] * moments[..., 0]
+        return np.append(force, turning.sum())
+    return np.append(force, np.cross(vertices, moments).sum(axis=(0, 1)))

@@ -1,0 +1,184 @@
+"""The facet system of elasticity: one SPD problem for the traces, and the stresses recovered from them.
+
+See `forms/elasticity.py` for what is eliminated on each cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import la
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+    Cells,
+    Reference,
+    compliance_product,
+    reference,
+    to_matrices,
+)
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Some cells after elimination. x are the unknowns of a cell's facets, and the way back is affine in them.
+
+    Attributes:
+        cells: Which cells.
+        matrix: Shape (cells, n, n).
+        load: What f adds to the right side, shape (cells, n).
+        stress: Coefficients of the stress for each unknown, shape (cells, basis, n).
+        stress_of_f: Those without x, shape (cells, basis).
+        displacement: Fᵀu at the vertices for each unknown, shape (cells, (d + 1) d, n).
+        displacement_of_f: That without x, shape (cells, (d + 1) d).
+    """
+
+    cells: npt.NDArray[np.int32]
+    matrix: Array
+    load: Array
+    stress: Array
+    stress_of_f: Array
+    displacement: Array
+    displacement_of_f: Array
+
+
+def eliminate(
+    element: Reference, cells: Cells, tractions: Array, product: Array, moments: Array, numbers: npt.NDArray[np.int32]
+) -> Eliminated:
+    """Eliminate all but the traces.
+
+    Args:
+        element: The reference element.
+        cells: The cells.
+        tractions: ⟨q, τn⟩ of each stress of the basis for each unknown of the traces, shape (cells, n, basis).
+        product: (𝔸τ, τ'), shape (cells, basis, basis).
+        moments: (f, φ_v), shape (cells, d + 1, d).
+        numbers: The numbers of the cells.
+    """
+    free, count = element.free, len(cells.vertices)
+    balance = -np.linalg.solve(cells.derivative, moments.transpose(0, 2, 1)).transpose(0, 2, 1).reshape(count, -1)
+    of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
+    coupled = product[:, free:, :free]
+    right = np.concatenate([of_free.transpose(0, 2, 1), -np.einsum("nmf,nm->nf", coupled, balance)[:, :, None]], axis=2)
+    found = np.linalg.solve(product[:, :free, :free], right)
+    stress, stress_of_f = found[:, :, :-1], found[:, :, -1]
+    matrix = of_free @ stress
+    load = -np.einsum("nib,nb->ni", of_free, stress_of_f) - np.einsum("nib,nb->ni", of_rest, balance)
+    displacement_of_f = -np.einsum("nmf,nf->nm", coupled, stress_of_f)
+    displacement_of_f -= np.einsum("nml,nl->nm", product[:, free:, free:], balance)
+    rest = np.zeros((count, balance.shape[1], stress.shape[2]))
+    return Eliminated(
+        cells=numbers,
+        matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
+        load=load,
+        stress=np.concatenate([stress, rest], axis=1),
+        stress_of_f=np.concatenate([stress_of_f, balance], axis=1),
+        displacement=of_rest.transpose(0, 2, 1) - coupled @ stress,
+        displacement_of_f=displacement_of_f,
+    )
+
+
+class ElasticSystem:
+    """The elastic facet system, assembled once.
+
+    Attributes:
+        spaces: The spaces.
+        matrix: Without conditions.
+        load: Right side for x − lift.
+        element: The reference element.
+    """
+
+    def __init__(self, spaces: ElasticSpaces, data: ElasticData):
+        """Eliminate and assemble (collective)."""
+        self.spaces, self._data = spaces, data
+        self.element = reference(spaces.dim)
+        self._blocks = list(self._eliminated())
+        self.matrix = self._assembled()
+        space = spaces.traces
+        index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
+        load = la.vector(index_map, size)
+        for block in self._blocks:
+            unknowns = self._unknowns(block.cells)
+            of_cells = block.load - np.einsum("nij,nj->ni", block.matrix, data.lift[unknowns])
+            load.array[:] += np.bincount(unknowns.ravel(), of_cells.ravel(), len(load.array))
+        load.scatter_reverse(la.InsertMode.add)
+        self.load = load.array[: size * index_map.size_local] + data.load[: size * index_map.size_local]
+
+    def _eliminated(self) -> Iterator[Eliminated]:
+        spaces, data = self.spaces, self._data
+        framed = [(facets.cells, facets.local, matrices) for facets, matrices in spaces.frames]
+        for numbers in blocks_of_cells(spaces):
+            cells = Cells(spaces.vertices[numbers])
+            moments = data.moments_of_f(spaces, numbers, cells.measure)
+            masses = data.masses(spaces, numbers, cells.measure)
+            if len(numbers) == 0:  # other ranks have more cells
+                continue
+            product = compliance_product(cells.stresses(self.element.stresses), *masses)
+            tractions = cells.tractions(self.element.tractions)
+            for facets, local, matrices in framed:
+                mine = np.flatnonzero(np.isin(facets, numbers))
+                _transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
+            yield eliminate(self.element, cells, tractions, product, moments, numbers)
+
+    def _unknowns(self, cells: npt.NDArray[np.int32]) -> Indices:
+        """Unknowns of the facets of cells, shape (cells, (d + 1) d²)."""
+        size = self.spaces.dim**2
+        blocks = self.spaces.dofs[cells].astype(np.int64)
+        return (blocks[:, :, None] * size + np.arange(size)).reshape(len(cells), -1)
+
+    def _assembled(self) -> PETSc.Mat:
+        space = self.spaces.traces
+        index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
+        matrix = PETSc.Mat().create(self.spaces.mesh.comm)
+        sizes = (size * index_map.size_local, size * index_map.size_global)
+        matrix.setSizes((sizes, sizes), bsize=size)
+        matrix.setType("aij")
+        number = index_map.size_local + index_map.num_ghosts
+        of_blocks = index_map.local_to_global(np.arange(number, dtype=np.int32)).astype(PETSc.IntType)
+        to_global = (of_blocks[:, None] * size + np.arange(size, dtype=PETSc.IntType)).ravel()
+        rows, columns, values = [], [], []
+        for block in self._blocks:
+            unknowns = to_global[self._unknowns(block.cells)]
+            shape = block.matrix.shape
+            rows.append(np.broadcast_to(unknowns[:, :, None], shape).ravel())
+            columns.append(np.broadcast_to(unknowns[:, None, :], shape).ravel())
+            values.append(block.matrix.ravel())
+        none = np.empty(0, dtype=PETSc.IntType)
+        matrix.setPreallocationCOO(np.concatenate([none, *rows]), np.concatenate([none, *columns]))
+        matrix.setValuesCOO(np.concatenate([np.empty(0), *values]), PETSc.InsertMode.ADD_VALUES)
+        return matrix
+
+    def recover(self, x: Array) -> tuple[Array, Array]:
+        """σ at the vertices of the subcells and u at those of the cells, from all unknowns of this rank.
+
+        Returns:
+            Shapes (cells, d + 1, d + 1, d, d) and (cells, d + 1, d), with the vertices as in `ElasticSpaces.order`.
+        """
+        spaces, dim = self.spaces, self.spaces.dim
+        sigma = np.empty((len(spaces.order), dim + 1, dim + 1, dim, dim))
+        u = np.empty((len(spaces.order), dim + 1, dim))
+        for block in self._blocks:
+            here, cells = x[self._unknowns(block.cells)], Cells(spaces.vertices[block.cells])
+            coefficients = np.einsum("nbi,ni->nb", block.stress, here) + block.stress_of_f
+            on_reference = np.einsum("veb,nb->nve", self.element.stresses, coefficients)
+            F = cells.derivative[:, None]
+            mapped = F @ to_matrices(on_reference) @ F.swapaxes(2, 3) / cells.determinant[:, None, None, None]
+            sigma[block.cells] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
+            pulled = np.einsum("nmi,ni->nm", block.displacement, here) + block.displacement_of_f
+            u[block.cells] = np.linalg.solve(
+                cells.derivative.transpose(0, 2, 1), pulled.reshape(-1, dim + 1, dim).transpose(0, 2, 1)
+            ).transpose(0, 2, 1)
+        return (sigma + sigma.swapaxes(3, 4)) / 2, u
+
+
+def _transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:
+    """Let tractions be those of the unknowns of a frame on some facets."""
+    size = matrices.shape[1]
+    rows = local[:, None] * size + np.arange(size)
+    tractions[cells[:, None], rows] = matrices.transpose(0, 2, 1) @ tractions[cells[:, None], rows]
