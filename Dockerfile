@@ -12,7 +12,7 @@ RUN apt-get update \
         python3-matplotlib python3-pydantic python3-pyvista python3-rich python3-typer python3-venv openmpi-bin \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
-COPY pyproject.toml setup.py README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE ./
 COPY forms forms
 COPY signorini_fenicsx signorini_fenicsx
 COPY data data
@@ -39,7 +39,7 @@ RUN apt-get update && apt-get install -y --no-install-recommends ca-certificates
 ENV SSL_CERT_FILE=/etc/ssl/certs/ca-certificates.crt UV_PYTHON=/usr/bin/python3 UV_PROJECT_ENVIRONMENT=/opt/signorini \
     UV_LINK_MODE=copy UV_NO_CACHE=1
 WORKDIR /src
-COPY pyproject.toml setup.py README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE ./
 RUN uv sync --no-dev --no-install-project --group dolfinx
 COPY forms forms
 COPY signorini_fenicsx signorini_fenicsx

@@ -12,8 +12,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base import compiling
-from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left, compiled
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left
+from signorini_fenicsx.base.fenicsx import compiled
 
 COMM = MPI.COMM_WORLD
 
@@ -38,7 +39,7 @@ def test_a_form_left_by_a_killed_process_is_compiled_again(folder: Path, monkeyp
     COMM.Barrier()
     if COMM.rank == 0:
         as_killed(folder, 2 * QUIET)
-    monkeypatch.setattr(compiling, "LOADED", {})  # as in another process
+    monkeypatch.setattr(fenicsx, "LOADED", {})  # as in another process
     assert compiled(COMM, form, jit_options={"cache_dir": folder})[0] is not None
     assert len(list(folder.glob("*.c.cached"))) == 1
 

@@ -1,4 +1,4 @@
-"""DOLFINx's compiler of forms, extended: it survives killed runs, and tells failures in one sentence.
+"""The cache of compiled forms: it survives killed runs, and tells failures in one sentence.
 
 In DOLFINx's cache the file `<form>.c` means that some process compiles the form, and `<form>.c.cached` that the form is
 ready. A process that is killed in between leaves only the first file, and all later runs wait for the second one in
@@ -6,10 +6,6 @@ vain. Here each process that compiles holds a shared lock on a file of the cache
 process dies, on all nodes that see the cache. A `<form>.c` is removed as left behind if nobody holds the lock and the
 file has not changed for some time. The waiting time is for programs that do not use the lock, and for a compiler that
 outlives its parent.
-
-DOLFINx looks up each form in its cache again, even if the process has loaded it, and lists the whole cache to do so.
-This takes most of the time of a small solve. Here a process keeps the forms that it has loaded, and they have a folder
-of their own in the cache, so that the forms of other programs cost nothing.
 """
 
 import contextlib
@@ -19,68 +15,17 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cffi
-import dolfinx.jit
-import ffcx.naming
-from mpi4py import MPI
 
-from signorini_fenicsx.base.parallel import on_root
-from signorini_fenicsx.base.progress import COMPILING, doing
-
-OWN = "signorini_fenicsx"
-"""Folder of the cache for the forms of this program."""
 LOCK = "signorini.lock"
 QUIET = 30.0
 """Seconds without a change after which a file counts as left behind, if nobody holds the lock."""
 PATIENCE = 600.0
 """Seconds to wait for the compiler of another process."""
 PAUSE = 0.1
-
-LOADED: dict[str, Any] = {}
-"""The forms that this process has loaded or compiled, by signature of form and options."""
-
-_compile_here: Callable[..., Any] = dolfinx.jit.ffcx_jit.__wrapped__  # without its own broadcasts, which lose errors
-
-
-def guard_compiler() -> None:
-    """Let DOLFINx compile all forms of this process by `compiled`; a second call changes nothing."""
-    dolfinx.jit.ffcx_jit = compiled
-
-
-def compiled(
-    comm: MPI.Comm,
-    ufl_object: Any,
-    form_compiler_options: dict[str, Any] | None = None,
-    jit_options: dict[str, Any] | None = None,
-) -> Any:
-    """Replaces `dolfinx.jit.ffcx_jit`: rank 0 compiles forms that are not in the cache, all ranks load (collective).
-
-    Raises:
-        OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
-            process does not end.
-    """
-    options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
-    if "cache_dir" not in (jit_options or {}):
-        options["cache_dir"] = Path(options["cache_dir"]) / OWN
-    signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
-    work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
-    cache = options["cache_dir"]
-    found: list[Any] = []
-    on_root(comm, lambda: found.append(_patiently(work, cache, compiling=True)))
-    failure: OSError | None = None
-    if comm.rank != 0:
-        try:
-            found.append(_patiently(work, cache, compiling=False))
-        except OSError as error:
-            failure = error
-    failures = [error for error in comm.allgather(failure) if error is not None]
-    if failures:
-        raise failures[0]
-    return found[0]
 
 
 def clear_if_left(form: Path) -> bool:
@@ -96,16 +41,17 @@ def clear_if_left(form: Path) -> bool:
         return True
 
 
-def _kept(signature: str, work: Callable[[], Any]) -> Any:
-    """The form that this process keeps under this signature, or the result of `work`, which is then kept."""
-    if signature not in LOADED:
-        with doing(COMPILING):  # or loading, which is short
-            LOADED[signature] = work()
-    return LOADED[signature]
+def patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
+    """Load a form, or compile it if this process may; wait while another process compiles it.
 
+    Args:
+        work: Loads it, or compiles it.
+        cache: Folder of the cache.
+        compiling: Whether this process may compile.
 
-def _patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
-    """Load a form, or compile it if this process may; wait while another process compiles it."""
+    Raises:
+        OSError: If there is no working C compiler, the form cannot be loaded, or the other process does not end.
+    """
     until = time.monotonic() + PATIENCE
     while True:
         try:

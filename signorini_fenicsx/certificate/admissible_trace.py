@@ -23,6 +23,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.certificate.metric import CellMetric
@@ -145,7 +146,7 @@ def _with_exact_data(
     """The trace with u_D and ψ themselves instead of their interpolants (collective)."""
     mesh = spaces.mesh
     facet_dim = mesh.topology.dim - 1
-    linear = fem.functionspace(mesh, ("Lagrange", 1))
+    linear = fenicsx.function_space(mesh, ("Lagrange", 1))
     near_dirichlet, near_signorini, touching, raised, floor = (fem.Function(linear) for _ in range(5))
     on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
     near_dirichlet.x.array[on_dirichlet] = 1.0
@@ -253,7 +254,7 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """
     mesh, flux = solution.spaces.mesh, solution.cell_flux
     element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)
-    v = fem.Function(fem.functionspace(mesh, element), name="v")
+    v = fem.Function(fenicsx.function_space(mesh, element), name="v")
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
     of_cells, values = _weights(solution.data), np.empty(nodes.shape, order="F")

@@ -17,6 +17,7 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.boundary_nodes import (
@@ -82,7 +83,7 @@ class BestDisplacement:
         self.spaces, self._data, self.split, self.sigma = spaces, data, split, split.stress(stresses)
         self.comm, mesh, dim = spaces.mesh.comm, split.mesh, spaces.dim
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
-        self.space = fem.functionspace(mesh, element)
+        self.space = fenicsx.function_space(mesh, element)
         self.contact = facet_coefficients(split, self.space, spaces.contact)
         self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
         entities = np.column_stack([self.contact.cells, np.full(len(self.contact.cells), dim)])
@@ -91,9 +92,9 @@ class BestDisplacement:
         u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         n = ufl.FacetNormal(mesh)
         pull = ufl.inner(self.sigma, strain(w)) * self.dx - ufl.dot(self.sigma * n, w) * ds
-        load = fem.assemble_vector(fem.form(pull))
+        load = fem.assemble_vector(fenicsx.form(pull))
         load.scatter_reverse(la.InsertMode.add)
-        natural = assemble_matrix(fem.form(strain_energy(u, w, *self.moduli, self.dx)))
+        natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
         natural.assemble()
 
         known = None if v is None else self._continued(v)
@@ -267,7 +268,7 @@ class BestDisplacement:
 
     def places(self) -> Array:
         """Where the nodes are, rounded; coefficients of Bernstein's basis have the places of Lagrange's."""
-        lagrange = fem.functionspace(self.space.mesh, ("P", self.contact.degree))
+        lagrange = fenicsx.function_space(self.space.mesh, ("P", self.contact.degree))
         places = lagrange.tabulate_dof_coordinates()
         mine = np.empty((self._size + self.space.dofmap.index_map.num_ghosts, 3))
         mine[self.space.dofmap.list] = places[lagrange.dofmap.list]
@@ -293,7 +294,7 @@ def moduli_on_split(
     mesh, dim = split.mesh, spaces.dim
     rule = SplitQuadrature.of_degree(dim, max(degree, data.quadrature.degree))
     element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=rule.degree, scheme="default")
-    space = fem.functionspace(mesh, element)
+    space = fenicsx.function_space(mesh, element)
     mu2, theta = fem.Function(space), fem.Function(space)
     for block in blocks_of_cells(spaces):
         cells = block[split.cells[block, 0] >= 0]

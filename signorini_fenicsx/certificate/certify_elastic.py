@@ -30,6 +30,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.parallel import Stopwatch
@@ -145,8 +146,10 @@ def _displacement(
     outcome = iterate_sets(problem, ALGORITHM_1, Parameters(max_iterations=UPDATES), start=start)
     v = outcome.iterate.u
     feasible = problem.admissible(v)
-    weight = ufl.TestFunction(fem.functionspace(split.mesh, ("DG", 0)))
-    mismatch = fem.assemble_vector(fem.form(stress_gap(v, problem.sigma, *problem.moduli, weight, problem.dx))).array
+    weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
+    mismatch = fem.assemble_vector(
+        fenicsx.form(stress_gap(v, problem.sigma, *problem.moduli, weight, problem.dx))
+    ).array
     found = np.zeros(len(spaces.order))
     np.add.at(found, split.subcells // (spaces.dim + 1), mismatch[: len(split.subcells)])
     np.add.at(found, problem.contact.facets.cells, 2 * _on_contact(solution, problem, v))

@@ -30,6 +30,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
@@ -190,7 +191,7 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
 def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
-    mesh, linear = spaces.mesh, fem.functionspace(spaces.mesh, ("Lagrange", 1))
+    mesh, linear = spaces.mesh, fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
     facet_dim = mesh.topology.dim - 1
     near_dirichlet, moved = fem.Function(linear), fem.Function(linear)
     on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)

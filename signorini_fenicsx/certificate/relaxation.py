@@ -20,6 +20,7 @@ from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import gathered
 from signorini_fenicsx.discrete.mesh_spaces import assembled
@@ -201,7 +202,7 @@ def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, part: str = "full"
     form, maps = stiffness(u, v, ufl.dx, kappa), []
     if robin is not None:
         form, maps = form + robin[1] * u * v * robin[0].ds, [robin[0].entity_map]
-    return fem.form(form, form_compiler_options={"part": part}, entity_maps=maps)
+    return fenicsx.form(form, options={"part": part}, entity_maps=maps)
 
 
 def _assembled(form: fem.Form) -> PETSc.Mat:
@@ -231,7 +232,7 @@ class _Gap:
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
         self._psi, self._excess = psi.x.array[:size], excess[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
-        self._constant = self._comm.allreduce(fem.assemble_scalar(fem.form(flux_product(y, y, ufl.dx, kappa)))) / 2
+        self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
         self._given = fem.Function(space)
         self._image = _form(self._given, test, kappa, robin)
         self._make = partial(_matrix, space, kappa, robin, jumps)

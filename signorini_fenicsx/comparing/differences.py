@@ -9,6 +9,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import passed_on
@@ -97,7 +98,7 @@ def _scalar_differences(coarse: Solution, fine: Solution) -> Differences:
         l2(fine.p - p, ds),
         l2(fine.spaces.multiplier(fine.spaces.normal_flux(fine.sigma)) - flux, ds),
     ]
-    local = np.array([fem.assemble_scalar(fem.form(square)) for square in squares])
+    local = np.array([fem.assemble_scalar(fenicsx.form(square)) for square in squares])
     sigma_V, u_Q, p_Lambda, flux_Lambda = np.sqrt(mesh.comm.allreduce(local)).tolist()
     size = len(fine.spaces.facets)
     return Differences(
@@ -123,7 +124,7 @@ def _elastic_differences(coarse: ElasticSolution, fine: ElasticSolution) -> Elas
         l2(fine.on_contact(fine.pressure) - pressure, ds),
         l2(fine.on_contact(fine.linear_gap) - gap, ds),
     ]
-    local = np.array([fem.assemble_scalar(fem.form(square)) for square in squares])
+    local = np.array([fem.assemble_scalar(fenicsx.form(square)) for square in squares])
     return ElasticDifferences(*np.sqrt(comm.allreduce(local)).tolist())
 
 
@@ -152,5 +153,5 @@ def _divergence(solution: Solution) -> fem.Function:
     """∇·σ_h in P0."""
     Q = solution.spaces.Q
     divergence = fem.Function(Q)
-    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), Q.element.interpolation_points))
+    divergence.interpolate(fenicsx.expression(ufl.div(solution.sigma), Q.element.interpolation_points))
     return divergence

@@ -8,6 +8,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -125,7 +126,7 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
     ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
 
     def norm(difference: ufl.core.expr.Expr, measure: ufl.Measure) -> float:
-        return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fem.form(l2(difference, measure))))))
+        return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fenicsx.form(l2(difference, measure))))))
 
     touching = fine.contact_set().inside
     sigma_norm, p_norm = norm(fine.sigma, dx), norm(fine.p, ds)

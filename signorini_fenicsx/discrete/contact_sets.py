@@ -11,6 +11,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.contact.conditions import Kinds
@@ -122,7 +123,7 @@ def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
     (theirs,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
     mine = fine.indicator()
     dx = ufl.Measure("dx", gamma, metadata={"quadrature_degree": OVERLAP_DEGREE, "quadrature_scheme": "default"})
-    forms = [fem.form(integrand * dx) for integrand in (theirs * mine, theirs + mine - theirs * mine)]
+    forms = [fenicsx.form(integrand * dx) for integrand in (theirs * mine, theirs + mine - theirs * mine)]
     both, either = gamma.comm.allreduce(np.array([fem.assemble_scalar(form) for form in forms])).tolist()
     return both / either if either > 0 else 1.0
 

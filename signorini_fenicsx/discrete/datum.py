@@ -22,6 +22,7 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -256,7 +257,7 @@ def _interpolated(
     shape = values(np.zeros((3, 1))).shape[:-1]
     variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
     element = basix.ufl.element("P", spaces.mesh.basix_cell(), 2, variant, shape=shape, discontinuous=not continuous)
-    function = fem.Function(fem.functionspace(spaces.mesh, element), name=name)
+    function = fem.Function(fenicsx.function_space(spaces.mesh, element), name=name)
     function.interpolate(lambda x: values(x).reshape(-1, x.shape[1]))
     return function
 

@@ -4,6 +4,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.forms.norms import l2, v_norm
 
@@ -15,7 +16,7 @@ class FieldChange:
         """Compile for σ in V and u in Q (collective)."""
         self._comm = Q.mesh.comm
         self._sigma, self._u = fem.Function(V), fem.Function(Q)
-        self._norms = [fem.form(v_norm(self._sigma, ufl.dx)), fem.form(l2(self._u, ufl.dx))]
+        self._norms = [fenicsx.form(v_norm(self._sigma, ufl.dx)), fenicsx.form(l2(self._u, ufl.dx))]
 
     def __call__(self, iterate: Iterate, before: Iterate) -> tuple[float, float]:
         """The norms (collective)."""

@@ -14,8 +14,8 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.compiling import guard_compiler
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.meshes.domain import Domain, cells_behind
@@ -109,7 +109,7 @@ class MeshSpaces:
 
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:
         """Compile a form that may contain functions of Λ_h (collective)."""
-        return fem.form(ufl_form, entity_maps=[self.entity_map])
+        return fenicsx.form(ufl_form, entity_maps=[self.entity_map])
 
     def integrate(self, form: ufl.Form | fem.Form) -> float:
         """Integral over all ranks (collective)."""
@@ -124,7 +124,7 @@ class MeshSpaces:
         """
 
         def make(*own: Coefficient) -> Any:
-            return fem.form(build(self, *own), entity_maps=[self.entity_map])
+            return fenicsx.form(build(self, *own), entity_maps=[self.entity_map])
 
         return self.kept_forms.get(build, make, coefficients)
 
@@ -134,11 +134,10 @@ def build_mesh_spaces(domain: Domain, signorini: Names, neumann: Names = (), inn
 
     The parts of Γ_S in `inner` are inside the domain.
     """
-    guard_compiler()
     mesh = domain.mesh
     dim = mesh.topology.dim
-    gamma, entity_map, *_ = dolfinx.mesh.create_submesh(mesh, dim - 1, _facets_of(domain, signorini))
-    Lambda = fem.functionspace(gamma, ("DG", 0))
+    gamma, entity_map = fenicsx.submesh(mesh, dim - 1, _facets_of(domain, signorini))
+    Lambda = fenicsx.function_space(gamma, ("DG", 0))
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
     facets = np.empty_like(submesh_cells)
     facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
@@ -158,7 +157,7 @@ def build_mesh_spaces(domain: Domain, signorini: Names, neumann: Names = (), inn
     measure = assembled(ufl.TestFunction(Lambda) * ds(SIGNORINI), [entity_map])
     return MeshSpaces(
         domain=domain,
-        Q=fem.functionspace(mesh, ("DG", 0)),
+        Q=fenicsx.function_space(mesh, ("DG", 0)),
         Lambda=Lambda,
         entity_map=entity_map,
         part_names=tuple(signorini),
@@ -204,6 +203,6 @@ def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> 
 
 def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:
     """Vector of a linear form, complete for owned entries only (collective)."""
-    vector = fem.assemble_vector(fem.form(form, entity_maps=entity_maps))
+    vector = fem.assemble_vector(fenicsx.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from ufl.algorithms.analysis import extract_type
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.small_matrices import determinants, gathered, inverses, times
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
@@ -163,7 +164,7 @@ class CellPoints(Points):
         return replace(self, cells=self.cells[cells[self.cells]])
 
     def _of_ufl(self, value: Expr) -> Array:
-        expression = fem.Expression(_on_mesh(self.mesh, value), self.points)
+        expression = fenicsx.expression(_on_mesh(self.mesh, value), self.points)
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
         return values.reshape(*self.shape, *value.ufl_shape)
 
@@ -207,7 +208,9 @@ class FacetPoints(Points):
         As points of the cells: where DOLFINx has the points of a facet depends on the numbers of its vertices.
         """
         per_facet = ufl.as_tensor([ufl.replace(value, normals) for normals in self._normals(value)])
-        expression = fem.Expression(_on_mesh(self.mesh, per_facet), self._in_cell.reshape(-1, self._in_cell.shape[2]))
+        expression = fenicsx.expression(
+            _on_mesh(self.mesh, per_facet), self._in_cell.reshape(-1, self._in_cell.shape[2])
+        )
         if len(self.cells) == 0:
             return np.empty((*self.shape, *value.ufl_shape))
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)

@@ -2,16 +2,15 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import basix.ufl
-import dolfinx.graph
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -166,16 +165,15 @@ def distribute(
         together: Pairs of cells that go to the same rank, numbered like the points; all ranks may list some. None on
             all ranks if there are none.
     """
-    default = dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none, 2)  # type: ignore[call-arg]  # overload
 
-    def chosen(*graph: Any) -> object:
-        ranks = np.full(len(cells), comm.rank, dtype=np.int32) if stay else default(*graph).array.copy()
+    def chosen(partition: Callable[[], npt.NDArray[np.int32]]) -> npt.NDArray[np.int32]:
+        ranks = np.full(len(cells), comm.rank, dtype=np.int32) if stay else partition()
         if together is not None:
             _bring_together(comm, ranks, together)
-        return dolfinx.graph.adjacencylist(ranks[:, None])._cpp_object
+        return ranks
 
     own = stay or together is not None
-    return dolfinx.mesh.create_mesh(comm, cells, coordinate_element(dim), points, chosen if own else None)
+    return fenicsx.partitioned(comm, cells, coordinate_element(dim), points, chosen if own else None)
 
 
 def _bring_together(comm: MPI.Comm, ranks: npt.NDArray[np.int32], pairs: Indices) -> None:

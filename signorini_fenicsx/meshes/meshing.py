@@ -134,7 +134,7 @@ def refinements(cells: float, dim: int) -> int:
 
 
 def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
-    """Generate a mesh on rank 0; other ranks get empty arrays, which `create_mesh` needs (collective)."""
+    """Generate a mesh on rank 0; other ranks get empty arrays, which DOLFINx needs (collective)."""
     made: list[Simplices] = []
     on_root(comm, lambda: made.append(generate()))
     return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from dolfinx import la
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.meshes.domain import (
@@ -183,15 +184,9 @@ def _bisected(
         cell the facet of the parent that contains it, or −1. Facet i is opposite to vertex i.
     """
     dim = mesh.topology.dim
-    mesh.topology.create_connectivity(1, dim)
     x = mesh.geometry.x.copy()
     mesh.geometry.x[:] = x @ SKEW
-    fine, parent_cell, parent_facet = dolfinx.mesh.refine(
-        mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
-    )
-    topology = fine.topology  # its cells have been reordered, parent_cell has not
-    order = topology.original_cell_index - topology.index_map(dim).local_range[0]
-    parent_cell, parent_facet = parent_cell[order], parent_facet.reshape(-1, dim + 1)[order]
+    fine, parent_cell, parent_facet = fenicsx.bisected(mesh, edges)
     parents, children = _corners(mesh)[parent_cell], _corners(fine)
     mesh.geometry.x[:] = x
     barycentric = np.round(2 * np.linalg.solve(_affine(parents), _affine(children)).transpose(0, 2, 1)) / 2

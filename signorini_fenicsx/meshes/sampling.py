@@ -13,6 +13,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import Domain
@@ -72,7 +73,7 @@ def sampled(
             samples.append(function)
             continue
         element = basix.ufl.quadrature_element(mesh.basix_cell(), function.ufl_shape, degree=degree)
-        sample = fem.Function(fem.functionspace(mesh, element))
+        sample = fem.Function(fenicsx.function_space(mesh, element))
         with of_unit_size(source, mesh, space.mesh) as factor:
             padding = factor * curve_gap(source)
             search = search or fem.create_interpolation_data(sample.function_space, space, cells, padding=padding)

@@ -9,6 +9,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -229,6 +230,8 @@ def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]
         function.x.array[:] = values.ravel()
     sigma = fem.Function(spaces.V, name="sigma")
     x = ufl.SpatialCoordinate(mesh)
-    sigma.interpolate(fem.Expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points))
+    sigma.interpolate(
+        fenicsx.expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points)
+    )
     sigma.x.scatter_forward()
     return sigma, u

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, io
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.certificate.certify import Certificate
@@ -170,7 +171,7 @@ def write_fields(solution: ElasticSolution, folder: Path, certificate: Certifica
     in_subcells = np.concatenate([at_vertices[:, corners], centroids], axis=2)
     linear = {"sigma": stresses, "u": in_subcells, "von_mises": equivalent}
     functions = [
-        split.function(fem.functionspace(split.mesh, ("DG", 1, values.shape[3:])), values, name)
+        split.function(fenicsx.function_space(split.mesh, ("DG", 1, values.shape[3:])), values, name)
         for name, values in linear.items()
     ]
     write_vtx(comm, folder / "solution.bp", functions)
@@ -190,7 +191,7 @@ def write_fields(solution: ElasticSolution, folder: Path, certificate: Certifica
     with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
         file.write_mesh(mesh)
         for name, each in means.items():
-            function = fem.Function(fem.functionspace(mesh, ("DG", 0, each.shape[1:])), name=name)
+            function = fem.Function(fenicsx.function_space(mesh, ("DG", 0, each.shape[1:])), name=name)
             function.x.array[:] = each.ravel()  # no ghost cells, and a degree of freedom per cell in their order
             file.write_function(function)
         if certificate is not None:

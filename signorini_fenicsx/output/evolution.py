@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from dolfinx import fem, io
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
@@ -132,8 +133,8 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
     """Write `solution.bp`: u_h and σ_h after each step, in DG1, in which they are exact (collective)."""
     mesh = solution.spaces.mesh
     comm, dim = mesh.comm, mesh.geometry.dim
-    sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
-    u = fem.Function(fem.functionspace(mesh, ("DG", 1)), name="u")
+    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
+    u = fem.Function(fenicsx.function_space(mesh, ("DG", 1)), name="u")
     from_centroid = arms(mesh)
     cells = solution.spaces.domain.cells
     size = cells * (dim + 1) * 8 * (len(times) * 4 + 8) + 12_000 + 3_000 * (comm.size + len(times))

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces, cells_and_dofs
@@ -187,7 +188,7 @@ def gather_free_boundary(solution: Solution) -> Array | None:
 def centroid_flux(solution: Solution) -> fem.Function:
     """σ_h at the cell centroids, as a P0 vector field (collective)."""
     mesh = solution.spaces.mesh
-    sigma = fem.Function(fem.functionspace(mesh, ("DG", 0, (mesh.geometry.dim,))), name="sigma")
+    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 0, (mesh.geometry.dim,))), name="sigma")
     sigma.x.array[:] = solution.cell_flux.centroid.ravel()  # no ghost cells
     return sigma
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dolfinx import fem, io
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, give_back_memory, on_root
 from signorini_fenicsx.base.progress import doing
@@ -271,8 +272,8 @@ def _write_fields(solution: Solution, folder: Path, certificate: Certificate | N
     mesh = spaces.mesh
     comm, dim = mesh.comm, mesh.geometry.dim
 
-    linear = fem.functionspace(mesh, ("DG", 1))
-    sigma = fem.Function(fem.functionspace(mesh, ("DG", 1, (dim,))), name="sigma")
+    linear = fenicsx.function_space(mesh, ("DG", 1))
+    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
     u, magnitude = fem.Function(linear, name="u"), fem.Function(linear, name="sigma_norm")
     nodes, vectors = linear.dofmap.list, sigma.x.array.reshape(-1, dim)
     for some in some_at_a_time(mesh):

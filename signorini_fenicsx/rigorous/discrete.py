@@ -10,6 +10,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.expressions.intervals import Interval
@@ -165,7 +166,7 @@ def _nodal(corners: Indices, coefficients: Array) -> Array:
 def _outward_fluxes(solution: Solution, cells: int) -> Array:
     """Fluxes out of each cell of this rank: a sign times one float per facet (collective)."""
     spaces, sigma = solution.spaces, solution.sigma
-    form = fem.form(ufl.div(ufl.TrialFunction(spaces.V)) * ufl.TestFunction(spaces.Q) * ufl.dx)
+    form = fenicsx.form(ufl.div(ufl.TrialFunction(spaces.V)) * ufl.TestFunction(spaces.Q) * ufl.dx)
     of_basis = fem.assemble_matrix(form).to_scipy().tocsr()  # ∫_T ∇·φ: the flux of a basis function out of a cell
     dofs = spaces.V.dofmap.list[:cells]
     flux = np.asarray(of_basis[np.arange(cells)[:, None], dofs].todense())

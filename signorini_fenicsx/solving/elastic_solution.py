@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
@@ -126,7 +127,7 @@ class ElasticSolution(Solved):
         """The function on the mesh of Γ_C that is linear on each facet, from values at its vertices (collective)."""
         spaces = self.spaces
         multipliers = spaces.Lambda
-        space = fem.functionspace(multipliers.mesh, ("DG", 1))
+        space = fenicsx.function_space(multipliers.mesh, ("DG", 1))
         function = fem.Function(space, name=name)
         size = multipliers.dofmap.index_map.size_local
         facets = multipliers.dofmap.list[:size, 0]

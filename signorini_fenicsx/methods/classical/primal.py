@@ -10,6 +10,7 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.contact.backend import Iterate
@@ -55,7 +56,7 @@ class P1System:
             InputError: If PETSc refuses an option.
         """
         self.spaces = spaces
-        self.space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
+        self.space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
         self._size = self.space.dofmap.index_map.size_local
         self.dofs = self.space.dofmap.index_map.size_global
         v = ufl.TestFunction(self.space)
@@ -66,7 +67,7 @@ class P1System:
         form = stiffness(u, v, ufl.dx, data.kappa_h)
         if data.c_h is not None:
             form += mass(data.c_h * u, v, ufl.dx)
-        self._system = ConstrainedMatrix(fem.form(form), PETSc.Mat.Option.SPD)
+        self._system = ConstrainedMatrix(fenicsx.form(form), PETSc.Mat.Option.SPD)
         self._stiffness = self._system.natural
         self.change_matrix()
         self.matrix = self._system.matrix.duplicate(copy=True)
@@ -199,7 +200,7 @@ class P1Change:
         """Assemble the mass matrix (collective)."""
         self._system = system
         trial, test = ufl.TrialFunction(system.space), ufl.TestFunction(system.space)
-        self._mass = assemble_matrix(fem.form(mass(trial, test, ufl.dx)))
+        self._mass = assemble_matrix(fenicsx.form(mass(trial, test, ufl.dx)))
         self._mass.assemble()
         self._change, self._image = self._mass.createVecs()
 
@@ -262,7 +263,7 @@ def primal_outcome(
 def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function:
     """The projection of κ_h∇u to RT0 in (κ_h⁻¹·, ·), by CG on its well-conditioned mass matrix (collective)."""
     tau = ufl.TestFunction(spaces.V)
-    matrix = assemble_matrix(fem.form(flux_product(ufl.TrialFunction(spaces.V), tau, ufl.dx, data.kappa_h)))
+    matrix = assemble_matrix(fenicsx.form(flux_product(ufl.TrialFunction(spaces.V), tau, ufl.dx, data.kappa_h)))
     matrix.assemble()
     x, b = matrix.createVecs()
     b.array_w[:] = assembled(gradient(u, tau, ufl.dx))[: b.getLocalSize()]

@@ -26,6 +26,7 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.text import counted
@@ -111,7 +112,7 @@ def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
     """The mass matrix and the divergence, for fluxes that are equal on both sides of inner facets (collective)."""
     sigma, tau, v = ufl.TrialFunction(spaces.V), ufl.TestFunction(spaces.V), ufl.TestFunction(spaces.Q)
     blocks = flux_product(sigma, tau, ufl.dx, data.kappa_h), mass_balance(sigma, v, ufl.dx)
-    matrices = [assemble_matrix(fem.form(form)) for form in blocks]
+    matrices = [assemble_matrix(fenicsx.form(form)) for form in blocks]
     for matrix in matrices:
         matrix.assemble()
     basis = with_one_flux(spaces, spaces.V.dofmap.index_map.size_local)

@@ -5,6 +5,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.mesh_spaces import owned_on_facets
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
@@ -40,7 +41,7 @@ class AuxiliarySpace:
     def __init__(self, spaces: Spaces, system: FacetSystem, pc: PETSc.PC):
         """Make the interpolation and the P1 operator, and make `pc` a two-level multigrid (collective)."""
         self._spaces, self._system = spaces, system
-        self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1))
+        self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
         self._jumps = Jumps.of(self._space, spaces)
         self._interpolation = facet_means(self._space, system.space)
         to_jumps = jumps_of_facets(spaces, back=True)

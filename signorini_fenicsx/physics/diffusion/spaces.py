@@ -11,6 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.cell_shapes import squared_arms
 from signorini_fenicsx.discrete.mesh_spaces import (
@@ -91,7 +92,7 @@ class Spaces(MeshSpaces):
     def outflow(self) -> Array:
         """∫_T ∇·φ for each owned cell T and each basis function φ of RT0 there, shape (cells, dim + 1)."""
         point = np.zeros((1, self.mesh.topology.dim))  # ∇·φ is constant
-        divergence = fem.Expression(ufl.div(ufl.TestFunction(self.V)), point)
+        divergence = fenicsx.expression(ufl.div(ufl.TestFunction(self.V)), point)
         cells = np.arange(len(self.cell_measures), dtype=np.int32)
         return np.asfortranarray(divergence.eval(self.mesh, cells)[:, 0] * self.cell_measures[:, None])
 
@@ -99,25 +100,25 @@ class Spaces(MeshSpaces):
     def centroids(self) -> fem.Function:
         """The centroids x_T as a P0 vector function."""
         dim = self.mesh.geometry.dim
-        centroid = fem.Function(fem.functionspace(self.mesh, ("DG", 0, (dim,))))
+        centroid = fem.Function(fenicsx.function_space(self.mesh, ("DG", 0, (dim,))))
         centroid.interpolate(lambda x: x[:dim])
         return centroid
 
     @cached_property
     def crouzeix_raviart(self) -> fem.FunctionSpace:
         """Crouzeix-Raviart functions, for lifts and the facet system."""
-        return fem.functionspace(self.mesh, ("CR", 1))
+        return fenicsx.function_space(self.mesh, ("CR", 1))
 
     @cached_property
     def broken_crouzeix_raviart(self) -> fem.FunctionSpace:
         """The same without continuity: each cell has an unknown of its own for each of its facets."""
-        return fem.functionspace(self.mesh, basix.ufl.element("CR", self.mesh.basix_cell(), 1, discontinuous=True))
+        return fenicsx.function_space(self.mesh, basix.ufl.element("CR", self.mesh.basix_cell(), 1, discontinuous=True))
 
     @cached_property
     def Q_matrix(self) -> fem.FunctionSpace:
         """P0 matrices, for κ_h."""
         dim = self.mesh.geometry.dim
-        return fem.functionspace(self.mesh, ("DG", 0, (dim, dim)))
+        return fenicsx.function_space(self.mesh, ("DG", 0, (dim, dim)))
 
 
 def build_spaces(domain: Domain, signorini: Names, neumann: Names = (), inner: Names = ()) -> Spaces:
@@ -127,7 +128,7 @@ def build_spaces(domain: Domain, signorini: Names, neumann: Names = (), inner: N
     """
     on_mesh = build_mesh_spaces(domain, signorini, neumann, inner)
     mesh, n, ds = domain.mesh, on_mesh.n, on_mesh.ds.reconstruct(subdomain_id="everywhere")
-    V = fem.functionspace(mesh, ("RT", 1))
+    V = fenicsx.function_space(mesh, ("RT", 1))
     flux_dofs = cells_and_dofs(V, on_mesh.facets)[1]
     flux_of_basis = assembled(ufl.dot(ufl.TestFunction(V), n) * ds((SIGNORINI, NEUMANN)))
     neumann_cells, neumann_dofs = cells_and_dofs(V, on_mesh.neumann_facets)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
@@ -51,7 +52,7 @@ class ElasticCoarse:
         self._system, self._normals = system, normals
         size = spaces.dim**2
         system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
-        self._space = fem.functionspace(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
+        self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
         interpolation = trace_interpolation(spaces, self._space, normals=normals)
         self._levels = TwoLevel(pc, interpolation)
         pc.getMGSmoother(1).setType("chebyshev")

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
@@ -234,11 +235,11 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     on_mesh = build_mesh_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed])
     mesh = domain.mesh
     dim = mesh.topology.dim
-    traces = fem.functionspace(mesh, ("CR", 1, (dim, dim)))
+    traces = fenicsx.function_space(mesh, ("CR", 1, (dim, dim)))
     size = mesh.topology.index_map(dim).size_local
     order = np.argsort(mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0][:size]], axis=1)
     dofs = np.take_along_axis(traces.dofmap.list[:size], order, axis=1)
-    displacements = fem.functionspace(mesh, ("DG", 1, (dim,)))
+    displacements = fenicsx.function_space(mesh, ("DG", 1, (dim,)))
     names = [index for index, name in enumerate(on_mesh.part_names) if name in rough]
     return ElasticSpaces(
         **vars(on_mesh),

@@ -9,6 +9,7 @@ import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.meshes.domain import distribute
 from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
@@ -32,7 +33,7 @@ class SplitMesh:
     def stresses(self) -> fem.FunctionSpace:
         """The space of the stresses (collective)."""
         dim = self.mesh.geometry.dim
-        return fem.functionspace(self.mesh, ("DG", 1, (dim, dim)))
+        return fenicsx.function_space(self.mesh, ("DG", 1, (dim, dim)))
 
     @cached_property
     def cells(self) -> Indices:
@@ -44,7 +45,7 @@ class SplitMesh:
     def part(self, cells: Indices) -> SplitMesh:
         """The subcells of some owned cells of the domain (collective)."""
         mine = np.sort(self.cells[cells].ravel()).astype(np.int32)
-        mesh, entities, _, _ = dolfinx.mesh.create_submesh(self.mesh, self.mesh.topology.dim, mine)
+        mesh, entities = fenicsx.submesh(self.mesh, self.mesh.topology.dim, mine)
         owned = np.arange(len(mine), dtype=np.int32)
         return SplitMesh(self.size, mesh, self.subcells[entities.sub_topology_to_topology(owned, inverse=False)])
 

@@ -1,0 +1,165 @@
+"""What the program uses of DOLFINx that changes from version to version: its compiler of forms, meshes, refinement.
+
+DOLFINx looks up each form in its cache again, even if the process has loaded it, and lists the whole cache to do so.
+This takes most of the time of a small solve. Here a process keeps the forms that it has loaded, and they have a folder
+of their own in the cache, so that the forms of other programs cost nothing. DOLFINx's own compiler is replaced only
+while a function of this module runs; forms that the user makes are compiled as ever.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import dolfinx.graph
+import dolfinx.jit
+import dolfinx.mesh
+import ffcx.naming
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from ufl.finiteelement import AbstractFiniteElement
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.compiling import patiently
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.progress import COMPILING, doing
+
+OWN = "signorini_fenicsx"
+"""Folder of the cache for the forms of this program."""
+LOADED: dict[str, Any] = {}
+"""The forms that this process has loaded or compiled, by signature of form and options."""
+
+type Facets = npt.NDArray[np.int32]
+
+_compile_here: Callable[..., Any] = dolfinx.jit.ffcx_jit.__wrapped__  # without its own broadcasts, which lose errors
+
+
+def form(
+    integrals: Any, *, entity_maps: Sequence[dolfinx.mesh.EntityMap] = (), options: dict[str, Any] | None = None
+) -> Any:
+    """Compile a UFL form, or blocks of them (collective).
+
+    Args:
+        integrals: The form; one that is compiled already is returned.
+        entity_maps: From the meshes of its coefficients to that of its integrals.
+        options: For FFCx.
+    """
+    with _own_compiler():
+        return fem.form(integrals, form_compiler_options=options, entity_maps=entity_maps)
+
+
+def function_space(mesh: dolfinx.mesh.Mesh, element: Any) -> fem.FunctionSpace:
+    """The space of an element, or of its family, degree and shape, on a mesh (collective)."""
+    with _own_compiler():
+        return fem.functionspace(mesh, element)
+
+
+def expression(value: Any, points: Array) -> fem.Expression:
+    """A UFL expression, to be evaluated in points of the reference cell (collective)."""
+    with _own_compiler():
+        return fem.Expression(value, points)
+
+
+def submesh(mesh: dolfinx.mesh.Mesh, dim: int, entities: Facets) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.EntityMap]:
+    """The mesh of some entities of a mesh, and the map from it to the mesh (collective)."""
+    made, entity_map, *_ = dolfinx.mesh.create_submesh(mesh, dim, entities)
+    return made, entity_map
+
+
+def partitioned(
+    comm: MPI.Comm,
+    cells: Indices,
+    element: AbstractFiniteElement,
+    points: Array,
+    ranks: Callable[[Callable[[], Facets]], Facets] | None = None,
+) -> dolfinx.mesh.Mesh:
+    """Make a distributed mesh without ghost cells (collective).
+
+    Args:
+        comm: Communicator of the mesh.
+        cells: Some cells on each rank, by the numbers of their points.
+        element: Element of the coordinates.
+        points: Some points on each rank; their numbers continue from rank to rank.
+        ranks: Chooses the rank of each cell that this rank gives, from a function that computes a partition with few
+            neighbours (collective); None for this partition.
+    """
+    default = dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.none, 2)  # type: ignore[call-arg]  # overload
+
+    def chosen(*graph: Any) -> object:
+        assert ranks is not None
+        own = ranks(lambda: default(*graph).array.copy())
+        return dolfinx.graph.adjacencylist(own[:, None])._cpp_object
+
+    return dolfinx.mesh.create_mesh(comm, cells, element, points, None if ranks is None else chosen)
+
+
+def bisected(
+    mesh: dolfinx.mesh.Mesh, edges: Facets
+) -> tuple[dolfinx.mesh.Mesh, npt.NDArray[np.int32], npt.NDArray[np.int8]]:
+    """Halve some edges, and others as needed for conformity, by longest-edge bisection (collective).
+
+    Returns:
+        The refined mesh, with cells on the ranks of their parents. For each of its cells, in its order, the parent, and
+        for each facet the facet of the parent that contains it, or −1.
+    """
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(1, dim)
+    fine, parents, facets = dolfinx.mesh.refine(
+        mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
+    )
+    order = fine.topology.original_cell_index - fine.topology.index_map(dim).local_range[0]  # parents are not in it
+    return fine, parents[order], facets.reshape(-1, dim + 1)[order]
+
+
+@contextlib.contextmanager
+def _own_compiler() -> Iterator[None]:
+    """Let DOLFINx compile by `compiled`."""
+    theirs = dolfinx.jit.ffcx_jit
+    dolfinx.jit.ffcx_jit = compiled
+    try:
+        yield
+    finally:
+        dolfinx.jit.ffcx_jit = theirs
+
+
+def compiled(
+    comm: MPI.Comm,
+    ufl_object: Any,
+    form_compiler_options: dict[str, Any] | None = None,
+    jit_options: dict[str, Any] | None = None,
+) -> Any:
+    """Stand in for `dolfinx.jit.ffcx_jit`: rank 0 compiles forms that are not in the cache, all load (collective).
+
+    Raises:
+        OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
+            process does not end.
+    """
+    options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
+    if "cache_dir" not in (jit_options or {}):
+        options["cache_dir"] = Path(options["cache_dir"]) / OWN
+    signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
+    work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
+    cache = options["cache_dir"]
+    found: list[Any] = []
+    on_root(comm, lambda: found.append(patiently(work, cache, compiling=True)))
+    failure: OSError | None = None
+    if comm.rank != 0:
+        try:
+            found.append(patiently(work, cache, compiling=False))
+        except OSError as error:
+            failure = error
+    failures = [error for error in comm.allgather(failure) if error is not None]
+    if failures:
+        raise failures[0]
+    return found[0]
+
+
+def _kept(signature: str, work: Callable[[], Any]) -> Any:
+    """The form that this process keeps under this signature, or the result of `work`, which is then kept."""
+    if signature not in LOADED:
+        with doing(COMPILING):  # or loading, which is short
+            LOADED[signature] = work()
+    return LOADED[signature]
