@@ -130,10 +130,10 @@ def bounds_of_jumps(parts: Sequence[PartLaw], spaces: Spaces) -> Iterator[tuple[
     """Each bound of a jump: the rows of its facets, 1 for lower and −1 for upper, its values in sampled points."""
     for part in parts:
         rows = np.intersect1d(part.rows, spaces.inner.rows)
-        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
-            if name is not None:
+        for sign, bound in zip((1.0, -1.0), part.bounds, strict=True):
+            if bound is not None:
                 lattice = facet_lattice(spaces.mesh, spaces.facets[rows], SAMPLES)
-                yield rows, sign, part.data[name].values(lattice)
+                yield rows, sign, bound.values(lattice)
 
 
 def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> bool:

@@ -202,11 +202,11 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     corners = facet_nodes(linear, spaces.facets)
     known = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
-        for sign, name in zip((1.0, -1.0), _bounds(on, part), strict=True):
-            if name is None or (part.data[name].number is not None and not changed):
+        for sign, datum in zip((1.0, -1.0), _bounds(on, part), strict=True):
+            if datum is None or (datum.number is not None and not changed):
                 continue
             rows = np.intersect1d(part.rows, spaces.outer_rows)  # inside, coefficients and levels are enough
-            datum, facets = part.data[name], spaces.facets[rows]
+            facets = spaces.facets[rows]
             here = fem.Function(linear)
             here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
@@ -270,13 +270,13 @@ def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indi
     return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
 
 
-def _bounds(on: OnGammaS, part: PartLaw) -> list[str | None]:
+def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:
     """The data that bound u below and above, at vertical ends of the graph or at rigid ones (collective)."""
     ends = 0, len(part.law.segments) - 1
     yielding = np.array([np.count_nonzero(~on.rigid[part.rows, end]) for end in ends])
     counts = on.spaces.mesh.comm.allreduce(yielding).tolist()
-    levels = [None if count > 0 else part.law.level_of(end) for end, count in zip(ends, counts, strict=True)]
-    return [name or level for name, level in zip(part.law.bounds(), levels, strict=True)]
+    levels = ["" if count > 0 else part.law.level_of(end) or "" for end, count in zip(ends, counts, strict=True)]
+    return [bound or part.data.get(level) for bound, level in zip(part.bounds, levels, strict=True)]
 
 
 def _levels(
@@ -312,8 +312,8 @@ def _held_jumps(on: OnGammaS, linear: fem.FunctionSpace) -> Iterator[tuple[Datum
     """The only bounds of jumps inside the domain. χ is 1 in all nodes with a jump (collective)."""
     jumps = Jumps.of(linear, on.spaces)
     for part in on.goal.parts if jumps is not None else ():
-        names = [name for name in part.law.bounds() if name is not None]
-        if jumps is not None and len(names) == 1 and part.data[names[0]].number is None:
+        bounds = [bound for bound in part.bounds if bound is not None]
+        if jumps is not None and len(bounds) == 1 and bounds[0].number is None:
             rows = np.intersect1d(part.rows, on.spaces.inner.rows)
             here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
-            yield part.data[names[0]], np.where((here > 0) & jumps.jump, 1.0, 0.0)
+            yield bounds[0], np.where((here > 0) & jumps.jump, 1.0, 0.0)

@@ -8,10 +8,9 @@ import basix
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.discrete.conditions import Kinds
 from signorini_fenicsx.discrete.points import facet_type
 from signorini_fenicsx.discrete.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
@@ -39,8 +38,8 @@ class OnGammaS:
 
     goal: Goal
     spaces: Spaces
-    segment: Kinds
-    piece: Kinds
+    segment: Indices
+    piece: Indices
     flux: Array
     level: Array
     steep: Mask

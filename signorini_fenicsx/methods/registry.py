@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import Any, Self
 
 from signorini_fenicsx.discrete.conditions import Condition, Penalty
+from signorini_fenicsx.discrete.data import Data
 from signorini_fenicsx.discrete.laws import Law, Signorini, TwoSided
 from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.methods.by_sets import solve_by_sets
@@ -87,9 +88,13 @@ class Method:
             obstacle=exact,
         )
 
-    def most_iterations(self, *, obstacle: bool) -> int:
-        """Iterations allowed unless the options say otherwise; with an obstacle a cold start takes about 1/h."""
-        return FOR_OBSTACLE * self.max_iterations if obstacle else self.max_iterations
+    def most_iterations(self, data: Data) -> int:
+        """Iterations allowed unless the options say otherwise.
+
+        A site moves by one segment of its law in a step. With an obstacle a cold start takes about 1/h steps.
+        """
+        most = self.max_iterations + data.laws.chains.corners - 1
+        return most if data.obstacle is None else FOR_OBSTACLE * most
 
     @property
     def has_eps(self) -> bool:
