@@ -13,6 +13,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.bodies import spread
 from signorini_fenicsx.discrete.boundary_laws import BoundaryLaws, boundary_laws
 from signorini_fenicsx.discrete.chains import Chains, joined
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
@@ -142,9 +143,12 @@ class Data:
         means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
         return extent(np.concatenate(means), spaces.mesh.comm)
 
-    def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
-        return extent(self._dirichlet_means(spaces), spaces.mesh.comm)
+    def dirichlet_varies(self, spaces: Spaces, rounding: float) -> bool:
+        """Whether facet means of u_D differ within one body by more than this share of the largest (collective)."""
+        means = self._dirichlet_means(spaces)
+        lowest, highest = extent(means, spaces.mesh.comm)
+        largest = rounding * max(highest, -lowest)
+        return highest - lowest > largest and spread(spaces, spaces.dirichlet_facets, means) > largest
 
     def _dirichlet_means(self, spaces: Spaces) -> Array:
         return self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
