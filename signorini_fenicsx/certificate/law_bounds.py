@@ -140,11 +140,11 @@ def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> boo
     """Whether jumps are between their bounds in sampled points (collective).
 
     They are so in all points if the bounds are quadratic, by their coefficients: the box has them in middle nodes, and
-    the vertices are among the points.
+    the vertices are among the points. What is rounding in v is rounding in its jumps.
     """
     mesh = spaces.mesh
     found = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
-    short, size = 0.0, np.abs(found).max(initial=0.0)
+    short, size = 0.0, np.abs(trace.v.x.array).max(initial=0.0)
     for rows, sign, bound in bounds_of_jumps(parts, spaces):
         short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
         size = max(size, np.abs(bound).max(initial=0.0))
