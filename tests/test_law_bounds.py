@@ -141,6 +141,14 @@ def test_bounds_that_contradict():
         assert certificate.if_none.startswith(reason)
 
 
+def test_friction_of_nothing():
+    """With g = 0 both slips are one line; v goes by the sign of u, and the bound is that of an open part."""
+    domain, f = build_domain(COMM, "square", 0.2, mesh="unstructured"), "20*(x - 0.3)"
+    slipping = solve(domain, Boundary([]), Problem(f, laws=[Friction(["bottom"], 0)]))
+    free = solve(domain, Boundary(["bottom"]), Problem(f, psi=-100))
+    assert certify(slipping).bound == pytest.approx(certify(free).bound, rel=0.02)
+
+
 def test_rounding_is_no_contradiction():
     """Where u = ψ everywhere, what u_D is below ψ by rounding is nothing."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")

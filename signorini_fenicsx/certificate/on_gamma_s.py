@@ -49,7 +49,8 @@ class OnGammaS:
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
         """Those of a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
-        segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
+        segment = law.segments(solution.outcome.conditions, solution.outcome.iterate.p)
+        flux = spaces.normal_flux(y)
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
         steepness = law.slope * (height * resistance)[:, None]

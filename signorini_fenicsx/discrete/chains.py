@@ -86,13 +86,20 @@ class Chains:
         beta = np.where(kind == Condition.ROBIN, slope, 1.0)
         return SiteConditions(kind, beta, 0.0 if self.plain else value)
 
-    def segments(self, conditions: SiteConditions) -> Indices:
-        """The segment of each chain whose condition this is; the first of its kind if none is quite the same."""
+    def segments(self, conditions: SiteConditions, p: Array | None = None) -> Indices:
+        """The segment of each chain whose condition this is; the first of its kind if none is quite the same.
+
+        Of several on one line it is the first, or with p given that on which p is.
+        """
         same = self.kinds == conditions.kind[:, None]
         value, beta = (np.broadcast_to(x, conditions.kind.shape)[:, None] for x in (conditions.value, conditions.beta))
         robin = self.kinds == Condition.ROBIN
         alike = same & (self.value == value) & (~robin | (self.slope == beta))
-        return np.argmax(2 * alike + same, axis=1)
+        first = np.argmax(2 * alike + same, axis=1)
+        if p is None:
+            return first
+        there = (self.p < p[:, None]).sum(axis=1)
+        return np.where(_chosen(alike, there), there, first)
 
     def nearest(self, kind: Kinds, p: Array, flux: Array) -> Indices:
         """The segment of each chain that has this kind and whose line is nearest to p and σ·n."""
