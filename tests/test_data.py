@@ -71,5 +71,12 @@ def test_bad_data(folder: Path):
     ]:
         with pytest.raises(InputError, match=message):
             solve_case(case.with_values({f"problem.{name}": value}), COMM)
+    nowhere = "sqrt(x - 2)"
+    choice = f"1 if {nowhere} > 0 else 2"
+    for value in (f"0*{nowhere}", f"{nowhere}^0", choice, "0*exp(1e5*(x + 1))", f"abs(0*{nowhere})"):
+        for name in ("f", "kappa", "c", "psi"):
+            with pytest.raises(InputError, match=f"{name}: not finite everywhere"):
+                solve_case(case.with_values({f"problem.{name}": value}), COMM)
+    assert solve_case(case.with_values({"problem.f": f"1 if x > 2 and {nowhere} > 0 else 0*x"}), COMM).converged
     with pytest.raises(InputError, match=r"\[problem\] u_D: expression 'q': unknown name 'q'"):
         case.with_values({"problem.u_D": "q"})

@@ -132,8 +132,28 @@ def test_ranks_do_not_matter(folder: Path):
 def test_bounds_that_contradict():
     """Where u_D is beyond a bound, or two laws leave no room, no function of finite energy exists."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
-    for laws, u_D in [([TwoSided(["bottom"], 0.1)], 1), ([Signorini(["bottom"], 0.2), TwoSided(["left"], 0.1)], 0)]:
-        assert certify(solve(domain, Boundary([]), Problem(1, u_D=u_D, laws=laws))).bound == math.inf
+    for laws, u_D, reason in [
+        ([TwoSided(["bottom"], 0.1)], 1, "u_D is beyond a bound of u where Γ_D meets Γ_S"),
+        ([Signorini(["bottom"], 0.2), TwoSided(["left"], 0.1)], 0, "the bounds of u leave no room where parts of Γ_S"),
+    ]:
+        certificate = certify(solve(domain, Boundary([]), Problem(1, u_D=u_D, laws=laws)))
+        assert certificate.bound == math.inf
+        assert certificate.if_none.startswith(reason)
+
+
+def test_friction_of_nothing():
+    """With g = 0 both slips are one line; v goes by the sign of u, and the bound is that of an open part."""
+    domain, f = build_domain(COMM, "square", 0.2, mesh="unstructured"), "20*(x - 0.3)"
+    slipping = solve(domain, Boundary([]), Problem(f, laws=[Friction(["bottom"], 0)]))
+    free = solve(domain, Boundary(["bottom"]), Problem(f, psi=-100))
+    assert certify(slipping).bound == pytest.approx(certify(free).bound, rel=0.02)
+
+
+def test_rounding_is_no_contradiction():
+    """Where u = ψ everywhere, what u_D is below ψ by rounding is nothing."""
+    domain = build_domain(COMM, "square", 0.25, mesh="structured")
+    problem = Problem(0, u_D="0.1 + 0.3*x + 0.7*y", psi="0.7*y + 0.3*x + 0.1")
+    assert certify(solve(domain, Boundary(["top"]), problem)).bound < 1e-7
 
 
 def test_gap():

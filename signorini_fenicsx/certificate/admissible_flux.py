@@ -33,6 +33,8 @@ from signorini_fenicsx.solving.solution import Solution
 ROUNDING = 1e-9
 """If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
 smaller ‖y − σ_h‖, which depend on the order of sums: the bound is the same on any number of ranks."""
+OF_SUMS = 1e-14
+"""The same share of the loads: where f − cu is 0, so are c and σ_h but for the rounding of this difference."""
 DIGITS = 1e-5
 """For the same reason a constant that comes from a linear solve is rounded up to about this relative size."""
 WORTH = 0.5
@@ -67,7 +69,9 @@ def admissible_flux(
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     y = _within(spaces, limits, sigma)
     flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
-    rounding = ROUNDING * math.sqrt(comm.allreduce(metric.squares(flux).sum()))
+    loads = np.abs(data.f_h.x.array) + (0.0 if data.c_h is None else data.c_h.x.array * np.abs(u.x.array))
+    squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ loads**2]))
+    rounding = float(np.sqrt(squares) @ [ROUNDING, OF_SUMS * constant])
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
         imbalance.x.array[:] = flux.divergence + data.source(u).x.array

@@ -49,6 +49,7 @@ FAR_BELOW = 20.0
 cell that is ≥ 0 on Γ_S falls from there by less than this times its largest nodal value: its Lebesgue constant is at
 most 2, and by Markov's inequality its slope is at most 8 times its maximum. On Γ_D u_D − ψ may fall faster and is
 sampled."""
+BEYOND = "u_D is beyond a bound of u where Γ_D meets Γ_S"
 SAMPLES = 12
 """Parts of the edges of facets, for the points in which v is compared with ψ."""
 ROOM = 1.001, 2.0
@@ -77,7 +78,7 @@ class Trace:
         touching: Those of these cells where χ_t > 0, so that ψ itself enters.
         altered: Those of these cells where not only an obstacle in Ω may make a difference.
         lowest: Lower bound of v − I_hψ per facet of Γ_S.
-        feasible: Whether u_D ≥ ψ where Γ_D meets Γ_S.
+        hindrance: Why no continuous function is admissible, in words; empty if one is. The same on all ranks.
         degree: Degree of a quadrature in `cells`.
     """
 
@@ -89,7 +90,7 @@ class Trace:
     touching: Indices
     altered: Indices
     lowest: Array
-    feasible: bool
+    hindrance: str
     degree: int
 
     def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
@@ -118,9 +119,10 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     w.x.array[:] -= psi.x.array
     w.x.array[in_contact] = 0.0
     w.x.array[on_dirichlet] = w_D.x.array[on_dirichlet]
-    largest = mesh.comm.allreduce(np.abs(w.x.array).max(initial=0.0), MPI.MAX)
+    largest = mesh.comm.allreduce(max(np.abs(each.x.array).max(initial=0.0) for each in (v, psi)), MPI.MAX)
     on_both = w_D.x.array[np.intersect1d(on_signorini, on_dirichlet)]
     feasible = mesh.comm.allreduce(bool((on_both >= -1e-12 * largest).all()), MPI.LAND)
+    hindrance = "" if feasible else BEYOND
     for function in (w, w_D, psi):
         edges.to_bernstein(function.x.array)
     obstacle = Obstacle(edges, np.setdiff1d(on_signorini, on_dirichlet), mesh.topology.dim)
@@ -129,8 +131,8 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     v.x.array[:] = w.x.array + psi.x.array
     if data.u_D.number is not None and data.psi.number is not None:
         nowhere, zero = (np.empty(0, dtype=np.int32),) * 4, np.zeros(len(spaces.facets))
-        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], *nowhere, zero, feasible, 0)
-    return _with_exact_data(spaces, data, v, w, w_D, psi, feasible=feasible)
+        return Trace(v, None, lambda points: points.quadratic(w)[:, :, 0], *nowhere, zero, hindrance, 0)
+    return _with_exact_data(spaces, data, v, w, w_D, psi, hindrance=hindrance)
 
 
 def _with_exact_data(
@@ -141,7 +143,7 @@ def _with_exact_data(
     w_D: fem.Function,
     psi: fem.Function,
     *,
-    feasible: bool,
+    hindrance: str,
 ) -> Trace:
     """The trace with u_D and ψ themselves instead of their interpolants (collective)."""
     mesh = spaces.mesh
@@ -174,7 +176,7 @@ def _with_exact_data(
     floor.x.array[:] = -depth * (1 - near_signorini.x.array)
     height = w.x.array[facet_nodes(w.function_space, spaces.facets)].min(axis=1)
     degree = quadrature_degree(data.u_D, data.psi, data.kappa)
-    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, cells, height, feasible, degree)
+    return Trace(v, exact, exact.above, cells, at_dirichlet, touched, cells, height, hindrance, degree)
 
 
 @dataclass(frozen=True)

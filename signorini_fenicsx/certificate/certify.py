@@ -187,7 +187,7 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
     sums = np.array([(mismatch + contact).sum() / 2, (oscillation**2).sum(), resolution.missed.sum()])
     total_gap, total_oscillation, missed = comm.allreduce(sums).tolist()
     bound = sigma_bound = np.inf
-    if trace.feasible and np.isfinite(total_gap + total_oscillation):
+    if not trace.hindrance and np.isfinite(total_gap + total_oscillation):
         total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
@@ -210,19 +210,14 @@ def _certificate(solution: Solution, goal: Goal, memory: Callable[[CellPoints], 
         indicator=indicator,
         v=trace.v,
         of_penalty=goal.of_penalty,
-        if_none="" if np.isfinite(bound) else _why_none(spaces, trace, remainder),
+        if_none="" if np.isfinite(bound) else _why_none(trace, remainder),
     )
 
 
-def _why_none(spaces: Spaces, trace: Trace, remainder: float) -> str:
+def _why_none(trace: Trace, remainder: float) -> str:
     """Why a bound is infinite."""
-    if not trace.feasible:
-        if not spaces.inner.present:
-            return "u_D is beyond a bound of u where Γ_D meets Γ_S, or the bounds there leave no room"
-        return (
-            "u_D is beyond a bound where Γ_D meets Γ_S, or a part inside the domain forbids the jump 0 where it ends "
-            "or meets another part"
-        )
+    if trace.hindrance:
+        return trace.hindrance
     if not np.isfinite(remainder):
         return "a linear solve failed, by which the flux would be balanced"
     return "data or the gradients of u_D and ψ are not bounded"

@@ -130,21 +130,21 @@ def bounds_of_jumps(parts: Sequence[PartLaw], spaces: Spaces) -> Iterator[tuple[
     """Each bound of a jump: the rows of its facets, 1 for lower and −1 for upper, its values in sampled points."""
     for part in parts:
         rows = np.intersect1d(part.rows, spaces.inner.rows)
-        for sign, name in zip((1.0, -1.0), part.law.bounds(), strict=True):
-            if name is not None:
+        for sign, bound in zip((1.0, -1.0), part.bounds, strict=True):
+            if bound is not None:
                 lattice = facet_lattice(spaces.mesh, spaces.facets[rows], SAMPLES)
-                yield rows, sign, part.data[name].values(lattice)
+                yield rows, sign, bound.values(lattice)
 
 
 def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> bool:
     """Whether jumps are between their bounds in sampled points (collective).
 
     They are so in all points if the bounds are quadratic, by their coefficients: the box has them in middle nodes, and
-    the vertices are among the points.
+    the vertices are among the points. What is rounding in v is rounding in its jumps.
     """
     mesh = spaces.mesh
     found = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
-    short, size = 0.0, np.abs(found).max(initial=0.0)
+    short, size = 0.0, np.abs(trace.v.x.array).max(initial=0.0)
     for rows, sign, bound in bounds_of_jumps(parts, spaces):
         short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
         size = max(size, np.abs(bound).max(initial=0.0))

@@ -20,7 +20,7 @@ u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D �
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -32,7 +32,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.admissible_trace import ROOM, SAMPLES, Indices, Trace, averaged
+from signorini_fenicsx.certificate.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
@@ -52,6 +52,13 @@ from signorini_fenicsx.physics.diffusion.nodes import (
 )
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
+
+HINDRANCES = (
+    "the bounds of u leave no room where parts of Γ_S meet",
+    BEYOND,
+    "a part inside the domain forbids the jump 0 where it ends",
+)
+OF_JUMPS = "a jump of u_D, or of u where parts inside the domain end or meet others, is beyond a bound"
 
 
 def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, forces: Array | None) -> Trace:
@@ -77,7 +84,6 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     at_meeting = inside[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
     if jumps is not None:
         jumps.taken(v)
-    given = v.x.array[fixed]
     for facets, kept in ((inside, np.union1d(fixed, meets)), (~inside, fixed)):
         before = v.x.array[kept]
         for some in (nearly & facets, fully & facets):
@@ -87,7 +93,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     limits = [end[spaces.inner.rows] for end in ends[:2]]
     bounds = _without([_coefficients(end, facet) for end in ends], at_meeting)
     ends = _without(ends, at_meeting)
-    feasible = _allows(v, nodes, ends[:2], fixed, np.where(np.isin(fixed, tips), 0.0, given))
+    hindrance = _hindrance(v, nodes, ends[:2], (np.setdiff1d(on_dirichlet, tips), tips))
     low, high, soft_low, soft_high = (
         extreme_around(space, nodes, end, largest=number % 2 == 0) for number, end in enumerate(bounds)
     )
@@ -116,7 +122,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         jumps.undone(v)
     if obstacle is not None:
         lower_inside(v, floor, obstacle, edges)
-    return _with_exact_data(on, data, v, u_D, feasible=feasible)
+    return _with_exact_data(on, data, v, u_D, hindrance=hindrance)
 
 
 def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[Any]:
@@ -169,13 +175,20 @@ def _load(
     return load
 
 
-def _allows(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Indices, given: Array) -> bool:
-    """Whether the laws leave room for a continuous v, or its jump, with given values in some nodes (collective)."""
+def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequence[npt.NDArray[Any]]) -> str:
+    """Why the laws leave no room for a continuous v, or for its jump, in words; empty if they do (collective).
+
+    `fixed` are the nodes where v is given, and those where its jump is 0.
+    """
     comm = v.function_space.mesh.comm
     low, high = (extreme_around(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
     rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
-    within = (low[fixed] <= given + rounding) & (given <= high[fixed] + rounding)
-    return comm.allreduce(bool((low <= high + rounding).all() and within.all()), MPI.LAND)
+    given = v.x.array.copy()
+    given[fixed[1]] = 0.0
+    beyond = (low > given + rounding) | (given > high + rounding)
+    found = np.array([(low > high + rounding).any(), *(beyond[some].any() for some in fixed)])
+    comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
+    return next((words for words, here in zip(HINDRANCES, found, strict=True) if here), "")
 
 
 def _coefficients(values: Array, facet: basix.CellType) -> Array:
@@ -188,7 +201,7 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
     return np.hstack([values[:, :corners], middle])
 
 
-def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, feasible: bool) -> Trace:
+def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, hindrance: str) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
     mesh, linear = spaces.mesh, fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
@@ -203,11 +216,11 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     corners = facet_nodes(linear, spaces.facets)
     known = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
-        for sign, name in zip((1.0, -1.0), _bounds(on, part), strict=True):
-            if name is None or (part.data[name].number is not None and not changed):
+        for sign, datum in zip((1.0, -1.0), _bounds(on, part), strict=True):
+            if datum is None or (datum.number is not None and not changed):
                 continue
             rows = np.intersect1d(part.rows, spaces.outer_rows)  # inside, coefficients and levels are enough
-            datum, facets = part.data[name], spaces.facets[rows]
+            facets = spaces.facets[rows]
             here = fem.Function(linear)
             here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
@@ -227,7 +240,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     if spaces.inner.present:
         if changed:
             _move_jumps(trace, on)
-        feasible = jumps_obey(trace, on.goal.parts, spaces) and feasible
+        hindrance = hindrance or ("" if jumps_obey(trace, on.goal.parts, spaces) else OF_JUMPS)
     return Trace(
         v=v,
         exact=trace if trace.bounds or changed else None,
@@ -237,7 +250,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
         touching=np.empty(0, dtype=np.int32),
         altered=altered,
         lowest=np.full(len(spaces.facets), np.inf),
-        feasible=feasible,
+        hindrance=hindrance,
         degree=quadrature_degree(*known),
     )
 
@@ -271,13 +284,13 @@ def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indi
     return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
 
 
-def _bounds(on: OnGammaS, part: PartLaw) -> list[str | None]:
+def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:
     """The data that bound u below and above, at vertical ends of the graph or at rigid ones (collective)."""
     ends = 0, len(part.law.segments) - 1
     yielding = np.array([np.count_nonzero(~on.rigid[part.rows, end]) for end in ends])
     counts = on.spaces.mesh.comm.allreduce(yielding).tolist()
-    levels = [None if count > 0 else part.law.level_of(end) for end, count in zip(ends, counts, strict=True)]
-    return [name or level for name, level in zip(part.law.bounds(), levels, strict=True)]
+    levels = ["" if count > 0 else part.law.level_of(end) or "" for end, count in zip(ends, counts, strict=True)]
+    return [bound or part.data.get(level) for bound, level in zip(part.bounds, levels, strict=True)]
 
 
 def _levels(
@@ -313,8 +326,8 @@ def _held_jumps(on: OnGammaS, linear: fem.FunctionSpace) -> Iterator[tuple[Datum
     """The only bounds of jumps inside the domain. χ is 1 in all nodes with a jump (collective)."""
     jumps = Jumps.of(linear, on.spaces)
     for part in on.goal.parts if jumps is not None else ():
-        names = [name for name in part.law.bounds() if name is not None]
-        if jumps is not None and len(names) == 1 and part.data[names[0]].number is None:
+        bounds = [bound for bound in part.bounds if bound is not None]
+        if jumps is not None and len(bounds) == 1 and bounds[0].number is None:
             rows = np.intersect1d(part.rows, on.spaces.inner.rows)
             here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
-            yield part.data[names[0]], np.where((here > 0) & jumps.jump, 1.0, 0.0)
+            yield bounds[0], np.where((here > 0) & jumps.jump, 1.0, 0.0)

@@ -27,11 +27,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.contact.conditions import Kinds
 from signorini_fenicsx.contact.laws import Graph, Signorini, Values
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.points import FacetPoints, in_facets
@@ -51,10 +50,6 @@ class Penalised(Signorini):
         """The corner is that of the Signorini law."""
         return replace(super().graph(values), before=self.before, beyond=self.beyond)
 
-    def bounds(self) -> tuple[str | None, str | None]:
-        """ψ, if it is still one."""
-        return "psi" if np.isinf(self.before) else None, None
-
 
 @dataclass(frozen=True)
 class LawPoints:
@@ -72,23 +67,23 @@ class LawPoints:
         """That of the law, in arrays of shape (facets, points)."""
         return [end.reshape(self.points.shape) for end in self.law.extent()]
 
-    def on(self, segment: Kinds) -> tuple[Array, Array]:
+    def on(self, segment: Indices) -> tuple[Array, Array]:
         """β and value of a segment of each facet, shape (facets, points)."""
-        column = np.repeat(segment.astype(np.int64), self.points.shape[1])[:, None]
+        column = np.repeat(segment, self.points.shape[1])[:, None]
         chosen = (np.take_along_axis(values, column, axis=1) for values in (self.law.slope, self.law.value))
         slope, value = (values.reshape(self.points.shape) for values in chosen)
         return slope, value
 
-    def trace_at(self, corner: Kinds) -> Array:
+    def trace_at(self, corner: Indices) -> Array:
         """The u at a corner of each facet's law, shape (facets, points)."""
         return self._at(self.law.p, corner)
 
-    def flux_at(self, corner: Kinds) -> Array:
+    def flux_at(self, corner: Indices) -> Array:
         """σ·n there."""
         return self._at(self.law.flux, corner)
 
-    def _at(self, values: Array, corner: Kinds) -> Array:
-        column = np.repeat(corner.astype(np.int64), self.points.shape[1])[:, None]
+    def _at(self, values: Array, corner: Indices) -> Array:
+        column = np.repeat(corner, self.points.shape[1])[:, None]
         return np.take_along_axis(values, column, axis=1).reshape(self.points.shape)
 
 
@@ -115,7 +110,15 @@ class Goal:
         if penalty is None or for_signorini:
             return cls(laws.of_parts, laws.chains, plain=not laws.listed)
         slopes = penalty.slopes(solution.options.eps)
-        parts = tuple(replace(part, law=Penalised(part.law.parts, 0.0, 0.0, *slopes)) for part in laws.of_parts)
+        kept = np.isinf(slopes[0])  # ψ is still a bound
+        parts = tuple(
+            replace(
+                part,
+                law=Penalised(part.law.parts, 0.0, 0.0, *slopes),
+                bounds=part.bounds if kept else (None, None),
+            )
+            for part in laws.of_parts
+        )
         return cls(parts, solution.law, plain=False, of_penalty=True)
 
     def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> LawPoints:
@@ -132,14 +135,14 @@ class Goal:
         """Degree of a quadrature on Γ_S."""
         return max(quadrature_degree(*part.data.values(), power=2) for part in self.parts)
 
-    def pieces(self, segment: Kinds, flux: Array, rigid: Mask) -> Kinds:
+    def pieces(self, segment: Indices, flux: Array, rigid: Mask) -> Indices:
         """The segment near which v is on each facet: its own, or that beside a rigid one which σ·n is nearer to."""
         law, rows = self.chains, np.arange(len(segment))
         left, right = np.maximum(segment - 1, 0), np.minimum(segment, law.corners - 1)
         above, below = law.flux[rows, left] - flux, flux - law.flux[rows, right]
         before = (segment > 0) & ((segment == law.count) | (above < below))
         beside = np.where(before, segment - 1, np.minimum(segment + 1, law.count))
-        return np.where(rigid[rows, segment], beside, segment).astype(np.int8)
+        return np.where(rigid[rows, segment], beside, segment)
 
 
 def with_mean(base: Array, low: Array, high: Array, mean: Array, weights: Array) -> Array:

@@ -8,10 +8,9 @@ import basix
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.contact.conditions import Kinds
 from signorini_fenicsx.discrete.points import facet_type
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solution import Solution
@@ -39,8 +38,8 @@ class OnGammaS:
 
     goal: Goal
     spaces: Spaces
-    segment: Kinds
-    piece: Kinds
+    segment: Indices
+    piece: Indices
     flux: Array
     level: Array
     steep: Mask
@@ -50,7 +49,8 @@ class OnGammaS:
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
         """Those of a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
-        segment, flux = law.segments(solution.outcome.conditions), spaces.normal_flux(y)
+        segment = law.segments(solution.outcome.conditions, solution.outcome.iterate.p)
+        flux = spaces.normal_flux(y)
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
         steepness = law.slope * (height * resistance)[:, None]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
 
 
@@ -70,9 +70,9 @@ class Chains:
         return self.p.shape[1]
 
     @property
-    def count(self) -> Kinds:
+    def count(self) -> Indices:
         """The number of corners of each chain."""
-        return np.isfinite(self.p).sum(axis=1).astype(np.int8)
+        return np.isfinite(self.p).sum(axis=1)
 
     @property
     def kinds(self) -> Kinds:
@@ -80,33 +80,39 @@ class Chains:
         flat = np.where(self.slope == 0, Condition.NO_FLUX, Condition.ROBIN)
         return np.where(np.isinf(self.slope), Condition.ZERO_TRACE, flat).astype(np.int8)
 
-    def conditions(self, segment: Kinds) -> SiteConditions:
+    def conditions(self, segment: Indices) -> SiteConditions:
         """The conditions of one segment of each chain."""
         kind, slope, value = (_chosen(values, segment) for values in (self.kinds, self.slope, self.value))
         beta = np.where(kind == Condition.ROBIN, slope, 1.0)
         return SiteConditions(kind, beta, 0.0 if self.plain else value)
 
-    def segments(self, conditions: SiteConditions) -> Kinds:
-        """The segment of each chain whose condition this is; the first of its kind if none is quite the same."""
+    def segments(self, conditions: SiteConditions, p: Array | None = None) -> Indices:
+        """The segment of each chain whose condition this is; the first of its kind if none is quite the same.
+
+        Of several on one line it is the first, or with p given that on which p is.
+        """
         same = self.kinds == conditions.kind[:, None]
         value, beta = (np.broadcast_to(x, conditions.kind.shape)[:, None] for x in (conditions.value, conditions.beta))
         robin = self.kinds == Condition.ROBIN
         alike = same & (self.value == value) & (~robin | (self.slope == beta))
-        best = 2 * alike + same.astype(np.int8)
-        return np.argmax(best, axis=1).astype(np.int8)
+        first = np.argmax(2 * alike + same, axis=1)
+        if p is None:
+            return first
+        there = (self.p < p[:, None]).sum(axis=1)
+        return np.where(_chosen(alike, there), there, first)
 
-    def nearest(self, kind: Kinds, p: Array, flux: Array) -> Kinds:
+    def nearest(self, kind: Kinds, p: Array, flux: Array) -> Indices:
         """The segment of each chain that has this kind and whose line is nearest to p and σ·n."""
         off = np.abs(self.residuals(p, flux, np.ones(len(p))))
-        return np.argmin(np.where(self.kinds == kind[:, None], off, np.inf), axis=1).astype(np.int8)
+        return np.argmin(np.where(self.kinds == kind[:, None], off, np.inf), axis=1)
 
-    def beside_reference(self, *, steep: bool) -> Kinds:
+    def beside_reference(self, *, steep: bool) -> Indices:
         """The segment that the reference is on; of two the steeper or the flatter one."""
         before = (self.p < 0) | (self.flux > 0)
         at = (self.p == 0) & (self.flux == 0)
-        return (before if steep else before | at).sum(axis=1).astype(np.int8)
+        return (before if steep else before | at).sum(axis=1)
 
-    def towards(self, present: Kinds, wanted: Kinds) -> Kinds:
+    def towards(self, present: Indices, wanted: Indices) -> Indices:
         """The next segment of each chain on the way from one to another.
 
         Past such as are on the line of the first, and such as are only a point: they would send a site back.
@@ -122,10 +128,10 @@ class Chains:
             following = following + step * (skipped & (following != wanted))
         return following
 
-    def steepest(self) -> Kinds:
+    def steepest(self) -> Indices:
         """The steepest segment of each chain, the first of them."""
         inside = np.arange(self.corners + 1) <= self.count[:, None]
-        return np.argmax(np.where(inside, self.slope, -1.0), axis=1).astype(np.int8)
+        return np.argmax(np.where(inside, self.slope, -1.0), axis=1)
 
     def residuals(self, p: Array, flux: Array, unit: Array) -> Array:
         """How far p and σ·n are off the line of each segment, as a flux; one unit of p is so many of σ·n."""
@@ -190,6 +196,6 @@ def joined(parts: Sequence[tuple[np.ndarray, Chains]], sites: int) -> Chains:
     return all_of_them
 
 
-def _chosen[T: np.generic](values: np.ndarray[tuple[int, int], np.dtype[T]], column: Kinds) -> np.ndarray:
+def _chosen[T: np.generic](values: np.ndarray[tuple[int, int], np.dtype[T]], column: Indices) -> np.ndarray:
     """One of the columns for each row."""
-    return np.take_along_axis(values, column[:, None].astype(np.int64), axis=1)[:, 0]
+    return np.take_along_axis(values, column[:, None], axis=1)[:, 0]

@@ -36,6 +36,9 @@ VERTICAL = "vertical"
 class Graph:
     """A chain of segments in the plane of u and κ∇u·n, at some points.
 
+    Where it ends in a vertical segment, u of that corner is a bound of u: a number, or one of the values that the law
+    was given, and no new array, so that the datum is known by it.
+
     Attributes:
         reference: A point of it, from which u and κ∇u·n are measured, so that values there are exactly 0.
         corners: The corners, u ascending and κ∇u·n descending.
@@ -81,16 +84,15 @@ class Law:
         """The graph where the data have these values."""
         raise NotImplementedError
 
-    def bounds(self) -> tuple[str | None, str | None]:
-        """The names of the data that are the least and the largest u, if the graph ends in vertical segments."""
-        return None, None
-
     def level_of(self, segment: int) -> str | None:
         """The name of the datum with which u varies on a vertical or steep segment; None if it is not one datum."""
         return None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """What the data must not be, in words, and where they are: a number > 0 there."""
+        """What the data must not be, in words, and where they are: a number > 0 there.
+
+        A graph that is not monotone is refused without it.
+        """
         yield from ()
 
     @property
@@ -117,10 +119,6 @@ class Signorini(Law):
         """The corner is the reference."""
         corner = values["psi"], values["q_S"]
         return Graph(corner, [corner], before=np.inf)
-
-    def bounds(self) -> tuple[str | None, str | None]:
-        """The lower one is ψ."""
-        return "psi", None
 
     def level_of(self, segment: int) -> str | None:
         """ψ in contact."""
@@ -169,10 +167,6 @@ class TwoSided(Law):
         """The reference is the lower corner."""
         lower = values["psi"], values["q_S"]
         return Graph(lower, [lower, (values["psi_upper"], values["q_S"])], np.inf, np.inf)
-
-    def bounds(self) -> tuple[str | None, str | None]:
-        """Both."""
-        return "psi", "psi_upper"
 
     def level_of(self, segment: int) -> str | None:
         """The bound that holds u."""
@@ -285,28 +279,9 @@ class Corners(Law):
         before, beyond = (values.get(name, np.inf) for name in ("before", "beyond"))
         return Graph(corners[0], corners, before, beyond)
 
-    def bounds(self) -> tuple[str | None, str | None]:
-        """The first and the last corner, where what lies beyond is vertical."""
-        last = len(self.corners) - 1
-        return (
-            "corners.0.0" if self.before == VERTICAL else None,
-            f"corners.{last}.0" if self.beyond == VERTICAL else None,
-        )
-
     def level_of(self, segment: int) -> str | None:
         """That of the corner before it, or of the first."""
         return f"corners.{max(segment - 1, 0)}.0"
-
-    def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """A graph that is not monotone."""
-        for i in range(1, len(self.corners)):
-            yield f"u must not fall from corner {i - 1} to {i}", values[f"corners.{i - 1}.0"] - values[f"corners.{i}.0"]
-            yield (
-                f"κ∇u·n must not grow from corner {i - 1} to {i}",
-                values[f"corners.{i}.1"] - values[f"corners.{i - 1}.1"],
-            )
-        for name in {"before", "beyond"} & set(values):
-            yield f"{name} must not be negative", -values[name]
 
 
 LAWS: Mapping[str, type[Law]] = {

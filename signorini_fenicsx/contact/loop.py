@@ -22,13 +22,13 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.backend import Backend, Pairs
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Kinds, SiteConditions
+from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 
@@ -147,7 +147,7 @@ def _wanted[I: Pairs](
     return law.conditions(following)
 
 
-def _held(law: Chains, segment: Kinds, iterate: Pairs, measure: Array, comm: MPI.Comm) -> Kinds:
+def _held(law: Chains, segment: Indices, iterate: Pairs, measure: Array, comm: MPI.Comm) -> Indices:
     """The segments; if all of them are flat, u is moved up or down until one site is at a corner (collective).
 
     The total flux says whether up or down; the site goes to its segment that is not flat.

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty
 
@@ -50,13 +50,13 @@ class SetRule:
         """The law that the sites get in the end: with a penalty, that of the penalty."""
         return chains.with_penalty(self.penalty, eps)
 
-    def first(self, law: Chains) -> Kinds:
+    def first(self, law: Chains) -> Indices:
         """The segment of each site in the start solve (Step 1)."""
         return law.beside_reference(steep=self.start == self.contact)
 
-    def following(self, law: Chains, p: Array, flux: Array, rho: float, present: Present | None = None) -> Kinds:
+    def following(self, law: Chains, p: Array, flux: Array, rho: float, present: Present | None = None) -> Indices:
         """The next segment of each site by the rule, from p and σ·n per site (Step 2)."""
-        segment = np.zeros(len(p), dtype=np.int8)
+        segment = np.zeros(len(p), dtype=np.int64)
         for corner in range(law.corners):
             trace, excess = p - law.p[:, corner], flux - law.flux[:, corner]
             if present is None:
@@ -81,7 +81,7 @@ class Present:
         flux: What is rounding in σ·n, per site or for all.
     """
 
-    segment: Kinds | None
+    segment: Indices | None
     trace: Array | float = 0.0
     flux: Array | float = 0.0
 

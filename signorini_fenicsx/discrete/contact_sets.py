@@ -12,9 +12,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import passed_on
-from signorini_fenicsx.contact.conditions import Kinds
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import curve_gap, of_unit_size, sampled
 
@@ -64,20 +63,20 @@ class Segments:
     """
 
     spaces: MeshSpaces
-    segment: Kinds
-    cells: Kinds | None = None
+    segment: Indices
+    cells: Indices | None = None
 
     @classmethod
-    def of_sites(cls, spaces: MeshSpaces, segment: Kinds, *, obstacle: bool) -> Self:
+    def of_sites(cls, spaces: MeshSpaces, segment: Indices, *, obstacle: bool) -> Self:
         """Those of facets and, with an obstacle, of the cells behind them."""
         number = len(spaces.facets)
         return cls(spaces, segment[:number], segment[number:] if obstacle else None)
 
-    def on(self, spaces: MeshSpaces) -> Kinds:
+    def on(self, spaces: MeshSpaces) -> Indices:
         """Those of the sites of another mesh of the domain: that at the midpoint of each (collective)."""
         if spaces is self.spaces:
             return self.segment if self.cells is None else np.append(self.segment, self.cells)
-        found = np.empty(0, dtype=np.int8)
+        found = np.empty(0, dtype=np.int64)
         if spaces.part_names:
             found = self._sample(self.spaces.multiplier(self.segment, "segment"), spaces.Lambda.mesh)
         found = found[: len(spaces.facets)]
@@ -90,11 +89,11 @@ class Segments:
 
     def _sample(
         self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32] | None = None
-    ) -> Kinds:
+    ) -> Indices:
         (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0, cells=cells)
-        return np.rint(sample.x.array).astype(np.int8)
+        return np.rint(sample.x.array).astype(np.int64)
 
-    def _near_contact(self, segment: Kinds, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+    def _near_contact(self, segment: Indices, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
         """Owned cells of another mesh with their centroid in the box around all cells that are not open (collective).
 
         The search of cells takes longer than anything else in a prediction.
@@ -111,7 +110,7 @@ class Segments:
 
 def transferred(contact: FacetSet, spaces: MeshSpaces) -> Mask:
     """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
-    return Segments(contact.spaces, contact.inside.astype(np.int8)).on(spaces) > 0
+    return Segments(contact.spaces, contact.inside.astype(np.int64)).on(spaces) > 0
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

@@ -106,6 +106,11 @@ class _Text(Datum):
 
     trees: Tree | list[list[Tree]]
 
+    @cached_property
+    def number(self) -> float | None:
+        """The number that it is; None if UFL made one of a text that may have no value somewhere, as 0 sqrt(x − 2)."""
+        return None if self.polynomial is None else super().number
+
     @property
     def polynomial(self) -> int | None:
         """The degree of the polynomial that it is, or None."""

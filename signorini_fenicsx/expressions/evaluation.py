@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.expressions import intervals
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.functions import FUNCTIONS
@@ -43,7 +43,7 @@ class _Logic:
 
 
 class Numeric(_Logic):
-    """Arrays."""
+    """Arrays. What depends on NaN is NaN: also a power that IEEE makes 1, and a choice by a comparison with NaN."""
 
     def __init__(self, names: Mapping[str, Array]):
         self._names = names
@@ -58,16 +58,20 @@ class Numeric(_Logic):
         return self._names[name]
 
     def power(self, base: Array, exponent: Array) -> Any:
-        return np.power(base, exponent)
+        found = np.power(base, exponent)
+        unknown = np.isnan(base) | np.isnan(exponent)
+        return np.where(unknown, np.nan, found) if unknown.any() else found
 
     def call(self, name: str, arguments: Sequence[Array]) -> Any:
         return FUNCTIONS[name].numeric(*arguments)
 
-    def compare(self, sign: str, left: Array, right: Array) -> Mask:
-        return np.asarray(_COMPARISONS[sign](left, right))
+    def compare(self, sign: str, left: Array, right: Array) -> Truth:
+        unknown = np.isnan(left) | np.isnan(right)
+        surely = _COMPARISONS[sign](left, right) & ~unknown
+        return Truth(surely, surely | unknown)
 
-    def choose(self, condition: Mask, then: Array, otherwise: Array) -> Any:
-        return np.where(condition, then, otherwise)
+    def choose(self, condition: Truth, then: Array, otherwise: Array) -> Any:
+        return np.where(condition.surely, then, np.where(condition.possibly, np.nan, otherwise))
 
     jump = choose
     """The gradient of a choice between branches that may not meet."""

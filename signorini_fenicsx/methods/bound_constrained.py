@@ -132,5 +132,5 @@ def _recovered(system: FacetSystem, law: Chains, linear_iterations: int) -> tupl
     """The current solution; a facet is in contact where p is at one of its bounds."""
     p = system.x.array_r[system.trace_dofs]
     low, high, *_ = law.extent()
-    conditions = law.conditions(np.where(p >= high, law.count, p > low).astype(np.int8))
+    conditions = law.conditions(np.where(p >= high, law.count, p > low))
     return system.recover(conditions, linear_iterations), conditions

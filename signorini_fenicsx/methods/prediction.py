@@ -11,12 +11,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import progress
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Kinds, SiteConditions
+from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -54,7 +54,7 @@ class Prediction:
         """The law of each site, changed by the penalty if there is one."""
         return self.rule.law(chains, self.eps)
 
-    def wanted(self, law: Chains, segment: Kinds, p: Array, flux: Array) -> SiteConditions:
+    def wanted(self, law: Chains, segment: Indices, p: Array, flux: Array) -> SiteConditions:
         """The next conditions by the rule, from p and σ·n per site with each site on a segment."""
         present = Present(segment, NOTHING, NOTHING)
         return law.conditions(self.rule.following(law, p, flux, self.rho, present))

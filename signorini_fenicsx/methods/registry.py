@@ -24,6 +24,7 @@ from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.methods.by_sets import solve_by_sets
 from signorini_fenicsx.methods.newton import solve_by_newton
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.data import Data
 
 MANY = 100_000
 """Iterations allowed for methods with cheap iterations."""
@@ -87,9 +88,13 @@ class Method:
             obstacle=exact,
         )
 
-    def most_iterations(self, *, obstacle: bool) -> int:
-        """Iterations allowed unless the options say otherwise; with an obstacle a cold start takes about 1/h."""
-        return FOR_OBSTACLE * self.max_iterations if obstacle else self.max_iterations
+    def most_iterations(self, data: Data) -> int:
+        """Iterations allowed unless the options say otherwise.
+
+        A site moves by one segment of its law in a step. With an obstacle a cold start takes about 1/h steps.
+        """
+        most = self.max_iterations + data.laws.chains.corners - 1
+        return most if data.obstacle is None else FOR_OBSTACLE * most
 
     @property
     def has_eps(self) -> bool:

@@ -127,7 +127,7 @@ def facet_table(solution: Solution) -> FacetTable:
         psi=solution.data.psi_h,
         q_S=solution.data.q_Sh,
         condition=solution.outcome.conditions.kind.astype(np.int64),
-        segment=solution.data.laws.labels(solution.segments().segment).astype(np.int64),
+        segment=solution.data.laws.labels(solution.segments().segment),
         vertices=facet_vertices(spaces.mesh, spaces.facets),
     )
 

@@ -115,7 +115,7 @@ class ElasticSolution(Solved):
         assert self.data.friction is not None
         normal = len(self.spaces.sites)
         tangential = self.outcome.conditions.take(slice(normal, None))
-        found = self.data.friction.chains.segments(tangential).astype(np.int64).reshape(-1, 2)
+        found = self.data.friction.chains.segments(tangential).reshape(-1, 2)
         return np.where(self.data.friction.bound > 0, found, np.where(self.slip < 0, 0, 2))
 
     @property

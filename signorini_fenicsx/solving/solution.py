@@ -268,8 +268,8 @@ class Solution(Solved):
     def segments(self) -> Segments:
         """The segment of its law that each Γ_S facet is on, and each cell if there is an obstacle."""
         contact = self.outcome.iterate.contact
-        cells = None if contact is None else (~contact).astype(np.int8)
-        return Segments(self.spaces, self.law.segments(self.outcome.conditions), cells)
+        cells = None if contact is None else (~contact).astype(np.int64)
+        return Segments(self.spaces, self.law.segments(self.outcome.conditions, self.outcome.iterate.p), cells)
 
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""

@@ -113,7 +113,7 @@ class Solver:
                 data=data.less(spaces, constant),
                 rho=options.rho,
                 eps=options.eps,
-                max_iterations=options.max_iterations or method.most_iterations(obstacle=data.obstacle is not None),
+                max_iterations=options.max_iterations or method.most_iterations(data),
                 on_step=on_step,
                 backend=partial(self._kept_backend, options),
                 start=start.segments() if isinstance(start, Solution) else start,

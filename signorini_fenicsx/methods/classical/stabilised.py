@@ -14,6 +14,7 @@ the last term each step would be a minimisation with the mass matrix alone, but 
 import math
 from dataclasses import replace
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
@@ -42,7 +43,7 @@ def stabilised_form(task: Task) -> Outcome:
     load = fem.Function(spaces.Q)
     load.x.array[:] = task.data.f_h.x.array - task.eps * iterate.u.x.array
     kkt = replace(task, data=replace(task.data, f_h=load)).kkt(iterate, None)
-    return replace(outcome, own_residual=max(vars(kkt).values()))
+    return replace(outcome, own_residual=float(np.max([*vars(kkt).values()])))
 
 
 def minimisation_uzawa(task: Task) -> Outcome:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,6 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in the order of bounds."""
-BOUNDS = ("psi", "psi_upper")
-"""Data that must be continuous."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +34,14 @@ class PartLaw:
         name: How messages call it: "law.0" for the first one that is listed, empty for ψ and q_S of the problem.
         rows: Its facets of this rank, as rows of `Spaces.facets`.
         data: Its data by their names.
+        bounds: The data that are the least and the largest u, None where the graph does not end in a vertical segment.
     """
 
     law: Law
     name: str
     rows: Indices
     data: Mapping[str, Datum]
+    bounds: tuple[Datum | None, Datum | None] = (None, None)
 
     def key(self, name: str) -> str:
         """The name of one of its data in messages."""
@@ -108,6 +109,7 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
         means = _means(spaces, part)
         _refuse(spaces, part)
         graph = law.graph(means)
+        part = replace(part, bounds=_bounds(spaces, part, graph, means))
         psi_h[rows], q_Sh[rows] = graph.reference
         chains.append((rows, chains_of(graph, len(rows))))
         of_parts.append(part)
@@ -166,11 +168,8 @@ def _means(spaces: Spaces, part: PartLaw) -> dict[str, Array]:
     Raises:
         InputError: If a datum is not finite.
     """
-    facets, where = spaces.facets[part.rows], "on its parts" if part.name else "on Γ_S"
+    facets, where = spaces.facets[part.rows], _where(part)
     means = {key: facet_means(spaces, part.key(key), datum, facets, where) for key, datum in part.data.items()}
-    for key in BOUNDS:
-        if key in part.data:
-            check_nodes(spaces, part.key(key), part.data[key], facets, where)
     for key, by in part.law.weights.items():
         datum, weight = part.data[key], part.data[by]
         if weight.number is None:
@@ -180,8 +179,50 @@ def _means(spaces: Spaces, part: PartLaw) -> dict[str, Array]:
     return means
 
 
+def _not_monotone(graph: Graph) -> Iterator[tuple[str, Array]]:
+    """How a graph is not monotone, in words, and where: a number > 0 there."""
+    for i, (one, other) in enumerate(pairwise(graph.corners)):
+        yield f"u must not fall from corner {i} to {i + 1}", np.subtract(one[0], other[0])
+        yield f"κ∇u·n must not grow from corner {i} to {i + 1}", np.subtract(other[1], one[1])
+    yield "before must not be negative", np.negative(graph.before)
+    yield "beyond must not be negative", np.negative(graph.beyond)
+
+
+def _where(part: PartLaw) -> str:
+    """Where a law holds, for messages."""
+    return "on its parts" if part.name else "on Γ_S"
+
+
+def _bounds(
+    spaces: Spaces, part: PartLaw, graph: Graph, means: Mapping[str, Array]
+) -> tuple[Datum | None, Datum | None]:
+    """The data that bound u at the vertical ends of a graph in the means of the data, lower and upper (collective).
+
+    A bound must be continuous. It is known by being the very array that the graph was given, so no law has to name it.
+
+    Raises:
+        InputError: If a bound is neither a datum nor a number, or is not finite somewhere.
+    """
+    found: list[Datum | None] = []
+    for which, slope, (u, _) in (("first", graph.before, graph.corners[0]), ("last", graph.beyond, graph.corners[-1])):
+        if not spaces.mesh.comm.allreduce(bool(np.isinf(slope).any()), MPI.LOR):
+            found.append(None)
+        elif np.ndim(u) == 0:
+            found.append(datum_of(spaces, f"{part.name} ({part.law.name})", float(u)))
+        else:
+            key = next((key for key, values in means.items() if values is u), None)
+            if key is None:
+                raise InputError(
+                    f"{part.name} ({part.law.name}): its graph is vertical at the {which} end, so u of the {which} "
+                    "corner must be one of its data as it was given, or a number, not computed from them"
+                )
+            check_nodes(spaces, part.key(key), part.data[key], spaces.facets[part.rows], _where(part))
+            found.append(part.data[key])
+    return found[0], found[1]
+
+
 def _refuse(spaces: Spaces, part: PartLaw) -> None:
-    """Refuse data that their law does not allow, in points of a quadrature (collective).
+    """Refuse data that their law does not allow, and a graph that is not monotone, in points (collective).
 
     Raises:
         InputError: On all ranks, with the place of the worst.
@@ -189,9 +230,13 @@ def _refuse(spaces: Spaces, part: PartLaw) -> None:
     comm, dim = spaces.mesh.comm, spaces.mesh.geometry.dim
     points = facet_quadrature(spaces.mesh, spaces.facets[part.rows], quadrature_degree(*part.data.values()))
     values = {key: datum.values(points).ravel() for key, datum in part.data.items()}
-    largest = max([0.0, *(float(np.abs(each).max(initial=0.0)) for each in values.values())])
-    rounding = ROUNDING * comm.allreduce(largest, MPI.MAX)
-    for what, size in part.law.refused(values):
+    with np.errstate(all="ignore"):  # of data that are refused below
+        graph = part.law.graph(values)
+    known = [*values.values(), *(each for corner in graph.corners for each in corner)]
+    largest = max(float(np.abs(each).max(initial=0.0)) for each in known)
+    rounding = ROUNDING * comm.allreduce(largest if np.isfinite(largest) else 0.0, MPI.MAX)
+    for what, size in (*part.law.refused(values), *_not_monotone(graph)):
+        size = np.broadcast_to(size, points.shape[0] * points.shape[1])
         worst: tuple[float, tuple[float, ...]] = (0.0, ())
         if size.max(initial=0.0) > rounding:
             worst = float(size.max()), tuple(points.x.reshape(-1, dim)[np.argmax(size)].tolist())

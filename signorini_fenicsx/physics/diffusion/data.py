@@ -21,6 +21,7 @@ from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.given import Given, Rows
+from signorini_fenicsx.physics.diffusion.bodies import spread
 from signorini_fenicsx.physics.diffusion.boundary_laws import BoundaryLaws, boundary_laws
 from signorini_fenicsx.physics.diffusion.obstacle import Obstacle, obstacle_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -143,9 +144,12 @@ class Data:
         means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
         return extent(np.concatenate(means), spaces.mesh.comm)
 
-    def dirichlet_extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest facet mean of u_D; ∞ and −∞ without Γ_D (collective)."""
-        return extent(self._dirichlet_means(spaces), spaces.mesh.comm)
+    def dirichlet_varies(self, spaces: Spaces, rounding: float) -> bool:
+        """Whether facet means of u_D differ within one body by more than this share of the largest (collective)."""
+        means = self._dirichlet_means(spaces)
+        lowest, highest = extent(means, spaces.mesh.comm)
+        largest = rounding * max(highest, -lowest)
+        return highest - lowest > largest and spread(spaces, spaces.dirichlet_facets, means) > largest
 
     def _dirichlet_means(self, spaces: Spaces) -> Array:
         return self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]

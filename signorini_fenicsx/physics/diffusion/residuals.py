@@ -10,7 +10,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.contact.conditions import Penalty
-from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.contact.residuals import Residuals, relative
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.physics.diffusion.data import Data
@@ -32,7 +32,8 @@ class KKTResiduals(Residuals):
     eigenvalue of κ_h on a cell, and on a facet that of the cell behind it. Residuals are compared with the gradient
     G = ‖κ_h⁻¹σ‖ and the flux S = ‖σ‖. If u is constant, σ is rounding; then G = ‖u‖/L and S = ‖ku‖/L, or the same with
     the largest |u_D| or |ψ| in place of u if these are larger. u can be constant only without loads and with constant
-    u_D. All residuals are 0 if S = 0. The constant that u_D and ψ have in common is subtracted from u, u_D and ψ first.
+    u_D on each body. If S = 0, residuals are 0 or infinite. The constant that u_D and ψ have in common is subtracted
+    from u, u_D and ψ first.
 
     With an obstacle λ = −∇·σ − s is its force in each cell, s = f_h − c_h u. Primal, dual and complementarity then have
     parts from Ω as well, ‖[u − ψ]_-‖ / (L G), ‖h_T k⁻¹[λ]_-‖ / G and ‖min(|u − ψ|/L, h_T k⁻¹|λ|)‖ / G, and the same as
@@ -65,6 +66,7 @@ class KKTResiduals(Residuals):
     mass_balance: float
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is no solution
 def kkt_residuals(
     spaces: Spaces,
     data: Data,
@@ -94,8 +96,6 @@ def kkt_residuals(
     length = spaces.length
     in_cells = CellFlux.of(spaces, sigma)
     scales = _scales(spaces, in_cells, u, data)
-    if scales[1] == 0:
-        return KKTResiduals(0.0, 0.0, 0.0, 0.0, 0.0)
 
     e, k = spaces.facet_measure, data.conductivities(spaces)[spaces.cells]
     trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
@@ -104,13 +104,13 @@ def kkt_residuals(
     low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
     squares = length * np.array(sums) + _over_obstacle(spaces, data, in_cells, u)
-    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares)) / scales
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
     return KKTResiduals(
-        primal=float(primal.max()),
-        dual=float(dual.max()),
-        complementarity=float(complementarity.max()),
-        stationarity=float((_stationarity(spaces, in_cells, u, p, data) / scales).max()),
-        mass_balance=float((_imbalance(spaces, in_cells, sigma, u, data) / scales).max()),
+        primal=relative(primal, scales),
+        dual=relative(dual, scales),
+        complementarity=relative(complementarity, scales),
+        stationarity=relative(_stationarity(spaces, in_cells, u, p, data), scales),
+        mass_balance=relative(_imbalance(spaces, in_cells, sigma, u, data), scales),
     )
 
 
@@ -119,8 +119,10 @@ def far_bound(spaces: Spaces, data: Data, u: fem.Function) -> str:
 
     Collective. The data and u are those without the constant that u_D and ψ have in common.
     """
-    furthest = np.abs(data.extent(spaces)).max()
-    largest = spaces.mesh.comm.allreduce(np.abs(u.x.array).max(initial=0.0), MPI.MAX)
+    far = max(*np.abs(data.extent(spaces)), np.abs(data.psi_h).max(initial=0.0))
+    furthest, largest = (
+        spaces.mesh.comm.allreduce(float(each), MPI.MAX) for each in (far, np.abs(u.x.array).max(initial=0.0))
+    )
     if furthest <= FAR * largest:
         return ""
     return (
@@ -174,19 +176,18 @@ def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Arr
 
 
 def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
-    """Whether a load or a varying u_D makes u vary; then a σ that is tiny beside a huge ψ is wrong (collective).
+    """Whether a load makes u vary, or a u_D that varies on a body; then a tiny σ beside a huge ψ is wrong (collective).
 
     Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load. In time neither
     does an earlier u that is only rounding.
     """
     comm = spaces.mesh.comm
-    lowest, highest = data.dirichlet_extent(spaces)
     source, f_h, flux = (
         comm.allreduce(np.abs(values.x.array).max(initial=0.0), MPI.MAX)
         for values in (data.source(u), data.f_h, data.sigma_lift)
     )
     loaded = source > ROUNDING * f_h and not _is_at_rest(spaces, data)
-    return bool(highest - lowest > ROUNDING * max(highest, -lowest) or loaded or flux > 0)
+    return bool(loaded or flux > 0 or data.dirichlet_varies(spaces, ROUNDING))
 
 
 def _is_at_rest(spaces: Spaces, data: Data) -> bool:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.contact.residuals import Residuals, relative
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells, split_vertices
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
@@ -21,7 +21,8 @@ from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticS
 class ElasticKKT(Residuals):
     """Residuals of the elastic problem, each the share that it is of the stress, so that no unit enters.
 
-    p stands for g − u_n, in means weighted by the hats of facet vertices; L = |Ω|^(1/d); S = ‖σ‖. All are 0 if σ = 0.
+    p stands for g − u_n, in means weighted by the hats of facet vertices; L = |Ω|^(1/d); S = ‖σ‖. If σ = 0, they are 0
+    or infinite.
     Without loads a body at rest has only rounding in σ; then S is the stress of a strain with the largest |u_D| or |g|.
 
     Attributes:
@@ -41,6 +42,7 @@ class ElasticKKT(Residuals):
     equilibrium: float
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is no solution
 def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Array) -> ElasticKKT:
     """Residuals by the fields alone, not by what a backend says (collective).
 
@@ -66,8 +68,6 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     volume, square, unbalanced, jumps = comm.allreduce(sums).tolist()
     norm, length = np.sqrt(square), volume ** (1 / dim)
     norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
-    if norm == 0:
-        return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[contact.cells], dim) / length
     pressure = -spaces.normal_stress(stresses)
     on_sites = [np.minimum(k * p, 0), np.minimum(pressure, 0), np.minimum(np.abs(k * p), np.abs(pressure))]
@@ -76,9 +76,8 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         g, shear = data.friction.bound.ravel(), spaces.shear(stresses)
         pulled = shear - np.repeat(stiffness[spaces.rough.cells], dim) / length * slip
         squares[2] += spaces.slip_measure @ (shear - np.clip(pulled, -g, g)) ** 2
-    squares = comm.allreduce(squares)
-    primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
-    return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
+    sizes = np.sqrt([*(length * comm.allreduce(squares)), jumps, unbalanced])
+    return ElasticKKT(*(relative(size[None], np.array([norm])) for size in sizes))
 
 
 def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:

@@ -1,0 +1,45 @@
+"""The bodies of a domain: cells that are joined by facets. A cut through the domain may part it into several."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.physics.diffusion.nodes import extreme_around
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, cells_and_dofs
+
+
+def bodies(spaces: Spaces) -> Indices:
+    """A number of its body for each owned cell, below the number of the pieces of all ranks (collective)."""
+    from scipy.sparse import coo_array  # slow to import, and rarely needed
+    from scipy.sparse.csgraph import connected_components
+
+    comm, space, cells = spaces.mesh.comm, spaces.crouzeix_raviart, len(spaces.cell_measures)
+    facets = space.dofmap.list[:cells]
+    size = cells + space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts
+    cell = np.repeat(np.arange(cells), facets.shape[1])
+    graph = coo_array((np.ones(len(cell)), (cell, cells + facets.ravel())), shape=(size, size))
+    piece = np.unique(connected_components(graph, directed=False)[1][:cells], return_inverse=True)[1]
+    number = int(piece.max(initial=-1)) + 1
+    body = (comm.scan(number) - number + piece).astype(np.float64)
+    while True:  # pieces of several ranks that share a facet get the larger number
+        around = extreme_around(space, facets, np.repeat(body[:, None], facets.shape[1], axis=1), largest=True)
+        largest = np.zeros(number)
+        np.maximum.at(largest, piece, around[facets].max(axis=1, initial=0.0))
+        if not comm.allreduce(bool((largest[piece] > body).any()), MPI.LOR):
+            return body.astype(np.int64)
+        body = largest[piece]
+
+
+def spread(spaces: Spaces, facets: npt.NDArray[np.int32], values: Array) -> float:
+    """The largest difference of values on facets of the boundary of the same body (collective)."""
+    body = bodies(spaces)
+    number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
+    ends = np.full((2, number), -np.inf)
+    own = body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]
+    for end, each in zip(ends, (values, -values), strict=True):
+        np.maximum.at(end, own, each)
+    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+    return float(ends.sum(axis=0).max(initial=0.0))
