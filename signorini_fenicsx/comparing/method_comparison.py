@@ -9,6 +9,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
@@ -48,6 +49,7 @@ class MethodRow:
     distance: float
 
 
+@collector_off()
 def compare_methods(
     case: Case,
     h: float,

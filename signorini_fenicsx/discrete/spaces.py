@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.compiling import guard_compiler
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.cell_shapes import squared_arms
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
@@ -188,6 +189,7 @@ class Spaces:
         dim = self.mesh.geometry.dim
         return fem.functionspace(self.mesh, ("DG", 0, (dim, dim)))
 
+    @collector_off()
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
         """A function of Λ_h with these values per Γ_S facet, ghosts updated (collective)."""
         function = fem.Function(self.Lambda, name=name)
@@ -195,10 +197,12 @@ class Spaces:
         function.x.scatter_forward()
         return function
 
+    @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:
         """Compile a form that may contain functions of Λ_h (collective)."""
         return fem.form(ufl_form, entity_maps=[self.entity_map])
 
+    @collector_off()
     def integrate(self, form: ufl.Form | fem.Form) -> float:
         """Integral over all ranks (collective)."""
         return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(form))))

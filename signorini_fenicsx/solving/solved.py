@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 from dolfinx import fem
 
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
@@ -68,6 +69,7 @@ class Solved(ABC):
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective)."""
 
+    @collector_off()
     def summary(self) -> dict[str, Any]:
         """All numbers of the run, ready for JSON (collective)."""
         domain, outcome, errors = self.spaces.domain, self.outcome, self.errors()
