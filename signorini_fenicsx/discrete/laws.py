@@ -77,15 +77,15 @@ class Law:
         Raises:
             InputError: If a text cannot be read.
         """
-        return self._with(lambda given: given if given == VERTICAL else parsed(given, names))
+        return self._with(lambda key, given: given if given == VERTICAL else parsed(given, names, f"{self.name}.{key}"))
 
     def at(self, t: float) -> Self:
         """The law at a time, from one that `read` has read."""
-        return self._with(lambda given: at_time(given, t))
+        return self._with(lambda key, given: at_time(given, t))
 
-    def _with(self, change: Callable[[Any], Any]) -> Self:
+    def _with(self, change: Callable[[str, Any], Any]) -> Self:
         given = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
-        return replace(self, **{name: change(value) for name, value in given.items()})
+        return replace(self, **{name: change(name, value) for name, value in given.items()})
 
     def graph(self, values: Values) -> Graph:
         """The graph where the data have these values."""

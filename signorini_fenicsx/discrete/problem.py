@@ -61,7 +61,8 @@ class Problem:
         names = "xyz"[:dim] + "t"
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
         laws = tuple(law.read(names) for law in self.laws)
-        return replace(self, **{name: parsed(given, names) for name, given in data.items()}, laws=laws)
+        read = {name: parsed(given, names, _place(name)) for name, given in data.items()}
+        return replace(self, **read, laws=laws)
 
     def parsed(self, dim: int) -> "Problem":
         """The same problem, with numbers and texts read as trees, but not those of the laws.
@@ -71,4 +72,9 @@ class Problem:
         """
         names = "xyz"[:dim]
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
-        return replace(self, **{name: parsed(given, names) for name, given in data.items()})
+        return replace(self, **{name: parsed(given, names, _place(name)) for name, given in data.items()})
+
+
+def _place(name: str) -> str:
+    """Where a case file has a datum."""
+    return "[exact] u" if name == "exact" else f"[problem] {name}"
