@@ -8,7 +8,7 @@ from dolfinx import fem
 from dolfinx.mesh import GhostMode, create_unit_square
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary, Domain, ElasticBoundary, ElasticProblem, Problem, domain_of, solve
+from signorini_fenicsx.api import Boundary, Domain, ElasticBoundary, ElasticProblem, Problem, Solver, domain_of, solve
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.solving.elastic import solve_elastic
 
@@ -73,3 +73,12 @@ def test_functions_are_asked_in_the_mesh_alone():
     mesh = dolfinx.mesh.create_rectangle(COMM, [[1.0, 1.0], [2.0, 2.0]], [2, 2], ghost_mode=GhostMode.none)
     domain = domain_of(mesh, {"bottom": lambda x: np.isclose(x[1], 1)})
     assert solve(domain, Boundary(["bottom"]), Problem(f=table)).converged
+
+
+@pytest.mark.parallel(2)
+def test_data_that_differ_between_ranks_do_not_part_them():
+    """What is kept of earlier data is taken by all ranks or by none; else one would wait for the others for ever."""
+    _, domain = unit_square()
+    solver = Solver(domain, Boundary(["bottom"]))
+    for psi, f in ((-0.1, 1.0), (-0.1, 1.0 + 1e-15 * COMM.rank), (-0.1 - 1e-15 * COMM.rank, 1.0)):
+        assert solver.solve(Problem(f=f, psi=psi, kappa=2.0)).converged

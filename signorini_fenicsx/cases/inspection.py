@@ -180,7 +180,7 @@ def _check_data(case: Case, spaces: Spaces) -> None:
     if case.time is None:
         check_solvability(spaces, project_data(spaces, problem))
         return
-    evolution, known = case.time.evolution(), Known()
+    evolution, known = case.time.evolution(), Known(spaces.mesh.comm)
     steps = Steps(spaces, problem, evolution)
     steps.start()
     for step in range(1, evolution.steps + 1):
