@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import dolfinx.mesh
@@ -127,25 +126,6 @@ class Solution(Solved):
         from signorini_fenicsx.output.notebook import figure
 
         return figure(self, certificate)
-
-    @collector_off()
-    def write(
-        self, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False, html: bool = False
-    ) -> None:
-        """Write the files of the command line into a folder, where they replace an earlier result (collective).
-
-        Args:
-            folder: The folder; it is created if it does not exist.
-            certificate: Its error bound, which is written as well.
-            plot: Also draw PNGs.
-            html: Also write `solution.html`, pictures that the mouse can turn.
-
-        Raises:
-            InputError: If the folder cannot be written or contains other files.
-        """
-        from signorini_fenicsx.output.writing import write_results
-
-        write_results(self, folder, certificate=certificate, plot=plot, html=html)
 
     @collector_off()
     def at(self, points: npt.ArrayLike) -> PointValues:
