@@ -49,7 +49,7 @@ domain; UFL data must be written on that mesh:
 
 `load_solution` reads a solution that was written, `compare` compares two solutions, and
 `solve_case(load_case("example1"))` solves a case file. On several ranks Python's garbage collector should be off, see
-`collect_garbage`; `solve` and the other functions here keep it off while they run.
+`collect_garbage`; what is collective here keeps it off while it runs.
 
 Your own algorithm is a start and a rule; here Algorithm 1 as an example:
 

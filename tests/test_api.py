@@ -1,6 +1,8 @@
 """The Python interface: its examples, data of all kinds, refusals, and a user's discretisation."""
 
 import doctest
+import gc
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from signorini_fenicsx.api import (
     Domain,
     ElasticBoundary,
     ElasticProblem,
+    Evolution,
     FacetBackend,
     Friction,
     Iterate,
@@ -38,6 +41,7 @@ from signorini_fenicsx.api import (
     compare,
     domain_of,
     evolve,
+    load_any_solution,
     load_solution,
     solve,
     solve_case,
@@ -340,3 +344,50 @@ def test_arguments_of_the_wrong_kind():
     ]:
         with pytest.raises(InputError, match=message):
             call()
+
+
+def test_the_collector_is_off_in_all_that_is_collective(folder: Path):
+    """Python's collector, which may free a mesh at a wrong moment, never runs in a call that ranks make together."""
+    wrong: set[str] = set()
+
+    def note(phase: str, info: Mapping[str, int]) -> None:
+        names, frame = [], sys._getframe()
+        while frame is not None:
+            if frame.f_globals.get("__name__", "").startswith("signorini_fenicsx."):
+                names.append(frame.f_code.co_qualname)
+            frame = frame.f_back
+        wrong.update(names[-1:])
+
+    body = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1)
+    held, boundary, problem = ElasticBoundary(["bottom"], ["right"]), Boundary(["bottom"], ["right"]), Problem(f="-t")
+    case, in_time = api.load_case("example1").with_values({"solve.h": 0.5}), Evolution(end=1.0, steps=2)
+    mesh, parts = square(4)
+    before, was_on = gc.get_threshold(), gc.isenabled()
+    gc.set_threshold(5, 10**6, 10**6)
+    gc.enable()
+    gc.callbacks.append(note)
+    try:
+        domain = domain_of(mesh, parts)
+        *_, instant = evolve(domain, boundary, problem, in_time)
+        api.StepBounds().certify(instant)
+        elastic = solve_elastic(domain, held, body)
+        certify_elastic(elastic)
+        solution, _ = api.adapt_case(case, max_cells=40)
+        certify(solution)
+        for each in (solution, elastic):
+            write_solution(each, folder)
+            load_any_solution(folder, COMM)
+            compare(each, each)
+            for call in (each.summary, each.norms, each.errors, each.contact):
+                call()
+        for call in (solution.flux_through, solution.force, solution.free_boundary, solution.violation, solution.plot):
+            call()
+        solution.at([[0.5, 0.5]])
+        solution.spaces.integrate(solution.u * ufl.dx)
+        elastic.on_contact(elastic.pressure)
+    finally:
+        gc.callbacks.remove(note)
+        gc.set_threshold(*before)
+        if not was_on:
+            gc.disable()
+    assert not wrong - {"collector_off", "collector_off_in_steps.<locals>.wrapped"}

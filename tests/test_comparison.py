@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from commands import signorini
 from mpi4py import MPI
@@ -13,9 +14,11 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import compare
+from signorini_fenicsx.comparing.differences import Differences
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
+from signorini_fenicsx.solving.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -93,3 +96,55 @@ def test_command_line(folder: Path):
     assert 0.8 < summary["jaccard"] <= 1
     assert np.isfinite(summary["hausdorff"])
     assert signorini(folder, "compare", "4", "missing").returncode == 2
+
+
+def clipped(polygon: list[npt.NDArray], triangle: npt.NDArray) -> list[npt.NDArray]:
+    """The part of a convex polygon in a triangle, both counterclockwise."""
+    for a, b in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+        inside = [float(np.linalg.det([b - a, x - a])) for x in polygon]
+        kept = []
+        for x, y, d, e in zip(polygon, np.roll(polygon, -1, axis=0), inside, np.roll(inside, -1), strict=True):
+            if d >= 0:
+                kept.append(x)
+            if d * e < 0:
+                kept.append(x + d / (d - e) * (y - x))
+        if len(kept) < 3:
+            return []
+        polygon = kept
+    return polygon
+
+
+def exact_differences(coarse: Solution, fine: Solution) -> tuple[float, float]:
+    """‖σ − σ'‖_V and ‖u − u'‖ by integrals over the intersections of all cells of two serial meshes."""
+    fields = []
+    for solution in (coarse, fine):
+        mesh, cells = solution.spaces.mesh, np.arange(solution.spaces.domain.cells, dtype=np.int32)
+        corners = mesh.geometry.x[mesh.geometry.dofmaps[0]][:, :, :2]
+        turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+        corners[turned] = corners[turned][:, ::-1]
+        middle = corners.mean(axis=1)
+        sigma = solution.sigma.eval(np.pad(middle, ((0, 0), (0, 1))), cells)
+        fields.append((corners, middle, sigma, solution.cell_flux.divergence, solution.u.x.array))
+    squares = np.zeros(2)
+    for corners, middle, sigma, divergence, u in zip(*fields[1], strict=True):
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        near = ((fields[0][0].min(axis=1) < high) & (fields[0][0].max(axis=1) > low)).all(axis=1)
+        for others in zip(*(values[near] for values in fields[0]), strict=True):
+            common = clipped(list(corners), others[0])
+            for i in range(1, len(common) - 1):
+                part = np.array([common[0], common[i], common[i + 1]])
+                area = float(np.linalg.det(part[1:] - part[0])) / 2
+                ends = (part + np.roll(part, 1, axis=0)) / 2  # exact in degree 2
+                off = sigma + divergence / 2 * (ends - middle) - others[2] - others[3] / 2 * (ends - others[1])
+                squares += area * ((off**2).sum() / 3 + (divergence - others[3]) ** 2), area * (u - others[4]) ** 2
+    sigma_V, u_Q = np.sqrt(squares).tolist()
+    return sigma_V, u_Q
+
+
+def test_meshes_that_do_not_match():
+    """Norms of differences are those of integrals over the intersections of cells."""
+    for name, h in (("example1", (1 / 4, 1 / 8)), ("example3", (1 / 4, 1 / 13))):
+        coarse, fine = (solve_case(load_case(name).with_values({"solve.h": each}), MPI.COMM_SELF) for each in h)
+        norms = compare(coarse, fine).norms
+        assert isinstance(norms, Differences)
+        assert (norms.sigma_V, norms.u_Q) == pytest.approx(exact_differences(coarse, fine), rel=5e-3)

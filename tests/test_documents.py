@@ -12,7 +12,7 @@ import pytest
 import typer
 from pydantic import BaseModel
 
-import signorini_fenicsx
+import signorini_fenicsx.api
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cli.app import app
@@ -76,3 +76,10 @@ def test_names_in_python():
                 given = {keyword.arg for keyword in node.keywords if keyword.arg}
                 open_ended = any(each.kind == each.VAR_KEYWORD for each in signature.parameters.values())
                 assert open_ended or given <= set(signature.parameters), f"{page.name}: {name} {given}"
+
+
+def test_the_reference_has_every_name():
+    """What can be imported from the package is in `docs/code/api.md`."""
+    reference = (ROOT / "docs" / "code" / "api.md").read_text("utf-8")
+    shown = set(re.findall(r"(?m)^\.\. auto\w+:: (?:[\w.]*\.)?(\w+)$", reference))
+    assert set(signorini_fenicsx.api.__all__) - shown == set()

@@ -24,7 +24,6 @@ from signorini_fenicsx.output.checkpoint import load_any_solution, load_solution
 from signorini_fenicsx.output.elastic import contact_table, in_space, von_mises
 from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.gather import PARTLY_FIXED
-from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -283,8 +282,8 @@ def test_problems_given_in_python_are_saved(tmp_path: Path):
     problem = ElasticProblem(1.0, "0.3", u_D=[0.01, "-0.1"], gap=0.02, laws=[Friction(["y0"], g=0.01)])
     domain = box(MPI.COMM_SELF, 2, [0.0, 0.0], [1.0, 1.0])
     solution = solve_elastic(domain, ElasticBoundary([], fixed={"x0": "x"}), problem)
-    write_solution(solution, tmp_path, fields=False)
-    read = load_any_solution(tmp_path, MPI.COMM_SELF)
+    solution.write(tmp_path / "new" / "run")
+    read = load_any_solution(tmp_path / "new" / "run", MPI.COMM_SELF)
     assert isinstance(read, ElasticSolution)
     assert read.problem.laws == problem.laws
     assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 
 import numpy as np
 import pytest
@@ -270,3 +271,21 @@ def test_linear_terms(text: str, number: int):
 def test_abs_of_abs_ends():
     x = reference_coordinate(2)
     assert str(parse_expression("abs(abs(x - 1/3))", x)) == str(parse_expression("abs(x - 1/3)", x))
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("2*(x + (1 - y)", "the '(' at character 3 is not closed"),
+        ("sin(x)) + 1", "the ')' at character 7 closes nothing"),
+        ("x^2 + 2x", "see '2x' at character 7"),
+        (" x^2 ^ y z", "see 'z' at character 10"),
+        ("x − 1", "see '− 1' at character 3"),
+        ("x\n+ 1", "see '+ 1' at character 3"),
+        ("x +", "it ends too early"),
+        ("", "it is empty"),
+    ],
+)
+def test_what_is_no_arithmetic_is_shown(text: str, where: str):
+    with pytest.raises(InputError, match=re.escape(f"is not arithmetic in pi, x, y: {where}")):
+        parse_expression(text, X)

@@ -15,6 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.inspection import check, expected
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.cli.main import main
@@ -25,7 +26,7 @@ def test_sizes_are_those_of_the_mesh():
     for name, tolerance in (("dam", 0), ("electropainting", 0), ("example2", 0.25), ("cube", 0.35)):
         case = load_case(name)
         case = case if case.geometry.file else case.with_values({"solve.h": 0.2})
-        estimate, counts = expected(case, 1), check(case, MPI.COMM_SELF)
+        estimate, counts = expected(case, 1), check(case, MPI.COMM_SELF).counts
         assert estimate.exact == (tolerance == 0)
         assert estimate.cells == pytest.approx(counts["cells"], rel=tolerance)
     dam = expected(load_case("dam"), 2)
@@ -42,6 +43,42 @@ def test_sizes_are_those_of_the_mesh():
     few, many = (expected(load_case("membrane").with_values({"time.steps": steps}), 1) for steps in (1, 80))
     assert many.solver_seconds == pytest.approx(80 * few.solver_seconds)
     assert many.run_seconds > few.run_seconds
+
+
+GEO = """
+Point(1) = {0, 0, 0, 0.5}; Point(2) = {1, 0, 0, 0.5}; Point(3) = {1, 1, 0, 0.5}; Point(4) = {0, 1, 0, 0.5};
+Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1};
+Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1}; Physical Surface("body") = {1};
+Physical Curve("low") = {1}; Physical Curve("high") = {3}; Physical Curve("low again") = {1};
+"""
+
+
+@pytest.mark.parallel([1, 2])
+def test_what_no_list_has_is_named(folder: Path):
+    """Parts, and facets in no part, that become Γ_D; not a part whose facets another one gives to a list."""
+    if MPI.COMM_WORLD.rank == 0:
+        (folder / "square.geo").write_text(GEO)
+        (folder / "own.toml").write_text(
+            '[geometry]\nfile = "square.geo"\n[boundary]\nsignorini = ["low"]\n[problem]\nf = "-1"\n'
+        )
+    MPI.COMM_WORLD.Barrier()
+    for name, left in [
+        (str(folder / "own.toml"), ["high", ""]),
+        ("example1", ["left", "right"]),
+        ("hertz", []),
+        ("fault", ["bottom", "top"]),
+    ]:
+        case = load_any_case(name)
+        case = case.with_values({"solve.h": 0.5}) if name in ("example1", "hertz") else case
+        assert check(case, MPI.COMM_WORLD).left == expected(case, 1).left == left
+    parts = expected(load_any_case(folder / "own.toml"), 1).parts
+    conditions = {"low": "signorini", "high": "dirichlet", "low again": "none of its own"}
+    assert {part: about["condition"] for part, about in parts.items()} == conditions
+    for command in ("info", "check"):
+        shown = signorini(folder, command, str(folder / "own.toml")).stdout
+        assert "Γ_D        high, facets in no part: in no list of [boundary], so u = u_D there" in shown
+    clamped = signorini(folder, "check", "hertz", "--set", 'boundary.neumann=["top"]', "--h", "0.5").stdout
+    assert "Γ_D        right: in no list of [boundary], so clamped, u = u_D there" in clamped
 
 
 def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -144,7 +181,9 @@ def test_info_check_and_version(folder: Path):
     assert "face: signorini, 24 facets" in done.stdout
     assert "an estimate" in done.stdout
     assert json.loads(signorini(folder, "info", "lprism", "--json").stdout)["dim"] == 3
-    assert "ready" in signorini(folder, "check", "dam").stdout
+    checked = signorini(folder, "check", "dam").stdout
+    assert "ready" in checked
+    assert "Γ_D" not in checked.split("ready")[1].split("\n", 1)[1]  # `dirichlet` lists its parts
     bad = signorini(folder, "check", "dam", "--set", 'boundary.signorini=["crest"]')
     assert bad.returncode == 2
     assert bad.stderr.count("unknown part 'crest'") == 1

@@ -11,7 +11,17 @@ from dolfinx import fem, mesh
 from dolfinx.fem.petsc import LinearProblem
 from mpi4py import MPI
 
-from signorini_fenicsx import Boundary, InputError, Problem, Solution, Step, domain_of, load_solution, solve
+from signorini_fenicsx import (
+    Boundary,
+    InputError,
+    Problem,
+    Solution,
+    Step,
+    domain_of,
+    load_solution,
+    solve,
+    write_solution,
+)
 from signorini_fenicsx.solving import solution as module
 
 COMM = MPI.COMM_WORLD
@@ -130,6 +140,10 @@ def test_it_shows_and_writes_itself(folder: Path):
     assert {"summary.json", "facets.csv", "solution.xdmf"} <= names
     assert "overview.png" not in names
     assert load_solution(folder / "new" / "run", COMM).norms() == pytest.approx(solution.norms())
+    write_solution(solution, folder / "other" / "run", fields=False)
+    assert load_solution(folder / "other" / "run", COMM).contact() == solution.contact()
+    with pytest.raises(InputError, match=r"folder .*summary\.json: cannot be made: File exists"):
+        write_solution(solution, folder / "other" / "run" / "summary.json")
 
 
 def test_a_solve_is_safe_from_the_collector():

@@ -227,7 +227,7 @@ def test_the_last_state(folder: Path):
 def test_refusals_and_case_files():
     """T is known where there is [time], and only there; what takes no problem in time says so."""
     assert StepFolder(COMM, Path("x")).path == Path("x.steps")
-    assert check(case(), COMM)["cells"] > 0
+    assert check(case(), COMM).counts["cells"] > 0
     with pytest.raises(InputError, match=r"moving_transition: is a problem in time, by its section \[time\]"):
         solve_case(case())
     with pytest.raises(InputError, match=r"example1: has no \[time\]"):

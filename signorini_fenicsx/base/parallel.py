@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import gc
 import os
 import resource
@@ -180,3 +181,19 @@ def collector_off() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
+
+
+def collector_off_in_steps[**P, T](steps: Callable[P, Iterator[T]]) -> Callable[P, Iterator[T]]:
+    """Switch the collector off in each step of a generator, as `collector_off` does in a function."""
+
+    @functools.wraps(steps)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Iterator[T]:
+        found = steps(*args, **kwargs)
+        while True:
+            with collector_off():
+                item = next(found, None)
+            if item is None:
+                return
+            yield item
+
+    return wrapped

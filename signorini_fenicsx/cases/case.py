@@ -248,7 +248,7 @@ class Case(CaseFile):
             InputError: If an expression cannot be read.
         """
         names = "xyz"[:dim] + ("" if self.time is None else "t")
-        exact = None if self.exact.u is None else parsed(self.exact.u, names)
+        exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
         return replace(self.problem.read(names), exact=exact, laws=[law.law() for law in self.law])
 
 

@@ -1,6 +1,6 @@
 """Inspection of a case before it is solved: its sizes and parts, the cost of a run, and whether a run could start."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, neighbours
+from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, left_over, neighbours
 from signorini_fenicsx.meshes.cut import opened
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
@@ -63,6 +63,7 @@ class Expected:
     Attributes:
         dim: Dimension.
         parts: For each boundary part its condition and, for a mesh file, number and measure of its facets.
+        left: Parts of Γ_D that no list has; "" stands for facets of a mesh file in no part.
         regions: For each region of a mesh file the number of its cells.
         cells: Number of cells.
         facets: Number of facets.
@@ -75,6 +76,7 @@ class Expected:
 
     dim: int
     parts: dict[str, dict[str, Any]]
+    left: list[str]
     regions: dict[str, int]
     cells: int
     facets: int
@@ -83,6 +85,19 @@ class Expected:
     memory: float
     solver_seconds: float
     run_seconds: float
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a check has found.
+
+    Attributes:
+        counts: Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
+        left: Parts of Γ_D that no list has; "" stands for facets in no part.
+    """
+
+    counts: Mapping[str, int]
+    left: Sequence[str]
 
 
 def expected(case: AnyCase, ranks: int) -> Expected:
@@ -97,19 +112,26 @@ def expected(case: AnyCase, ranks: int) -> Expected:
     """
     geometry = case.geometry
     parts: dict[str, dict[str, Any]]
-    regions: dict[str, int] = {}
+    listed, regions = case.parts.listed(), dict[str, int]()
     cells = round(rough_cells(case))
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
         shape = shape_of(geometry.shape)
         dim = shape.dim
         parts = {name: {"condition": case.condition_of(name)} for name in shape.names}
+        left = [name for name in shape.names if name not in listed]
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
         mesh = _usable(case, read_mesh_file(geometry.file or ""))
         dim = mesh.dim
+        counts = left_over(mesh, [*listed, *map(other_side, case.inner)])
+        left = [name for name, number in counts.items() if number > 0]
         parts = {
-            name: {"condition": case.condition_of(name), "facets": len(rows), "measure": _measure(mesh.points[rows])}
+            name: {
+                "condition": case.condition_of(name) if counts.get(name) != 0 else "none of its own",
+                "facets": len(rows),
+                "measure": _measure(mesh.points[rows]),
+            }
             for name, rows in mesh.parts.items()
             if name not in map(other_side, case.inner)
         }
@@ -121,6 +143,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
     return Expected(
         dim=dim,
         parts=parts,
+        left=left,
         regions=regions,
         cells=cells,
         facets=facets,
@@ -137,13 +160,10 @@ def is_typical(case: AnyCase) -> bool:
     return case.method.starts_from_sets and case.solve.backend == "hybrid"
 
 
-def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
+def check(case: AnyCase, comm: MPI.Comm) -> Checked:
     """Do everything that a run does before it solves: make or read the mesh, find parts, project data (collective).
 
     In time the data of all steps are projected.
-
-    Returns:
-        Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
 
     Raises:
         InputError: If a run of the case would fail here.
@@ -168,7 +188,18 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
         *map(len, (spaces.facets, spaces.neumann_facets, spaces.dirichlet_facets)),
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
-    return dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
+    found = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
+    return Checked(found, _left(case, spaces))
+
+
+def _left(case: AnyCase, spaces: MeshSpaces) -> list[str]:
+    """Parts of Γ_D that no list has, and "" for facets in no part (collective)."""
+    facets, listed = spaces.domain.facets, case.parts.listed()
+    others = {name: numbers for name, numbers in facets.items() if name not in listed}
+    nowhere = np.setdiff1d(spaces.dirichlet_facets, np.concatenate([*facets.values(), []]))
+    here = [len(np.intersect1d(numbers, spaces.dirichlet_facets)) for numbers in others.values()]
+    counts = spaces.mesh.comm.allreduce(np.array([*here, len(nowhere)]))
+    return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 
 def _check_data(case: Case, spaces: Spaces) -> None:
@@ -181,7 +212,7 @@ def _check_data(case: Case, spaces: Spaces) -> None:
     if case.time is None:
         check_solvability(spaces, project_data(spaces, problem))
         return
-    evolution, known = case.time.evolution(), Known()
+    evolution, known = case.time.evolution(), Known(spaces.mesh.comm)
     steps = Steps(spaces, problem, evolution)
     steps.start()
     for step in range(1, evolution.steps + 1):

@@ -119,6 +119,7 @@ def _remade(case: AnyCase, comm: MPI.Comm, factor: float) -> Domain:
     return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
 
 
+@collector_off()
 def evolve_case(
     case: Case,
     comm: MPI.Comm = MPI.COMM_WORLD,
@@ -202,6 +203,7 @@ def adapt_case(
 ) -> tuple[AnySolution, Certificate]: ...
 
 
+@collector_off()
 def adapt_case(
     case: AnyCase,
     comm: MPI.Comm = MPI.COMM_WORLD,

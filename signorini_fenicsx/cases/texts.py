@@ -45,7 +45,7 @@ class ProblemTexts(Section):
         Raises:
             InputError: If an expression cannot be read.
         """
-        return Problem(**{key: parsed(value, names) for key, value in self})
+        return Problem(**{key: parsed(value, names, f"[problem] {key}") for key, value in self})
 
 
 class Time(Section):

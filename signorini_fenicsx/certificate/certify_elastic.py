@@ -33,7 +33,7 @@ from dolfinx import fem, la
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.elastic_oscillation import load_oscillation
@@ -73,6 +73,7 @@ class ElasticCertificate(Certificate):
         return super().summary() | ({"of_last_bound": True} if self.of_last_bound else {})
 
 
+@collector_off()
 def certify_elastic(solution: ElasticSolution) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 

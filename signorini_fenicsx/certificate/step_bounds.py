@@ -17,6 +17,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, owned_cells
 from signorini_fenicsx.solving.evolving import Instant
@@ -65,6 +66,7 @@ class StepBounds:
         """Begin; then the first step is to be bounded."""
         self._before: list[InPoints] = []
 
+    @collector_off()
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
         steps, solution = instant.steps, instant.solution

@@ -66,7 +66,7 @@ def check(
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet)
     problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     report.heading(problem, comm)
-    report.checked(inspection.check(problem, comm))
+    report.checked(problem, inspection.check(problem, comm))
 
 
 def cases() -> None:

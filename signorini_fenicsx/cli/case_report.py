@@ -1,12 +1,12 @@
 """The report of a case: its contents, its expected cost, whether it can be solved."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.elastic_case import AnyCase
-from signorini_fenicsx.cases.inspection import Expected, is_typical
+from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
+from signorini_fenicsx.cases.inspection import Checked, Expected, is_typical
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.solving.solved import Solved
 
@@ -28,6 +28,7 @@ class CaseReport(Report):
         for name, part in estimate.parts.items():
             size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
             self.entry("part", f"{name}: {part['condition']}{size}")
+        self._left(case, estimate.left)
         for name, cells in estimate.regions.items():
             self.entry("region", f"{name}: {cells} cells")
         usual = "" if is_typical(case) else "; from rates of alg1 to alg4 with the hybrid backend, others take more"
@@ -38,7 +39,16 @@ class CaseReport(Report):
             f"(an estimate, for free cores{usual})",
         )
 
-    def checked(self, counts: Mapping[str, int]) -> None:
+    def checked(self, case: AnyCase, found: Checked) -> None:
         """Print that a case can be solved, and its sizes."""
+        counts = found.counts
         facets = ", ".join(f"{number} on Γ_{kind[0].upper()}" for kind, number in counts.items() if kind != "cells")
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
+        self._left(case, found.left)
+
+    def _left(self, case: AnyCase, left: Sequence[str]) -> None:
+        """Print which parts are in Γ_D because no list has them."""
+        if left:
+            names = ", ".join(name or "facets in no part" for name in left)
+            held = "clamped, u = u_D" if isinstance(case, ElasticCase) else "u = u_D"
+            self.entry("Γ_D", f"{names}: in no list of [boundary], so {held} there")

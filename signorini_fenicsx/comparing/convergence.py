@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.cases.case import Case
@@ -85,6 +85,7 @@ def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:
         }
 
 
+@collector_off()
 def convergence_study(
     case: AnyCase,
     vary: Vary,

@@ -17,7 +17,7 @@ from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.best_displacement import moduli_on_split
 from signorini_fenicsx.forms.elasticity import stress_product
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.meshes.sampling import sampled, squares_degree
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
@@ -85,13 +85,13 @@ def differences(coarse: AnySolution, fine: AnySolution) -> Differences | Elastic
 def _scalar_differences(coarse: Solution, fine: Solution) -> Differences:
     source = coarse.spaces.domain
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
-    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, source)
-    p, flux = sampled([coarse.p, coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))], gamma, source)
+    inside, on_gamma = squares_degree(mesh), squares_degree(gamma)
+    sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, source, degree=inside)
+    flux_n = coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))
+    p, flux = sampled([coarse.p, flux_n], gamma, source, degree=on_gamma)
     (p_middle,) = sampled([coarse.p], gamma, source, degree=0)
 
-    metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
-    dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
-    ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
+    dx, ds = measure(mesh, inside), measure(gamma, on_gamma)
     squares = [
         l2(fine.sigma - sigma, dx) + l2(ufl.div(fine.sigma) - div_sigma, dx),
         l2(fine.u - u, dx),
@@ -108,24 +108,30 @@ def _scalar_differences(coarse: Solution, fine: Solution) -> Differences:
 
 def _elastic_differences(coarse: ElasticSolution, fine: ElasticSolution) -> ElasticDifferences:
     spaces, source = fine.spaces, coarse.spaces.domain
-    comm, degree = spaces.mesh.comm, fine.data.quadrature.degree
-    moduli, dx = moduli_on_split(spaces, fine.data, spaces.split, degree)
     gamma = spaces.Lambda.mesh
-    metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
-    ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
+    on_subcells = max(fine.data.quadrature.degree, squares_degree(spaces.split.mesh))
+    inside, on_gamma = squares_degree(spaces.mesh), squares_degree(gamma)
+    moduli, dx = moduli_on_split(spaces, fine.data, spaces.split, on_subcells)
 
-    (sigma,) = sampled([coarse.sigma], spaces.split.mesh, source, degree=degree)
-    (u,) = sampled([coarse.u], spaces.mesh, source)
-    pressure, gap = sampled([coarse.on_contact(coarse.pressure), coarse.on_contact(coarse.linear_gap)], gamma, source)
+    (sigma,) = sampled([coarse.sigma], spaces.split.mesh, source, degree=on_subcells)
+    (u,) = sampled([coarse.u], spaces.mesh, source, degree=inside)
+    on_contact = [coarse.on_contact(values) for values in (coarse.pressure, coarse.linear_gap)]
+    pressure, gap = sampled(on_contact, gamma, source, degree=on_gamma)
+    ds = measure(gamma, on_gamma)
     off = fine.sigma - sigma
     squares = [
         stress_product(off, off, *moduli, dx),
-        l2(fine.u - u, ufl.Measure("dx", domain=spaces.mesh, metadata=metadata)),
+        l2(fine.u - u, measure(spaces.mesh, inside)),
         l2(fine.on_contact(fine.pressure) - pressure, ds),
         l2(fine.on_contact(fine.linear_gap) - gap, ds),
     ]
     local = np.array([fem.assemble_scalar(fenicsx.form(square)) for square in squares])
-    return ElasticDifferences(*np.sqrt(comm.allreduce(local)).tolist())
+    return ElasticDifferences(*np.sqrt(spaces.mesh.comm.allreduce(local)).tolist())
+
+
+def measure(mesh: dolfinx.mesh.Mesh, degree: int) -> ufl.Measure:
+    """The measure of a mesh, by quadrature of a degree."""
+    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})
 
 
 def slobodeckij_norm(solution: Solution, values: Array) -> float:

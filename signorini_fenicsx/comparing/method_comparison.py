@@ -10,11 +10,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.comparing.differences import measure
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
+from signorini_fenicsx.meshes.sampling import sampled, squares_degree
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solution import Solution
 
@@ -48,6 +50,7 @@ class MethodRow:
     distance: float
 
 
+@collector_off()
 def compare_methods(
     case: Case,
     h: float,
@@ -121,18 +124,17 @@ def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, 
     spaces, comm = fine.spaces, fine.spaces.mesh.comm
     mesh, gamma = spaces.mesh, spaces.Lambda.mesh
     source = solutions[0].spaces.domain
-    metadata = {"quadrature_degree": QUADRATURE_DEGREE, "quadrature_scheme": "default"}
-    dx = ufl.Measure("dx", domain=mesh, metadata=metadata)
-    ds = ufl.Measure("dx", domain=gamma, metadata=metadata)
+    inside, on_gamma = squares_degree(mesh), squares_degree(gamma)
+    dx, ds = measure(mesh, inside), measure(gamma, on_gamma)
 
-    def norm(difference: ufl.core.expr.Expr, measure: ufl.Measure) -> float:
-        return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fenicsx.form(l2(difference, measure))))))
+    def norm(difference: ufl.core.expr.Expr, where: ufl.Measure) -> float:
+        return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fenicsx.form(l2(difference, where))))))
 
     touching = fine.contact_set().inside
     sigma_norm, p_norm = norm(fine.sigma, dx), norm(fine.p, ds)
     gamma_measure = comm.allreduce(spaces.facet_measure.sum())
-    sigmas = sampled([solution.sigma for solution in solutions], mesh, source)
-    traces = sampled([solution.p for solution in solutions], gamma, source)
+    sigmas = sampled([solution.sigma for solution in solutions], mesh, source, degree=inside)
+    traces = sampled([solution.p for solution in solutions], gamma, source, degree=on_gamma)
     contacts = sampled([solution.contact_set().indicator() for solution in solutions], gamma, source, degree=0)
     for sigma, p, contact in zip(sigmas, traces, contacts, strict=True):
         wrong = np.abs(np.rint(contact.x.array[: len(touching)]) - touching)

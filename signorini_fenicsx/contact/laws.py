@@ -75,10 +75,13 @@ class Law:
         """The data by their names."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
 
-    def with_data(self, change: Callable[[Any], Any]) -> Self:
-        """The law with each of its data changed by a function."""
+    def with_data(self, change: Callable[[str, Any], Any]) -> Self:
+        """The law with each of its data changed by a function of its name, with the law's in front, and value."""
         given = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
-        return replace(self, **{name: value if value == VERTICAL else change(value) for name, value in given.items()})
+        new = {
+            name: value if value == VERTICAL else change(f"{self.name}.{name}", value) for name, value in given.items()
+        }
+        return replace(self, **new)
 
     def graph(self, values: Values) -> Graph:
         """The graph where the data have these values."""

@@ -6,26 +6,25 @@ which compiles it once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeGuard
 
-import basix
-import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.algorithms.analysis import extract_arguments
+from ufl.algorithms.analysis import extract_arguments, extract_coefficients, extract_constants, extract_type
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.classes import Condition
+from ufl.constantvalue import ComplexValue
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.of_points import interpolated
 from signorini_fenicsx.discrete.points import Points, in_cells, owned_cells
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, to_ufl, values, values_and_gradient
 from signorini_fenicsx.expressions.given import Given
@@ -194,16 +193,13 @@ def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = 
     Functions of points become piecewise quadratic, those that may jump by inner points.
 
     Raises:
-        InputError: If it has the wrong shape, or is UFL on another mesh.
+        InputError: If it has the wrong shape, is not real, or is UFL on another mesh.
     """
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
     x = ufl.SpatialCoordinate(spaces.mesh)
     if isinstance(given, Expr):
-        if any(domain != spaces.mesh.ufl_domain() for domain in extract_domains(given)):
-            raise InputError(f"[problem] {name}: is UFL on another mesh; write it on `domain.mesh`")
-        if extract_arguments(given):
-            raise InputError(f"[problem] {name}: is UFL with a test or trial function; data have none")
+        _check_ufl(spaces, name, given)
         datum = Datum(given)
     elif isinstance(given, int | float):
         datum = Datum(ufl.as_ufl(given))
@@ -212,7 +208,7 @@ def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = 
     elif _is_matrix(given):
         datum = _Text(ufl.as_matrix([[_in_ufl(name, entry, x) for entry in row] for row in given]), given)
     elif callable(given):
-        datum = Datum(_interpolated(spaces, name, given, continuous=continuous))
+        datum = Datum(interpolated(spaces.mesh, name, given, continuous=continuous))
     else:
         texts = "numbers, texts, square matrices of them, UFL (by ufl.as_matrix)" if matrix else "numbers, texts, UFL"
         kind = type(given).__name__
@@ -220,6 +216,29 @@ def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = 
     if datum.shape not in shapes:
         raise InputError(f"[problem] {name}: has shape {datum.shape}, not {' or '.join(map(str, shapes))}")
     return datum
+
+
+def _check_ufl(spaces: MeshSpaces, name: str, given: Expr) -> None:
+    """Refuse UFL that is no real function on the mesh.
+
+    Raises:
+        InputError: If it is not.
+    """
+    wrong = ""
+    constants = (*extract_coefficients(given), *extract_constants(given))
+    types = {str(getattr(each, "dtype", "none")) for each in constants} - {"float64"}
+    if any(domain != spaces.mesh.ufl_domain() for domain in extract_domains(given)):
+        wrong = "UFL on another mesh; write it on `domain.mesh`"
+    elif extract_arguments(given):
+        wrong = "UFL with a test or trial function; data have none"
+    elif isinstance(given, Condition):
+        wrong = "a condition in UFL; data are numbers, such as ufl.conditional(condition, 1, 0)"
+    elif types:
+        wrong = f"UFL with a Function or Constant of type {types.pop()}; data are real, float64"
+    elif extract_type(given, ComplexValue):
+        wrong = "UFL with a complex number; data are real"
+    if wrong:
+        raise InputError(f"[problem] {name}: is {wrong}")
 
 
 def _in_ufl(name: str, tree: Tree, x: Expr) -> Expr:
@@ -239,32 +258,6 @@ def _is_matrix(given: object) -> TypeGuard[list[list[Tree]]]:
     if not isinstance(given, list) or not all(isinstance(row, list) and row for row in given):
         return False
     return len({len(row) for row in given}) == 1 and all(isinstance(entry, TREES) for row in given for entry in row)
-
-
-def _interpolated(
-    spaces: MeshSpaces, name: str, given: Callable[[Array], npt.ArrayLike], *, continuous: bool
-) -> fem.Function:
-    """A function of points as a function on the mesh (collective).
-
-    Raises:
-        InputError: If it does not give one value for each point.
-    """
-
-    def values(x: Array) -> Array:
-        found = np.asarray(given(x))
-        if found.shape[-1:] != x.shape[1:]:
-            raise InputError(
-                f"[problem] {name}: the function of points of shape {x.shape} must give one value for each, "
-                f"not an array of shape {found.shape}"
-            )
-        return found
-
-    shape = values(np.zeros((3, 1))).shape[:-1]
-    variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
-    element = basix.ufl.element("P", spaces.mesh.basix_cell(), 2, variant, shape=shape, discontinuous=not continuous)
-    function = fem.Function(fenicsx.function_space(spaces.mesh, element), name=name)
-    function.interpolate(lambda x: values(x).reshape(-1, x.shape[1]))
-    return function
 
 
 def conductivity_of(spaces: MeshSpaces, given: Given | Mapping[str, Given]) -> Datum:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.expressions import Tree, linear_terms
@@ -19,22 +20,24 @@ class Known:
     Data that are functions or UFL may change their values and stay equal, so nothing made of them is kept.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, comm: MPI.Comm) -> None:
+        """Begin with nothing; what is kept is the same on all ranks."""
+        self._comm = comm
         self._found: dict[str, tuple[Any, Any]] = {}
         self._terms: dict[str, dict[Tree, Array]] = {}
 
     def get[T](self, name: str, given: Any, make: Callable[[], T]) -> T:
-        """What `make` gives for these data, or what it gave if they are the same; collective if `make` is."""
-        if name in self._found and is_fixed(given):
-            before, result = self._found[name]
-            if is_fixed(before) and before == given:
-                return result
+        """What `make` gives for these data, or what it gave if they are the same on all ranks (collective)."""
+        before, result = self._found.get(name, (None, None))
+        same = name in self._found and is_fixed(given) and is_fixed(before) and before == given
+        if self._comm.allreduce(bool(same), MPI.LAND):
+            return result
         result = make()
         self._found[name] = given, result
         return result
 
     def combination(self, name: str, tree: Tree, make: Callable[[Tree], Array]) -> Array:
-        """What `make`, which is linear, gives for a tree; collective if `make` is.
+        """What `make`, which is linear, gives for a tree; no rank waits for others in `make`.
 
         The first tree of a name is made as a whole. Later ones are taken apart, and only those terms are made that the
         tree before did not have: data that are in time a sum of a(t) b(x), say, are soon made no more.

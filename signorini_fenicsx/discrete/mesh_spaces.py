@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.meshes.domain import Domain, cells_behind
@@ -100,6 +101,7 @@ class MeshSpaces:
         """L = |Ω|^(1/d) (collective when first used)."""
         return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
 
+    @collector_off()
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
         """A function of Λ_h with these values per Γ_S facet, ghosts updated (collective)."""
         function = fem.Function(self.Lambda, name=name)
@@ -107,10 +109,12 @@ class MeshSpaces:
         function.x.scatter_forward()
         return function
 
+    @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:
         """Compile a form that may contain functions of Λ_h (collective)."""
         return fenicsx.form(ufl_form, entity_maps=[self.entity_map])
 
+    @collector_off()
     def integrate(self, form: ufl.Form | fem.Form) -> float:
         """Integral over all ranks (collective)."""
         return float(self.mesh.comm.allreduce(fem.assemble_scalar(self.form(form))))

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import TREES, Tree, exactly, read, substituted
 
 type Rows = Sequence[Sequence[Tree]]
@@ -17,21 +18,26 @@ type Given = float | str | Tree | Entries | Array | Expr | Callable[[Array], npt
 on the mesh, or a `fem.Function`; or a function of points of shape (3, n)."""
 
 
-def parsed(given: Any, names: str) -> Any:
+def parsed(given: Any, names: str, key: str) -> Any:
     """What was given, with numbers and texts read as trees in these coordinates.
 
     Raises:
-        InputError: If a text cannot be read.
+        InputError: If a text cannot be read or a number is too large; the message begins with the key.
     """
     if isinstance(given, Mapping):
-        return {name: parsed(value, names) for name, value in given.items()}
+        return {name: parsed(value, names, f"{key}.{name}") for name, value in given.items()}
     if isinstance(given, np.ndarray | np.generic):
-        return parsed(given.tolist(), names)
+        return parsed(given.tolist(), names, key)
     if isinstance(given, tuple | list):
-        return [parsed(entry, names) for entry in given]
-    if isinstance(given, str):
-        return read(given, names)
-    return exactly(given) if isinstance(given, int | float) else given
+        return [parsed(entry, names, key) for entry in given]
+    try:
+        if isinstance(given, str):
+            return read(given, names)
+        return exactly(given) if isinstance(given, int | float) else given
+    except InputError as error:
+        raise InputError(f"{key}: {error}") from None
+    except OverflowError:
+        raise InputError(f"{key}: is an integer too large for a float") from None
 
 
 def at_time(given: Any, t: float) -> Any:

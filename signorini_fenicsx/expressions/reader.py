@@ -199,9 +199,10 @@ def _complaints(text: str, names: Collection[str]) -> Iterator[None]:
         yield
     except InputError as error:
         raise InputError(f"expression '{_shortened(text)}': {error}") from None
-    except SyntaxError:
+    except SyntaxError as error:
         known = ", ".join(["pi", *names])
-        raise InputError(f"expression '{_shortened(text)}' is not arithmetic in {known}") from None
+        what = f"expression '{_shortened(text)}' is not arithmetic in {known}"
+        raise InputError(f"{what}: {_unbalanced(text) or _wrong_at(text, error)}") from None
     except (ArithmeticError, ValueError) as error:
         raise InputError(f"expression '{_shortened(text)}' cannot be evaluated: {error}") from None
     except (RecursionError, MemoryError):
@@ -225,6 +226,31 @@ def parse_expression(text: str, x: Expr, t: float | None = None) -> Expr:
         tree = substituted(tree, "t", exactly(t))
     with _complaints(text, names):  # UFL finds that 1/(0*x) has no value
         return to_ufl(tree, x)
+
+
+def _unbalanced(text: str) -> str:
+    """Which parenthesis has no other; empty if each has one."""
+    opened = []
+    for number, character in enumerate(text, 1):
+        if character == "(":
+            opened.append(number)
+        elif character == ")" and opened:
+            opened.pop()
+        elif character == ")":
+            return f"the ')' at character {number} closes nothing"
+    return f"the '(' at character {opened[-1]} is not closed" if opened else ""
+
+
+def _wrong_at(text: str, error: SyntaxError) -> str:
+    """Where Python finds no arithmetic in a text, in which it has read ** for each ^."""
+    first = len(text) - len(text.lstrip())
+    above = sum(len(line) + 1 for line in text.strip().split("\n")[: (error.lineno or 1) - 1])
+    line, read = text[first + above :], 0
+    for number, character in enumerate(line):
+        read += 2 if character == "^" else 1
+        if error.offset and read >= error.offset:
+            return f"see '{_shortened(line[number:])}' at character {first + above + number + 1}"
+    return "it ends too early" if text.strip() else "it is empty"
 
 
 def _shortened(text: str) -> str:

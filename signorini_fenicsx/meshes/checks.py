@@ -4,7 +4,7 @@ Checks compare lengths only with lengths, so they do not depend on the unit of l
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -216,6 +216,20 @@ def _places(points: Array) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
+
+
+def left_over(mesh: FileMesh, listed: Collection[str]) -> dict[str, int]:
+    """How many facets of the boundary that no listed part has each other part has, and "", which is for no part."""
+    rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
+    left, named = times == 1, np.zeros(len(rows), dtype=bool)
+    of_parts = {name: rows_of(part, rows) for name, part in mesh.parts.items()}
+    of_parts = {name: found[found >= 0] for name, found in of_parts.items()}
+    for name, found in of_parts.items():
+        named[found] = True
+        if name in listed:
+            left[found] = False
+    others = {name: int(left[found].sum()) for name, found in of_parts.items() if name not in listed}
+    return others | {"": int((left & ~named).sum())}
 
 
 def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> None:

@@ -14,6 +14,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 
 AXES = "xyz"
@@ -91,6 +92,7 @@ class Domain:
             found = found.coarser
         return found
 
+    @collector_off()
     def box(self) -> Array:
         """Smallest and largest coordinates, shape (2, 3) (collective)."""
         return bounding_box(self.mesh.geometry.x, self.mesh.comm)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -29,6 +30,7 @@ type Chosen = npt.ArrayLike | Callable[[Array], Mask]
 functions: an entity is chosen if all its vertices are."""
 
 
+@collector_off()
 def domain_of(
     mesh: dolfinx.mesh.Mesh,
     parts: Mapping[str, Chosen],

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, give_back_memory, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
@@ -51,9 +52,9 @@ if TYPE_CHECKING:  # SciPy takes a second to load
 
 
 def write_results(
-    solution: Solution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
+    solution: AnySolution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
 ) -> None:
-    """Write all files of a solution into a folder, completely or not at all, see `Solution.write` (collective)."""
+    """Write all files of a solution into a folder, completely or not at all, see `Solved.write` (collective)."""
     with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
         write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
         place.publish()
@@ -70,11 +71,13 @@ def write_solution(
     html: bool = False,
     fields: bool = True,
 ) -> None:
-    """Write all files of a solution into an existing folder (collective).
+    """Write all files of a solution into a folder, one after the other (collective).
+
+    `Solution.write` writes them completely or not at all, and leaves nothing of an earlier result.
 
     Args:
         solution: The solution.
-        folder: The folder; files with the same names are overwritten.
+        folder: The folder; it is made if it does not exist, and files with the same names are overwritten.
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
@@ -82,12 +85,14 @@ def write_solution(
         fields: Also write the fields for ParaView.
 
     Raises:
+        InputError: If the folder cannot be made.
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
     check_kind("solution", solution, Solution, ElasticSolution)
     check_kind("folder", folder, str, Path)
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
+    on_root(comm, lambda: _make(folder))
     with watch.phase("output"):
         write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
         if isinstance(solution, ElasticSolution):
@@ -119,6 +124,18 @@ def write_solution(
             summary["certificate"] |= proof.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
+
+
+def _make(folder: Path) -> None:
+    """Make a folder, if there is none (rank 0).
+
+    Raises:
+        InputError: If there cannot be one.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"folder {folder}: cannot be made: {error.strerror}") from None
 
 
 def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:

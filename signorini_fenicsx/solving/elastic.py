@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -40,6 +40,7 @@ MORE_WITH_FRICTION = 4
 """By default so many times the iterations of problems without friction are allowed for each bound."""
 
 
+@collector_off()
 def solve_elastic(
     domain: Domain,
     boundary: ElasticBoundary,

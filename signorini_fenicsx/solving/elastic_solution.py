@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import Friction
@@ -123,6 +124,7 @@ class ElasticSolution(Solved):
         """The parts of Γ_C."""
         return self.boundary.contact
 
+    @collector_off()
     def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:
         """The function on the mesh of Γ_C that is linear on each facet, from values at its vertices (collective)."""
         spaces = self.spaces
@@ -154,6 +156,7 @@ class ElasticSolution(Solved):
         """The facets of Γ_C with a vertex in contact."""
         return FacetSet(self.spaces, self.touching.any(axis=1))
 
+    @collector_off()
     def contact(self) -> tuple[int, float]:
         """Number of facet vertices in contact, and their share of Γ_C's measure (collective)."""
         touching = self.touching.ravel()
@@ -161,6 +164,7 @@ class ElasticSolution(Solved):
         count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
         return int(count), measure
 
+    @collector_off()
     def friction_states(self) -> dict[str, dict[str, float]]:
         """Number of facet vertices with friction in each state, and their measure (collective)."""
         states = self.states.ravel()
@@ -172,11 +176,13 @@ class ElasticSolution(Solved):
             for name, count, measure in zip(Friction.segments, counts, measures, strict=True)
         }
 
+    @collector_off()
     def resultants(self) -> dict[str, list[float]]:
         """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
         parts, total = resultants(self.spaces, self.data, self.stresses)
         return {name: values.tolist() for name, values in (parts | {"sum": total}).items()}
 
+    @collector_off()
     def norms(self) -> dict[str, float]:
         """‖σ‖ in the energy norm and in L², ‖u‖, and the resulting and the largest contact pressure (collective)."""
         spaces, data = self.spaces, self.data
@@ -196,6 +202,7 @@ class ElasticSolution(Solved):
         force = spaces.mesh.comm.allreduce(float(spaces.site_measure @ self.pressure.ravel()))
         return {"energy": energy, "sigma_L2": sigma, "u_L2": displacement, "contact_force": force}
 
+    @collector_off()
     def errors(self) -> dict[str, float] | None:
         """‖σ − σ_h‖ in the energy norm and ‖u − u_h‖, if u is known, and the contact set's distance (collective)."""
         if self.data.exact is None:

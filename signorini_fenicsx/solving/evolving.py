@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.base.parallel import collect_garbage, collector_off_in_steps
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
@@ -58,6 +58,7 @@ class Past:
     segments: Segments | None
 
 
+@collector_off_in_steps
 def evolve(
     place: Domain | Solver,
     boundary: Boundary,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import dolfinx.mesh
@@ -16,6 +15,7 @@ from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.history import Outcome
@@ -107,12 +107,14 @@ class Solution(Solved):
     peak_memory: int = 0
     order = 1
 
+    @collector_off()
     def _repr_html_(self) -> str | None:
         """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
         from signorini_fenicsx.output.notebook import html
 
         return html(self)
 
+    @collector_off()
     def plot(self, certificate: Certificate | None = None) -> Figure | None:
         """Draw the overview, which the command line writes as `overview.png` (collective).
 
@@ -126,24 +128,7 @@ class Solution(Solved):
 
         return figure(self, certificate)
 
-    def write(
-        self, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False, html: bool = False
-    ) -> None:
-        """Write the files of the command line into a folder, where they replace an earlier result (collective).
-
-        Args:
-            folder: The folder; it is created if it does not exist.
-            certificate: Its error bound, which is written as well.
-            plot: Also draw PNGs.
-            html: Also write `solution.html`, pictures that the mouse can turn.
-
-        Raises:
-            InputError: If the folder cannot be written or contains other files.
-        """
-        from signorini_fenicsx.output.writing import write_results
-
-        write_results(self, folder, certificate=certificate, plot=plot, html=html)
-
+    @collector_off()
     def at(self, points: npt.ArrayLike) -> PointValues:
         """u_h and σ_h at any points of the mesh (collective).
 
@@ -159,6 +144,7 @@ class Solution(Solved):
         u, sigma = at_points([self.u, self.sigma], self.spaces.domain, points)
         return PointValues(u[:, 0], sigma)
 
+    @collector_off()
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
         """∫ σ_h·n over parts of the boundary (collective).
 
@@ -196,6 +182,7 @@ class Solution(Solved):
         """σ_h on each cell of this rank."""
         return CellFlux.of(self.spaces, self.sigma)
 
+    @collector_off()
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
         return self._norms.copy()
@@ -213,6 +200,7 @@ class Solution(Solved):
         norms = np.sqrt(spaces.mesh.comm.allreduce(np.array(squares))).tolist()
         return dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2", "flux_L2"), norms, strict=True))
 
+    @collector_off()
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective).
 
@@ -232,6 +220,7 @@ class Solution(Solved):
         """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
         return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
 
+    @collector_off()
     def free_boundary(self) -> npt.NDArray[np.int32]:
         """The owned facets between a cell in contact with the obstacle and another one (collective)."""
         space, contact = self.spaces.crouzeix_raviart, self.outcome.iterate.contact
@@ -243,6 +232,7 @@ class Solution(Solved):
         between = (touching.x.array == 1) & (cells.x.array == 2)
         return np.flatnonzero(between[: space.dofmap.index_map.size_local]).astype(np.int32)
 
+    @collector_off()
     def force(self) -> fem.Function:
         """λ_h = −∇·σ_h − f_h + c_h u_h in P0, the force of the obstacle, exactly 0 in the cells off it (collective)."""
         spaces, contact = self.spaces, self.outcome.iterate.contact
@@ -252,6 +242,7 @@ class Solution(Solved):
             found.x.array[:] = np.where(contact, -divergence - self.data.source(self.u).x.array, 0.0)
         return found
 
+    @collector_off()
     def on_obstacle(self) -> dict[str, float]:
         """Number and measure of the cells in contact with the obstacle, and ∫λ_h (collective)."""
         comm, measures, contact = self.spaces.mesh.comm, self.spaces.cell_measures, self.outcome.iterate.contact
@@ -271,6 +262,7 @@ class Solution(Solved):
         cells = None if contact is None else (~contact).astype(np.int64)
         return Segments(self.spaces, self.law.segments(self.outcome.conditions, self.outcome.iterate.p), cells)
 
+    @collector_off()
     def contact(self) -> tuple[int, float]:
         """Number and measure of the Γ_S facets in contact (collective)."""
         touching = self.contact_set().inside
@@ -278,6 +270,7 @@ class Solution(Solved):
         count = comm.allreduce(int(np.count_nonzero(touching)))
         return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
 
+    @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
         spaces, segment = self.spaces, self.segments().segment
@@ -294,6 +287,7 @@ class Solution(Solved):
                 }
         return found
 
+    @collector_off()
     def violation(self) -> dict[str, float]:
         """The error by ε in the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or in (9b) (collective)."""
         spaces, data = self.spaces, self.data

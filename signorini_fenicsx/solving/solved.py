@@ -1,10 +1,14 @@
 """What the solutions of all physics have in common."""
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from dolfinx import fem
 
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
@@ -12,6 +16,9 @@ from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.options import Options
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.certificate.certify import Certificate
 
 
 class Solved(ABC):
@@ -67,6 +74,26 @@ class Solved(ABC):
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective)."""
 
+    @collector_off()
+    def write(
+        self, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False, html: bool = False
+    ) -> None:
+        """Write the files of the command line into a folder, where they replace an earlier result (collective).
+
+        Args:
+            folder: The folder; it is created if it does not exist.
+            certificate: Its error bound, which is written as well.
+            plot: Also draw PNGs.
+            html: Also write `solution.html`, pictures that the mouse can turn; elastic solutions have none.
+
+        Raises:
+            InputError: If the folder cannot be written or contains other files.
+        """
+        from signorini_fenicsx.output.writing import write_results
+
+        write_results(cast(Any, self), folder, certificate=certificate, plot=plot, html=html)
+
+    @collector_off()
     def summary(self) -> dict[str, Any]:
         """All numbers of the run, ready for JSON (collective)."""
         domain, outcome, errors = self.spaces.domain, self.outcome, self.errors()

@@ -71,7 +71,7 @@ class Solver:
         check_parts(domain, vars(boundary))
         self.spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
         self._boundary = boundary
-        self._known = Known()
+        self._known = Known(domain.mesh.comm)
         self._backend: Backend[Iterate] | None = None
         self._made_for: tuple[object, Tuning, bool] | None = None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -154,11 +153,8 @@ def _data(spaces: Spaces, law: Law, name: str) -> dict[str, Datum]:
     """
     found: dict[str, Datum] = {}
     for key, given in law.data().items():
-        try:
-            tree: Any = parsed(given, "xyz"[: spaces.mesh.geometry.dim])
-        except InputError as error:
-            raise InputError(f"{name}.{key}: {error}") from None
-        found[key] = datum_of(spaces, f"{name}.{key}", tree)
+        place = f"{name}.{key}"
+        found[key] = datum_of(spaces, place, parsed(given, "xyz"[: spaces.mesh.geometry.dim], place))
     return found
 
 

@@ -195,7 +195,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
             cells; if c is negative somewhere.
     """
     check_kind("problem", problem, Problem)
-    problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known()
+    problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known(spaces.mesh.comm)
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
     kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
     f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))

@@ -75,7 +75,7 @@ class Evolution:
             InputError: If c or C was given in Python.
         """
         now, (a, _) = problem.at(self.time(step)), self.formula(step)
-        return replace(now, c=_plus(now.c, parsed(self.capacity, "xyz"[:dim]), a))
+        return replace(now, c=_plus(now.c, parsed(self.capacity, "xyz"[:dim], "[time] capacity"), a))
 
 
 class Steps:
@@ -95,9 +95,9 @@ class Steps:
         dim = spaces.mesh.geometry.dim
         self._spaces, self._evolution, self._problem = spaces, evolution, problem.in_time(dim)
         try:
-            capacity = parsed(evolution.capacity, "xyz"[:dim])
+            capacity = parsed(evolution.capacity, "xyz"[:dim], "[time] capacity")
             self.capacity = self._means("capacity", regional_datum(spaces, "capacity", capacity))
-            self.initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim]))
+            self.initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim], "[time] initial"))
         except InputError as error:
             raise InputError(str(error).replace("[problem]", "[time]")) from None
         comm = spaces.mesh.comm

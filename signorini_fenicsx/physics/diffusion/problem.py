@@ -50,7 +50,7 @@ class Problem:
     def at(self, t: float) -> "Problem":
         """The problem at a time, from one that `in_time` has read."""
         data = {field.name: at_time(getattr(self, field.name), t) for field in fields(self) if field.name != "laws"}
-        return replace(self, **data, laws=tuple(law.with_data(lambda given: at_time(given, t)) for law in self.laws))
+        return replace(self, **data, laws=tuple(law.with_data(lambda _, given: at_time(given, t)) for law in self.laws))
 
     def in_time(self, dim: int) -> "Problem":
         """The same problem, with numbers and texts read as trees that may have t in them, also those of the laws.
@@ -60,8 +60,9 @@ class Problem:
         """
         names = "xyz"[:dim] + "t"
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
-        laws = tuple(law.with_data(lambda given: parsed(given, names)) for law in self.laws)
-        return replace(self, **{name: parsed(given, names) for name, given in data.items()}, laws=laws)
+        laws = tuple(law.with_data(lambda key, given: parsed(given, names, key)) for law in self.laws)
+        read = {name: parsed(given, names, _place(name)) for name, given in data.items()}
+        return replace(self, **read, laws=laws)
 
     def parsed(self, dim: int) -> "Problem":
         """The same problem, with numbers and texts read as trees, but not those of the laws.
@@ -71,4 +72,9 @@ class Problem:
         """
         names = "xyz"[:dim]
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
-        return replace(self, **{name: parsed(given, names) for name, given in data.items()})
+        return replace(self, **{name: parsed(given, names, _place(name)) for name, given in data.items()})
+
+
+def _place(name: str) -> str:
+    """Where a case file has a datum."""
+    return "[exact] u" if name == "exact" else f"[problem] {name}"

@@ -136,9 +136,9 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
     u_D = vector_datum_of(spaces, "u_D", problem.u_D)
     by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}
     g_N = {part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()}
-    gap = datum_of(spaces, "gap", parsed(problem.gap, "xyz"[:dim]))
-    young = regional_datum(spaces, "young", parsed(problem.young, "xyz"[:dim]))
-    poisson = regional_datum(spaces, "poisson", parsed(problem.poisson, "xyz"[:dim]))
+    gap = datum_of(spaces, "gap", parsed(problem.gap, "xyz"[:dim], "[problem] gap"))
+    young = regional_datum(spaces, "young", parsed(problem.young, "xyz"[:dim], "[problem] young"))
+    poisson = regional_datum(spaces, "poisson", parsed(problem.poisson, "xyz"[:dim], "[problem] poisson"))
     uniform = young.polynomial == 0 and poisson.polynomial == 0
     of_f = DEGREE if f.polynomial is None else f.polynomial
     quadrature = SplitQuadrature.of_degree(dim, min(max(2 if uniform else DEGREE, of_f + 1), MOST))

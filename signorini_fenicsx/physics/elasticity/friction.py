@@ -113,7 +113,7 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
 
 def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: BoundaryFacets) -> tuple[Array, bool]:
     """Values at the vertices of linear functions below a datum, and whether they are the datum itself (collective)."""
-    datum = datum_of(spaces, name, parsed(given, "xy"))
+    datum = datum_of(spaces, name, parsed(given, "xy", name))
     places = np.append([0.0, 1.0], np.arange(1, SAMPLES) / SAMPLES)[:, None]
     points = in_facets(spaces.mesh, facets.facets, places)
     values = datum.values(points)

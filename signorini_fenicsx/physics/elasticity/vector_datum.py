@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
@@ -64,10 +65,25 @@ def vector_datum_of(spaces: MeshSpaces, name: str, given: Any, *, continuous: bo
     elif isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         entries = list(given)
     elif callable(given):
-        entries = [lambda x, i=i: np.asarray(given(x))[i] for i in range(dim)]
+        entries = [lambda x, i=i: _rows(given(x), dim)[i] for i in range(dim)]
     else:
         raise InputError(f"[problem] {name}: must be a list of {dim} components")
     if len(entries) != dim:
         raise InputError(f"[problem] {name}: has {len(entries)} components, not {dim}")
-    components = (datum_of(spaces, name, parsed(entry, "xyz"[:dim]), continuous=continuous) for entry in entries)
+    components = (
+        datum_of(spaces, name, parsed(entry, "xyz"[:dim], f"[problem] {name}"), continuous=continuous)
+        for entry in entries
+    )
     return VectorDatum(name, tuple(components))
+
+
+def _rows(values: npt.ArrayLike, dim: int) -> Array:
+    """What a function of points gives, a row for each component.
+
+    Raises:
+        ValueError: If there is another number of rows.
+    """
+    found = np.asarray(values)
+    if found.shape[:1] != (dim,):
+        raise ValueError(f"it must give {dim} rows, not an array of shape {found.shape}")
+    return found
