@@ -11,13 +11,7 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.elastic_data import MOST, ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
-from signorini_fenicsx.discrete.johnson_mercier import (
-    SIMPLEX,
-    Cells,
-    SplitQuadrature,
-    facet_normals,
-    split_vertices,
-)
+from signorini_fenicsx.discrete.johnson_mercier import SIMPLEX, Cells, SplitQuadrature
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.discrete.vector_datum import VectorDatum
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -48,8 +42,7 @@ def _of_force(solution: ElasticSolution) -> Array:
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
-        inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
-        inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
+        inward = cells.hat_gradients / volume[:, None, None, None]
         divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
         points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
         load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)

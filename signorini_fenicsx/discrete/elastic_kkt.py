@@ -13,7 +13,7 @@ from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
 from signorini_fenicsx.discrete.elastic_spaces import BoundaryFacets, ElasticSpaces, linear_values
-from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, hats_in_subcells, split_vertices
+from signorini_fenicsx.discrete.johnson_mercier import Cells, facet_normals, hats_in_subcells
 from signorini_fenicsx.discrete.kkt import Residuals
 
 
@@ -106,11 +106,7 @@ def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Arra
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
-        split = split_vertices(cells.vertices).reshape(-1, dim + 1, dim)
-        inward = (
-            -facet_normals(split).reshape(len(numbers), dim + 1, dim + 1, dim) / dim
-        )  # the hats' gradients · volume
-        divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], inward)
+        divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], cells.hat_gradients)
         moments = np.einsum("vs,nsi->nvi", hats_in_subcells(dim), divergence)
         moments += data.moments_of_f(spaces, numbers, cells.measure)
         found[numbers] = moments / (volume * (dim + 1))[:, None, None]

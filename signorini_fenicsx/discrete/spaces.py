@@ -165,14 +165,6 @@ class Spaces:
         return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
 
     @cached_property
-    def centroids(self) -> fem.Function:
-        """The centroids x_T as a P0 vector function."""
-        dim = self.mesh.geometry.dim
-        centroid = fem.Function(fem.functionspace(self.mesh, ("DG", 0, (dim,))))
-        centroid.interpolate(lambda x: x[:dim])
-        return centroid
-
-    @cached_property
     def crouzeix_raviart(self) -> fem.FunctionSpace:
         """Crouzeix-Raviart functions, for lifts and the facet system."""
         return fem.functionspace(self.mesh, ("CR", 1))

@@ -10,9 +10,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.small_matrices import determinants
 from signorini_fenicsx.meshes.domain import (
     Domain,
     Marks,
+    bounding_box,
     distribute,
     facet_pairs,
     largest_diameter,
@@ -184,17 +186,20 @@ def _bisected(
     """
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(1, dim)
-    x = mesh.geometry.x.copy()
-    mesh.geometry.x[:] = x @ SKEW
-    fine, parent_cell, parent_facet = dolfinx.mesh.refine(
-        mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
-    )
+    x, origin = mesh.geometry.x.copy(), bounding_box(mesh.geometry.x, mesh.comm)[0]
+    try:
+        mesh.geometry.x[:] = (x - origin) @ SKEW
+        fine, parent_cell, parent_facet = dolfinx.mesh.refine(
+            mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
+        )
+        corners = _corners(mesh)
+    finally:
+        mesh.geometry.x[:] = x
     topology = fine.topology  # its cells have been reordered, parent_cell has not
     order = topology.original_cell_index - topology.index_map(dim).local_range[0]
     parent_cell, parent_facet = parent_cell[order], parent_facet.reshape(-1, dim + 1)[order]
-    parents, children = _corners(mesh)[parent_cell], _corners(fine)
-    mesh.geometry.x[:] = x
-    barycentric = np.round(2 * np.linalg.solve(_affine(parents), _affine(children)).transpose(0, 2, 1)) / 2
+    parents, children = _affine(corners[parent_cell]), _affine(_corners(fine))
+    barycentric = np.round(2 * np.linalg.solve(parents, children).transpose(0, 2, 1)) / 2
     fine.geometry.x[fine.geometry.dofmaps[0], :dim] = barycentric @ _corners(mesh)[parent_cell]
     return fine, parent_cell, parent_facet
 
@@ -211,7 +216,8 @@ def _affine(corners: Array) -> Array:
 
 def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:
     """Signed volumes of the cells, up to a factor."""
-    return np.linalg.det(_affine(_corners(mesh)))
+    x = _corners(mesh)
+    return determinants(x[:, 1:] - x[:, :1])
 
 
 def _boundary_facets(

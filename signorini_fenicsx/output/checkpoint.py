@@ -21,6 +21,7 @@ from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import AnySolution, options_of
+from signorini_fenicsx.discrete.cell_flux import CellFlux
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.elastic_problem import Coulomb, ElasticLaw, ElasticProblem
@@ -219,16 +220,8 @@ def _hold(
 
 def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:
     """σ_h and u_h from the cell values of the file (collective)."""
-    mesh = spaces.mesh
-    dim = mesh.geometry.dim
-    centroid = spaces.centroids
-    middle = fem.Function(centroid.function_space)
-    divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
-    for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
-        values = fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays[key])
-        function.x.array[:] = values.ravel()
-    sigma = fem.Function(spaces.V, name="sigma")
-    x = ufl.SpatialCoordinate(mesh)
-    sigma.interpolate(fem.Expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points))
-    sigma.x.scatter_forward()
-    return sigma, u
+    mesh, u = spaces.mesh, fem.Function(spaces.Q, name="u")
+    centroid, divergence, u.x.array[:] = (
+        fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays[key]) for key in ("sigma", "divergence", "u")
+    )
+    return CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function(), u
