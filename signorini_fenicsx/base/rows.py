@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.arrays import Array, Indices
+
+DIGITS = 12
 
 
 class Exchange:
@@ -138,6 +140,15 @@ def rows_of(wanted: Indices, known: Indices) -> Indices:
     row = np.full(int(number.max(initial=-1)) + 1, -1)
     row[number[: len(known)]] = np.arange(len(known))
     return row[number[len(known) :]]
+
+
+def in_digits(places: Array) -> Array:
+    """Coordinates without their last digits, which depend on the partition, in units of about the largest one.
+
+    Rows are sorted by them (not collective).
+    """
+    scale = 2.0 ** np.ceil(np.log2(np.abs(places).max(initial=np.finfo(np.float64).tiny)))
+    return np.round(places / scale, DIGITS)
 
 
 def share(comm: MPI.Comm, rows: int) -> slice:

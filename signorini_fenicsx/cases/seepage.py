@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
@@ -88,4 +89,4 @@ def _phreatic_line(solution: Solution) -> Array:
     centroids = dolfinx.mesh.compute_midpoints(spaces.mesh, 2, beside).reshape(-1, 3)[:, :2]
     points = centroids - solution.cell_flux.centroid[beside]
     points = np.concatenate(spaces.mesh.comm.allgather(points))
-    return points[np.lexsort(np.round(points.T[::-1], 12))]
+    return points[np.lexsort(in_digits(points).T[::-1])]

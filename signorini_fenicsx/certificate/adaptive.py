@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certify import Certificate
@@ -112,7 +112,10 @@ def adapt[S: Solution | ElasticSolution](
             return solution, certificate
         with doing("refining the mesh"):
             marked = dorfler(certificate.indicator.x.array, theta, comm)
-            domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
+            try:
+                domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
+            except (InputError, NumericalFailure) as error:  # cells too small for their coordinates, or flat
+                raise NumericalFailure(f"cannot refine further: {error}", solution) from None
         if domain.cells > max_cells:
             return solution, certificate
         mesh += 1

@@ -14,8 +14,6 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     SIMPLEX,
     Cells,
     SplitQuadrature,
-    facet_normals,
-    split_vertices,
 )
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -48,8 +46,7 @@ def _of_force(solution: ElasticSolution) -> Array:
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
-        inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
-        inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
+        inward = cells.hat_gradients / volume[:, None, None, None]
         divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
         points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
         load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)

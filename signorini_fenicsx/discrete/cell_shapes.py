@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import squares_of
+from signorini_fenicsx.base.small_matrices import inverses, squares_of
 
 type Entities = npt.NDArray[np.int32]
 
@@ -45,8 +45,16 @@ def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> A
 def arms(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
     """Vertices of cells of this rank less their centroids, by default of all, shape (cells, dim + 1, dim)."""
     vertices = corners(mesh, cells)
+    vertices -= vertices[:, :1].copy(order="F")  # of coordinates that are far from 0 the mean would be rounded
     vertices -= np.einsum("cvi->ci", vertices)[:, None] / vertices.shape[1]
     return vertices
+
+
+def hat_gradients(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
+    """Gradients of the barycentric coordinates of cells of this rank, by default all, shape (cells, dim + 1, dim)."""
+    x = corners(mesh, cells)
+    inverse = inverses((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
+    return np.concatenate([-np.einsum("cvi->ci", inverse)[:, None], inverse], axis=1)
 
 
 def some_at_a_time(mesh: dolfinx.mesh.Mesh) -> Iterator[slice]:

@@ -144,14 +144,14 @@ def _largest_distance(one: FacetSet, other: FacetSet) -> float:
     gamma = other.spaces.Lambda.mesh
     dim = gamma.topology.dim
     cells = np.flatnonzero(other.inside[other.spaces.Lambda.dofmap.list[:, 0]]).astype(np.int32)
-    with of_unit_size(other.spaces.domain, gamma) as factor:
+    with of_unit_size(other.spaces.domain, gamma) as frame:
         if len(cells) > 0:
             tree = dolfinx.geometry.bb_tree(gamma, dim, entities=cells)
             middles = dolfinx.geometry.create_midpoint_tree(gamma, dim, cells)
         for _ in range(comm.size):
             if len(cells) > 0 and len(points) > 0:
-                closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, factor * points)
-                distance = np.sqrt(dolfinx.geometry.squared_distance(gamma, dim, closest, factor * points)) / factor
-                nearest = np.minimum(nearest, distance)
+                closest = dolfinx.geometry.compute_closest_entity(tree, middles, gamma, frame.of(points))
+                squares = dolfinx.geometry.squared_distance(gamma, dim, closest, frame.of(points))
+                nearest = np.minimum(nearest, np.sqrt(squares) / frame.factor)
             points, nearest = passed_on(comm, (points, nearest))
     return float(comm.allreduce(nearest.max(initial=0.0), MPI.MAX))

@@ -20,13 +20,19 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.small_matrices import determinants, gathered, inverses, times
-from signorini_fenicsx.discrete.cell_shapes import Entities, corners
+from signorini_fenicsx.base.small_matrices import determinants, gathered, times
+from signorini_fenicsx.discrete.cell_shapes import Entities, arms, corners, hat_gradients
+from signorini_fenicsx.meshes.domain import rounding
 
 AT_ONCE = 100_000
 """Number of points in cells that are in memory at the same time."""
 BESIDE = 1e-9
-"""The sides of a facet inside the domain are that share of the way from it to the centroids of its cells."""
+"""The sides of a facet inside the domain are that share of the way from it to the centroids of its cells, or more where
+the coordinates are far from 0, see `beside`."""
+
+
+ROUNDINGS = 16
+"""And at least so many roundings of the coordinates."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +97,12 @@ class Points(ABC):
     @cached_property
     def arms(self) -> Array:
         """The points less the centroids of their cells, shape (n, points, dim)."""
-        return np.asarray(np.einsum("npv,nvi->npi", self.barycentric - 1 / self.barycentric.shape[2], self.corners))
+        return np.asarray(np.einsum("npv,nvi->npi", self.barycentric, arms(self.mesh, self.rows)))
 
     @cached_property
     def slopes(self) -> Array:
         """Gradients of the barycentric coordinates of the cells, shape (n, dim + 1, dim)."""
-        x = self.corners
-        inverse = inverses((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
-        return np.concatenate([-np.einsum("cvi->ci", inverse)[:, None], inverse], axis=1)
+        return hat_gradients(self.mesh, self.rows)
 
     @cached_property
     def scale(self) -> Array:
@@ -271,19 +275,26 @@ class BesideFacets(FacetPoints):
         return cls(points.mesh, points.cells, points.points, points.weights, points.facets, points.local, share)
 
 
+def beside(mesh: dolfinx.mesh.Mesh) -> float:
+    """The share for `BesideFacets` of points that floats tell from the facets: BESIDE, or a power of 2 (collective)."""
+    return max(BESIDE, 2.0 ** np.ceil(np.log2(ROUNDINGS * rounding(mesh))))
+
+
 def from_inside(values: Callable[[FacetPoints], Array], points: FacetPoints) -> Array:
     """Values in points of facets as limits from inside their cells, by two points beside each (collective).
 
     Data that jump on a cut through the domain have the value of one side on the cut itself.
     """
-    near, far = (values(BesideFacets.of(points, share)) for share in (BESIDE, 2 * BESIDE))
+    step = beside(points.mesh)
+    near, far = (values(BesideFacets.of(points, share)) for share in (step, 2 * step))
     return 2 * near - far
 
 
 def from_within(values: Callable[[FacetPoints], Array], points: FacetPoints) -> Array:
     """The same as limits from inside the facets: data may jump where two facets meet (collective)."""
     at, dim = points.points, points.points.shape[1] + 1
-    moved = np.concatenate([at + share * (1 / dim - at) for share in (BESIDE, 2 * BESIDE)])
+    step = beside(points.mesh)
+    moved = np.concatenate([at + share * (1 / dim - at) for share in (step, 2 * step)])
     near, far = np.split(values(replace(points, points=moved)), 2, axis=1)
     return np.asarray(2 * near - far)
 

@@ -16,7 +16,8 @@ from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 
 NEAR = 1e-12
-"""A mesh fits a discontinuity of the data up to this distance, relative to the size of the domain."""
+"""A mesh fits a discontinuity of the data up to this distance, relative to the size of the domain, and up to rounding
+of its coordinates."""
 ROUNDING = 1e-13
 """Bound of the rounding in sums of up to 100 products, relative to the sum of absolute values: 450 times 2⁻⁵²."""
 TINY = 1e-300
@@ -184,7 +185,7 @@ def evaluated(tree: Tree, places: Places, scale: float, elementary: Elementary) 
     """Evaluate a tree over boxes with first and second derivatives, and in centres with first derivatives."""
     centre, lo, hi = places.centre, places.box.lo, places.box.hi
     names = "xyz"[: centre.shape[1]]
-    near = NEAR * scale / np.maximum((hi - lo).max(axis=1), 1e-300)
+    near = (NEAR * scale + (2 * places.pad[:, 0] if scale > 0 else 0.0)) / np.maximum((hi - lo).max(axis=1), 1e-300)
     one = enclosing(1.0)
     both_of = {name: (Interval(lo[:, i], hi[:, i]), enclosing(centre[:, i])) for i, name in enumerate(names)}
     inner = Differentiated(Intervals({}, elementary), {name: Dual((box,), {}) for name, (box, _) in both_of.items()})

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import basix.ufl
 import dolfinx.mesh
@@ -16,8 +17,16 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
+from signorini_fenicsx.base.small_matrices import inverses
 
 AXES = "xyz"
+FAR = 4.0
+"""A coordinate is far from 0 if it is this many times as large as the domain in its direction."""
+COARSEST = 1e-6
+"""Floats carry a mesh if neighbouring ones are nearer than this share of the heights of its cells. Rounding changes the
+shape of a cell by about this share."""
+
+_ROUNDING: WeakKeyDictionary[dolfinx.mesh.Mesh, float] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,22 @@ class Domain:
     is_shape: bool = False
     made: str = "given"
     coarser: "Domain | None" = None
+
+    def __post_init__(self) -> None:
+        """Refuse a mesh far from 0 whose cells are too small for its coordinates (collective).
+
+        Raises:
+            InputError: If it is one.
+        """
+        box = self.box()
+        far = np.abs(box).max(axis=0) > FAR * (box[1] - box[0])
+        if far.any() and (share := rounding(self.mesh)) > COARSEST:
+            largest = np.abs(box[:, far]).max()
+            raise InputError(
+                f"mesh {self.name}: floating-point numbers near {largest:.4g} are {np.spacing(largest):.1e} apart, "
+                f"{share:.1e} of the height of a cell, and at most {COARSEST:g} is exact enough; measure coordinates "
+                "from a point of the domain"
+            )
 
     @property
     def cells(self) -> int:
@@ -140,6 +165,22 @@ def bounding_box(points: Array, comm: MPI.Comm) -> Array:
     bounds = np.stack([points.min(axis=0, initial=np.inf), (-points).min(axis=0, initial=np.inf)])
     comm.Allreduce(MPI.IN_PLACE, bounds, op=MPI.MIN)
     return np.stack([bounds[0], -bounds[1]])
+
+
+def rounding(mesh: dolfinx.mesh.Mesh) -> float:
+    """How much rounding of the coordinates may change barycentric ones in the cells, at most 1 (collective).
+
+    In a cell whose edges follow the axes this is the distance of neighbouring floats as a share of its heights.
+    """
+    if mesh not in _ROUNDING:
+        dim, x, cells = mesh.topology.dim, mesh.geometry.x, mesh.geometry.dofmaps[0]
+        apart = np.spacing(np.abs(bounding_box(x, mesh.comm)).max(axis=0)[:dim])
+        edges = x[cells[:, 1:], :dim] - x[cells[:, :1], :dim]
+        with np.errstate(all="ignore"):  # a cell may have become flat
+            changes = np.einsum("civ,i->cv", np.abs(inverses(edges)), apart)
+        largest = np.nan_to_num(changes, nan=1.0).max(initial=0.0)
+        _ROUNDING[mesh] = min(mesh.comm.allreduce(float(largest), MPI.MAX), 1.0)
+    return _ROUNDING[mesh]
 
 
 def axis_part(label: str) -> Part:

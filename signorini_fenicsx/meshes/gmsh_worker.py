@@ -13,6 +13,8 @@ from signorini_fenicsx.meshes.checks import Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
 """Gmsh's numbers of first-order simplices, and meshio's names."""
+FARTHEST = 3e7
+"""Gmsh adds points in a surface only if coordinates are at most about so many times as large as the cells."""
 STRAIGHT = ("Point", "Line", "Plane", "Volume")
 """Types of entities without curvature."""
 
@@ -49,6 +51,13 @@ def generate(h: float | None, max_cells: float) -> None:
     dim = gmsh.model.getDimension()
     if dim < 2:
         raise ValueError("the geometry has no surface and no volume")
+    box = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+    largest, size = np.abs(box).max(), h or np.ptp(box, axis=0).max()
+    if largest > FARTHEST * size:
+        raise ValueError(
+            f"its coordinates are up to {largest:.4g}, too far from 0 for a size of {size:.3g}: measure them from a "
+            "point of the domain"
+        )
     factor = 1.0
     while True:
         gmsh.option.setNumber("Mesh.MeshSizeFactor", factor)

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -265,8 +266,14 @@ class _Own:
     straight: bool
 
 
-@functools.cache
 def _own_size(path: str) -> _Own:
+    """The properties of a file as it is now; a file that has not changed is read once."""
+    about = os.stat(path) if os.path.exists(path) else None
+    return _read_own_size(path, about and (about.st_ino, about.st_size, about.st_mtime_ns))
+
+
+@functools.cache
+def _read_own_size(path: str, _version: tuple[int, int, int] | None) -> _Own:
     mesh = read_mesh_file(path)
     return _Own(mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max()), mesh.straight)
 
@@ -325,7 +332,7 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
                 best = mesh
             trials = 0 if NEAR * h <= achieved <= h else trials - 1
             size *= (0.99 if trials > 0 else 0.94) * h / achieved
-        return best
+        return best[0] + np.array(shape.corner or 0.0), best[1]
     finally:
         gmsh.finalize()
 

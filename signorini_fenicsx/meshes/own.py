@@ -56,6 +56,8 @@ def domain_of(
     dim = topology.dim
     if mesh.basix_cell().name not in ("triangle", "tetrahedron") or mesh.geometry.cmaps[0].degree != 1:
         raise InputError("the mesh must consist of triangles or tetrahedra with straight edges")
+    if mesh.geometry.x.dtype != np.float64:
+        raise InputError(f"the mesh has coordinates of type {mesh.geometry.x.dtype}; make it with dtype=np.float64")
     if dim != mesh.geometry.dim:
         raise InputError(f"the mesh is a surface in space: its cells have dimension {dim}, not {mesh.geometry.dim}")
     topology.create_connectivity(dim - 1, dim)

@@ -11,9 +11,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.small_matrices import determinants
 from signorini_fenicsx.meshes.domain import (
     Domain,
     Marks,
+    bounding_box,
     distribute,
     facet_pairs,
     largest_diameter,
@@ -184,12 +186,15 @@ def _bisected(
         cell the facet of the parent that contains it, or −1. Facet i is opposite to vertex i.
     """
     dim = mesh.topology.dim
-    x = mesh.geometry.x.copy()
-    mesh.geometry.x[:] = x @ SKEW
-    fine, parent_cell, parent_facet = fenicsx.bisected(mesh, edges)
-    parents, children = _corners(mesh)[parent_cell], _corners(fine)
-    mesh.geometry.x[:] = x
-    barycentric = np.round(2 * np.linalg.solve(_affine(parents), _affine(children)).transpose(0, 2, 1)) / 2
+    x, origin = mesh.geometry.x.copy(), bounding_box(mesh.geometry.x, mesh.comm)[0]
+    try:
+        mesh.geometry.x[:] = (x - origin) @ SKEW
+        fine, parent_cell, parent_facet = fenicsx.bisected(mesh, edges)
+        corners = _corners(mesh)
+    finally:
+        mesh.geometry.x[:] = x
+    parents, children = _affine(corners[parent_cell]), _affine(_corners(fine))
+    barycentric = np.round(2 * np.linalg.solve(parents, children).transpose(0, 2, 1)) / 2
     fine.geometry.x[fine.geometry.dofmaps[0], :dim] = barycentric @ _corners(mesh)[parent_cell]
     return fine, parent_cell, parent_facet
 
@@ -206,7 +211,8 @@ def _affine(corners: Array) -> Array:
 
 def _volumes(mesh: dolfinx.mesh.Mesh) -> Array:
     """Signed volumes of the cells, up to a factor."""
-    return np.linalg.det(_affine(_corners(mesh)))
+    x = _corners(mesh)
+    return determinants(x[:, 1:] - x[:, :1])
 
 
 def _boundary_facets(

@@ -3,6 +3,7 @@
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import basix
 import basix.ufl
@@ -33,21 +34,42 @@ def curve_gap(domain: Domain) -> float:
     return domain.curvature * domain.h**2
 
 
-@contextlib.contextmanager
-def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[float]:
-    """Scale meshes of a domain to a size around 1 inside this context, because DOLFINx searches with fixed tolerances.
+@dataclass(frozen=True)
+class Frame:
+    """A frame in which a domain is near 0 and has a size around 1: (x − origin) · factor.
 
-    Yields:
-        The factor, a power of 2, so that scaling is exact; 1/4 for named shapes.
+    Attributes:
+        origin: The middle of the domain, shape (3,).
+        factor: A power of 2, so that scaling is exact; 1/4 for named shapes.
     """
-    factor = 2.0 ** round(math.log2(domain.curvature))
-    for mesh in meshes:
-        mesh.geometry.x[:] *= factor
+
+    origin: Array
+    factor: float
+
+    def of(self, x: Array) -> Array:
+        """Points in this frame, shape (n, 3)."""
+        return self.factor * (x - self.origin)
+
+    def back(self, x: Array) -> Array:
+        """Points of this frame in that of the domain, shape (n, 3)."""
+        return x / self.factor + self.origin
+
+
+@contextlib.contextmanager
+def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[Frame]:
+    """Move meshes of a domain into a frame inside this context, because DOLFINx searches with fixed tolerances.
+
+    Collective.
+    """
+    frame = Frame(domain.box().mean(axis=0), 2.0 ** round(math.log2(domain.curvature)))
+    before = [mesh.geometry.x.copy() for mesh in meshes]
     try:
-        yield factor
+        for mesh, x in zip(meshes, before, strict=True):
+            mesh.geometry.x[:] = frame.of(x)
+        yield frame
     finally:
-        for mesh in meshes:
-            mesh.geometry.x[:] /= factor
+        for mesh, x in zip(meshes, before, strict=True):
+            mesh.geometry.x[:] = x
 
 
 def squares_degree(mesh: dolfinx.mesh.Mesh) -> int:
@@ -92,12 +114,12 @@ def sampled(
             continue
         element = basix.ufl.quadrature_element(mesh.basix_cell(), function.ufl_shape, degree=degree)
         sample = fem.Function(fenicsx.function_space(mesh, element))
-        with of_unit_size(source, mesh, space.mesh) as factor:
-            padding = factor * curve_gap(source)
+        with of_unit_size(source, mesh, space.mesh) as frame:
+            padding = frame.factor * curve_gap(source)
             search = search or fem.create_interpolation_data(sample.function_space, space, cells, padding=padding)
             sample.interpolate_nonmatching(function, cells, search)
             if space.ufl_element().pullback is ufl.contravariant_piola:  # fluxes per area: J/det J
-                sample.x.array[:] *= factor ** (mesh.topology.dim - 1)
+                sample.x.array[:] *= frame.factor ** (mesh.topology.dim - 1)
         samples.append(sample)
     return samples
 
@@ -121,14 +143,15 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
     wanted = _in_space(domain.mesh, points)
     inside = np.isfinite(wanted).all(axis=1)
     padding = AT_BOUNDARY * float(np.ptp(domain.box(), axis=0).max())
-    with of_unit_size(domain, domain.mesh) as factor:
-        owners = dolfinx.geometry.determine_point_ownership(domain.mesh, factor * wanted[inside], factor * padding)
+    with of_unit_size(domain, domain.mesh) as frame:
+        near_0 = frame.of(wanted[inside])
+        owners = dolfinx.geometry.determine_point_ownership(domain.mesh, near_0, frame.factor * padding)
     inside[inside] = owners.src_owner >= 0
     places = [np.flatnonzero(inside)[owners.src_owner[owners.src_owner >= 0] == rank] for rank in range(comm.size)]
     values = []
     for function in functions:
         size = function.function_space.value_size
-        found = function.eval(owners.dest_points / factor, owners.dest_cells).reshape(-1, size)
+        found = function.eval(frame.back(owners.dest_points), owners.dest_cells).reshape(-1, size)
         answers = comm.alltoall([found[owners.dest_owner == rank] for rank in range(comm.size)])
         value = np.full((len(wanted), size), np.nan)
         for place, answer in zip(places, answers, strict=True):

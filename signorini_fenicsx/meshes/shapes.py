@@ -28,6 +28,8 @@ from signorini_fenicsx.meshes.grids import (
 )
 
 TINY = np.finfo(np.float64).tiny
+SAME = 1e-6
+"""A point is on a side if it is nearer than this share of the size of the shape, across the side."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,9 @@ class Shape:
         measure: Area or volume.
         diameter: Largest distance between two of its points.
         parts: Boundary parts; they cover the boundary. Inner parts are among them, with both sides.
-        outline: Adds the domain to the current Gmsh model.
+        outline: Adds the domain to the current Gmsh model, with its corner in the origin if there is a `corner`.
         grid: Makes a rank's share of the structured mesh for h and a diagonal; None if there is none.
+        corner: Where the outline has to be moved to: Gmsh's tolerances do not suit coordinates that are far from 0.
     """
 
     dim: int
@@ -62,6 +65,7 @@ class Shape:
     parts: Mapping[str, NamedPart]
     outline: Callable[[], None]
     grid: Callable[[float, str, Share], Simplices] | None = None
+    corner: tuple[float, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -75,17 +79,17 @@ class Shape:
 
 
 def _plane(axis: int, value: float, size: float = 1.0) -> NamedPart:
-    """A side of a domain of about this size."""
-    other, off = 1 - min(axis, 1), 1e-8 * size
-    return NamedPart(lambda x: x[other], "xy"[other], contains=lambda x: np.isclose(x[axis], value, atol=off))
+    """The side on which this coordinate has this value; `size` is that of the domain in this direction."""
+    other, off = 1 - min(axis, 1), SAME * size
+    return NamedPart(lambda x: x[other], "xy"[other], contains=lambda x: np.abs(x[axis] - value) <= off)
 
 
 def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
     """A circle with the angle from the positive x axis: −π to 0 for the lower half, −π to π for the whole circle."""
 
     def contains(x: Array) -> Mask:
-        on = np.isclose(np.hypot(x[0], x[1]), radius)
-        return on & (x[1] < radius * 1e-9) if lower_half else on
+        on = np.abs(np.hypot(x[0], x[1]) - radius) <= SAME
+        return on & (x[1] <= SAME) if lower_half else on
 
     return NamedPart(
         lambda x: np.arctan2(x[1], x[0]),
@@ -99,7 +103,7 @@ def _hemisphere(sign: int) -> NamedPart:
     """The half of the unit sphere with sign·z ≥ 0."""
 
     def contains(x: Array) -> Mask:
-        return np.isclose(np.linalg.norm(x, axis=0), 1.0) & (sign * x[2] > -1e-9)
+        return (np.abs(np.linalg.norm(x, axis=0) - 1) <= SAME) & (sign * x[2] >= -SAME)
 
     return NamedPart(lambda x: x[2], "z", lambda x: x / np.maximum(np.linalg.norm(x, axis=0), TINY), contains=contains)
 
@@ -150,7 +154,7 @@ def _slit_square() -> None:
 
 
 def _slit(side: int) -> NamedPart:
-    return NamedPart(lambda x: x[0], "x", contains=lambda x: np.isclose(x[1], 0) & (x[0] < 1e-9), side=side)
+    return NamedPart(lambda x: x[0], "x", contains=lambda x: (np.abs(x[1]) <= SAME) & (x[0] <= SAME), side=side)
 
 
 def _ball() -> None:
@@ -177,8 +181,8 @@ def _cube() -> None:
 
 L_CORNERS = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 NOTCH = {
-    "notch_x": NamedPart(lambda x: x[1], "y", contains=lambda x: np.isclose(x[0], 1) & (x[1] > 1 - 1e-9)),
-    "notch_y": NamedPart(lambda x: x[0], "x", contains=lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9)),
+    "notch_x": NamedPart(lambda x: x[1], "y", contains=lambda x: (np.abs(x[0] - 1) <= SAME) & (x[1] >= 1 - SAME)),
+    "notch_y": NamedPart(lambda x: x[0], "x", contains=lambda x: (np.abs(x[1] - 1) <= SAME) & (x[0] >= 1 - SAME)),
 }
 
 SHAPES: Mapping[str, Shape] = {
@@ -302,17 +306,17 @@ def _intervals(name: str) -> tuple[float, float, float, float]:
 @functools.cache
 def _rectangle(left: float, right: float, low: float, high: float) -> Shape:
     width, height = right - left, high - low
-    size = max(abs(end) for end in (left, right, low, high))
     return Shape(
         2,
         width * height,
         math.hypot(width, height),
         {
-            "left": _plane(0, left, size),
-            "right": _plane(0, right, size),
-            "bottom": _plane(1, low, size),
-            "top": _plane(1, high, size),
+            "left": _plane(0, left, width),
+            "right": _plane(0, right, width),
+            "bottom": _plane(1, low, height),
+            "top": _plane(1, high, height),
         },
-        _polygon((left, low), (right, low), (right, high), (left, high)),
+        _polygon((0, 0), (width, 0), (width, height), (0, height)),
         functools.partial(rectangle_grid, np.array([left, low]), np.array([right, high])),
+        (left, low),
     )

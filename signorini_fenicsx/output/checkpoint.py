@@ -9,7 +9,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -30,6 +29,7 @@ from signorini_fenicsx.output.checkpoint_elastic import read_elastic_solution
 from signorini_fenicsx.output.checkpoint_file import Arrays, Checkpoint, GivenInPython, read_checkpoint
 from signorini_fenicsx.output.checkpoint_parts import damage_of, made, outcome_of, read_domain, rows_of_facets
 from signorini_fenicsx.output.checkpoint_writing import COSTS
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, touching
@@ -220,18 +220,8 @@ def _hold(
 
 def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:
     """σ_h and u_h from the cell values of the file (collective)."""
-    mesh = spaces.mesh
-    dim = mesh.geometry.dim
-    centroid = spaces.centroids
-    middle = fem.Function(centroid.function_space)
-    divergence, u = fem.Function(spaces.Q), fem.Function(spaces.Q, name="u")
-    for function, key in ((middle, "sigma"), (divergence, "divergence"), (u, "u")):
-        values = fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays[key])
-        function.x.array[:] = values.ravel()
-    sigma = fem.Function(spaces.V, name="sigma")
-    x = ufl.SpatialCoordinate(mesh)
-    sigma.interpolate(
-        fenicsx.expression(middle + divergence / dim * (x - centroid), spaces.V.element.interpolation_points)
+    mesh, u = spaces.mesh, fem.Function(spaces.Q, name="u")
+    centroid, divergence, u.x.array[:] = (
+        fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays[key]) for key in ("sigma", "divergence", "u")
     )
-    sigma.x.scatter_forward()
-    return sigma, u
+    return CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function(), u

@@ -13,6 +13,7 @@ from dolfinx import fem, io
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import gather_rows, on_root
+from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
@@ -20,9 +21,6 @@ from signorini_fenicsx.output.field_files import write_vtx
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.physics.elasticity.residuals import imbalance
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-
-DIGITS = 10
-"""Of places in a table's order, which then does not depend on the partition."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +124,7 @@ def _contact_rows(solution: ElasticSolution) -> Array:
 
 
 def _in_order(rows: Array) -> ContactTable:
-    scale = 2.0 ** np.ceil(np.log2(max(float(np.abs(rows[:, 1:8]).max(initial=0.0)), 1e-300)))
-    along, *places = np.round(rows[:, 1:8].T / scale, DIGITS)
+    along, *places = in_digits(rows[:, 1:8]).T
     rows = rows[np.lexsort((*places[::-1], along, rows[:, 0]))]
     return ContactTable(
         part=rows[:, 0].astype(np.int64),

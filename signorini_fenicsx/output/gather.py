@@ -11,12 +11,11 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.solution import Solution
-
-TINY = np.finfo(np.float64).tiny
 
 PARTLY_FIXED = 4
 """A part of the boundary that is fixed in some components only."""
@@ -143,8 +142,7 @@ def gather_facets(solution: Solution) -> FacetTable | None:
 def in_order(table: FacetTable) -> FacetTable:
     """A table ordered by part and then along the part (not collective)."""
     places = np.column_stack([table.x, table.along])
-    scale = 2.0 ** np.ceil(np.log2(np.abs(places).max(initial=TINY)))
-    *x, along = np.round(places.T / scale, 10)  # rounded, so that the order does not depend on the partition
+    *x, along = in_digits(places).T
     order = np.lexsort((*x[::-1], along, table.part))
     return FacetTable(**{key: rows[order] for key, rows in vars(table).items()})
 
@@ -182,7 +180,7 @@ def gather_free_boundary(solution: Solution) -> Array | None:
     edges = corners[:, 1:] - corners[:, :1]
     measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
     rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
-    return None if rows is None else rows[np.lexsort(np.round(rows.T[::-1], 12))]
+    return None if rows is None else rows[np.lexsort(in_digits(rows[:, :3]).T[::-1])]
 
 
 def centroid_flux(solution: Solution) -> fem.Function:

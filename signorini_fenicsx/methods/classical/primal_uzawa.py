@@ -44,7 +44,7 @@ def primal_uzawa(task: Task) -> Outcome:
         task.rho,
         lambda x: system.solve(system.at_signorini(weights * x))[on],
         inner,
-        scattered(system.space.tabulate_dof_coordinates()[on]),
+        scattered(system.space.tabulate_dof_coordinates()[on], task.spaces),
     )
     multiplier, failure = iterate_projection(
         start,

@@ -78,13 +78,13 @@ def step_length(
 def scattered_values(spaces: Spaces) -> Array:
     """A pseudo-random value per Γ_S facet that depends only on its midpoint, not on the ranks."""
     dim = spaces.mesh.topology.dim
-    x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
-    return scattered(x)
+    return scattered(dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets), spaces)
 
 
-def scattered(x: Array) -> Array:
-    """A pseudo-random value per point; x has shape (points, 3)."""
-    return np.sin(1e3 * (x @ np.sqrt([2.0, 3.0, 5.0]))) + 0.5
+def scattered(x: Array, spaces: Spaces) -> Array:
+    """A pseudo-random value per point of the domain; x has shape (points, 3) (collective)."""
+    inside = (x - spaces.domain.box()[0]) / spaces.length
+    return np.sin(1e3 * (inside @ np.sqrt([2.0, 3.0, 5.0]))) + 0.5
 
 
 def iterate_projection(

@@ -2,7 +2,7 @@
 
 import html
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
+from signorini_fenicsx.meshes.domain import FAR
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, creases, thinned
 
@@ -47,6 +48,8 @@ class Sheet:
 
 def write_page(path: Path, scene: Scene) -> None:
     """Write the page (rank 0)."""
+    origin, points = _origin(scene.fields.points), scene.fields.points
+    scene = replace(scene, fields=replace(scene.fields, points=points - origin))
     common, sheets = _plane(scene) if scene.dim == 2 else _space(scene)
     figure = go.Figure([*common, *(trace for sheet in sheets for trace in sheet.traces)])
     owner = np.concatenate([[-1] * len(common), *([number] * len(sheet.traces) for number, sheet in enumerate(sheets))])
@@ -59,7 +62,7 @@ def write_page(path: Path, scene: Scene) -> None:
     text = f"{html.escape(scene.title)}<br><sub>{plain(scene.caption)}</sub>"
     figure.update_layout(
         title={"text": text, "x": 0.5, "y": 0.98, "yanchor": "top"},
-        scene=_axes(scene) | {"camera": CAMERA},
+        scene=_axes(scene, origin) | {"camera": CAMERA},
         updatemenus=[
             {"type": "buttons", "direction": "right", "buttons": buttons}
             | {"x": 0.5, "xanchor": "center", "y": 1.0, "yanchor": "bottom"}
@@ -71,12 +74,21 @@ def write_page(path: Path, scene: Scene) -> None:
     figure.write_html(path, include_plotlyjs=True, full_html=True, default_height="94vh", config={"displaylogo": False})
 
 
-def _axes(scene: Scene) -> dict[str, Any]:
+def _origin(points: Array) -> Array:
+    """Round numbers near coordinates that are far from 0, and 0 for others: browsers draw in single precision."""
+    low, size = points.min(axis=0), np.ptp(points, axis=0)
+    far = np.abs(low) > FAR * size
+    unit = 10.0 ** np.floor(np.log10(size))
+    return np.where(far, np.floor(low / unit) * unit, 0.0)
+
+
+def _axes(scene: Scene, origin: Array) -> dict[str, Any]:
     """Axes with equal scales; a surface over the plane is half as high as the shorter side of the domain."""
     low, high = scene.fields.points.min(axis=0), scene.fields.points.max(axis=0)
     sides = (high - low) / (high - low).max()
     third = (HEIGHT * sides.min(),) if scene.dim == 2 else ()
-    names = ("x", "y", "u<sub>h</sub>" if scene.dim == 2 else "z")
+    names = [f"{x} − {a:.15g}".replace("− -", "+ ") if a else x for x, a in zip("xyz", origin.tolist(), strict=False)]
+    names += ["u<sub>h</sub>"] if scene.dim == 2 else []
     axes: dict[str, Any] = {f"{axis}axis": {"title": {"text": name}} for axis, name in zip("xyz", names, strict=True)}
     for axis, *ends in zip("xyz", low.tolist(), high.tolist(), strict=False):
         room = 0.02 * (ends[1] - ends[0])

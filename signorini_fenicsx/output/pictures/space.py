@@ -117,14 +117,19 @@ class Space:
 
     @cached_property
     def streamlines(self) -> pyvista.PolyData:
-        """Streamlines of σ_h through points spread over the domain."""
+        """Streamlines of σ_h through points spread over the domain; VTK finds them in single precision, near 0."""
         measure = np.cumsum(self.scene.measure)
         share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
         cells = np.searchsorted(measure, share * measure[-1])
-        seeds = pyvista.PolyData(self.scene.fields.points[self.scene.fields.cells[cells]].mean(axis=1))
-        return self.grid.streamlines_from_source(
+        points = self.scene.fields.points
+        near_0 = self.grid.copy()
+        near_0.points = points - points[0]
+        seeds = pyvista.PolyData(near_0.points[self.scene.fields.cells[cells]].mean(axis=1))
+        lines = near_0.streamlines_from_source(
             seeds, vectors="sigma", max_length=2 * self.extent, initial_step_length=0.5, max_steps=400
         )
+        lines.points = np.asarray(lines.points, dtype=np.float64) + points[0]
+        return lines
 
     def draw_half(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """u_h on half of the domain, with contour lines."""

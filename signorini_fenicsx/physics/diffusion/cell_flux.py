@@ -20,7 +20,7 @@ from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
-from signorini_fenicsx.discrete.cell_shapes import arms, mean_moments, some_at_a_time, squared_arms
+from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -55,6 +55,16 @@ class CellFlux:
             slope[some] = np.einsum("ce->c", through)
             centroid[some] = -np.einsum("ce,cei->ci", through, arms(mesh, some))
         return cls(spaces, centroid, slope)
+
+    def function(self) -> fem.Function:
+        """The flux in RT0: −d|T|∇λ_i · (c − s y_i/d) goes through the facet opposite to x_i (collective)."""
+        spaces, dim = self.spaces, self.centroid.shape[1]
+        mesh, sigma = spaces.mesh, fem.Function(spaces.V, name="sigma")
+        on_facets = self.centroid[:, None] - self.slope[:, None, None] * arms(mesh) / dim
+        through = -dim * spaces.cell_measures[:, None] * np.einsum("cvi,cvi->cv", hat_gradients(mesh), on_facets)
+        sigma.x.array[spaces.V.dofmap.list] = through / spaces.outflow
+        sigma.x.scatter_forward()
+        return sigma
 
     @property
     def divergence(self) -> Array:

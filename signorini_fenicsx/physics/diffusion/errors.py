@@ -10,9 +10,10 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
-    BESIDE,
+    ROUNDINGS,
     BesideFacets,
     FacetPoints,
+    beside,
     cell_quadrature,
     facet_quadrature,
     owned_cells,
@@ -70,7 +71,7 @@ def exact_trace(spaces: Spaces, exact: Datum, points: FacetPoints) -> Array:
     trace, inner = exact.values(points), spaces.inner
     if inner.present:
         opposite, order = points.across(inner.rows, inner.facets)
-        named, across = (exact.values(BesideFacets.of(side, BESIDE)) for side in (points, opposite))
+        named, across = (exact.values(BesideFacets.of(side, beside(spaces.mesh))) for side in (points, opposite))
         trace[inner.rows] = named[inner.rows] - np.take_along_axis(across, order, axis=1)
     return trace
 
@@ -78,12 +79,12 @@ def exact_trace(spaces: Spaces, exact: Datum, points: FacetPoints) -> Array:
 def exact_contact(spaces: Spaces, data: Data, exact: Datum) -> FacetSet:
     """The facets of Γ_S in whose midpoints the exact u is ψ, or a value at which another law holds it (collective)."""
     trace = exact_trace(spaces, exact, facet_quadrature(spaces.mesh, spaces.facets, 1))[:, 0]
-    rounding = (BESIDE if spaces.inner.present else EXACT_CONTACT) * spaces.mesh.comm.allreduce(
-        np.abs(trace).max(initial=0.0), MPI.MAX
-    )
+    apart = ROUNDINGS * np.spacing(np.abs(spaces.domain.box()).max()) / spaces.length  # of points of the domain
+    share = beside(spaces.mesh) if spaces.inner.present else max(EXACT_CONTACT, apart)
+    error = share * spaces.mesh.comm.allreduce(np.abs(trace).max(initial=0.0), MPI.MAX)
     held = np.zeros(len(trace), dtype=bool)
     for part in data.laws.of_parts:
         law = part.chains(facet_quadrature(spaces.mesh, spaces.facets[part.rows], 1))
-        beside = np.abs(trace[part.rows, None] - law.value) <= rounding
-        held[part.rows] = (beside & np.isinf(law.slope)).any(axis=1)
+        near = np.abs(trace[part.rows, None] - law.value) <= error
+        held[part.rows] = (near & np.isinf(law.slope)).any(axis=1)
     return FacetSet(spaces, held)

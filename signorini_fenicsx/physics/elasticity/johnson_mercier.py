@@ -201,6 +201,13 @@ class Cells:
         """|T|."""
         return self.determinant / factorial(self.dim)
 
+    @property
+    def hat_gradients(self) -> Array:
+        """Gradients of the hats of each subcell, times its measure, shape (cells, d + 1, d + 1, d)."""
+        shapes = self.vertices - self.vertices[:, :1]  # the means of coordinates far from 0 would be rounded
+        normals = facet_normals(split_vertices(shapes).reshape(-1, self.dim + 1, self.dim))
+        return -normals.reshape(len(shapes), self.dim + 1, self.dim + 1, self.dim) / self.dim
+
     def stresses(self, basis: Array) -> Array:
         """τ = Fτ̂Fᵀ/|det F| of stresses on the reference simplex, shape (cells, (d + 1)², entries, basis)."""
         dim, F = self.dim, self.derivative

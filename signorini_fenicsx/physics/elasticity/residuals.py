@@ -12,7 +12,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals, relative
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells, split_vertices
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 
@@ -105,11 +105,7 @@ def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Arra
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
-        split = split_vertices(cells.vertices).reshape(-1, dim + 1, dim)
-        inward = (
-            -facet_normals(split).reshape(len(numbers), dim + 1, dim + 1, dim) / dim
-        )  # the hats' gradients · volume
-        divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], inward)
+        divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], cells.hat_gradients)
         moments = np.einsum("vs,nsi->nvi", hats_in_subcells(dim), divergence)
         moments += data.moments_of_f(spaces, numbers, cells.measure)
         found[numbers] = moments / (volume * (dim + 1))[:, None, None]
