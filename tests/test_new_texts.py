@@ -10,7 +10,7 @@ import ufl
 from conftest import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx.base.compiling import LOADED
+from signorini_fenicsx.base.fenicsx import LOADED
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import boundary_of, solve_case
 from signorini_fenicsx.certificate.certify import certify

@@ -10,10 +10,10 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Wall
-from signorini_fenicsx.discrete import data as data_module
 from signorini_fenicsx.linear.petsc import LinearSolver
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion import data as data_module
 from signorini_fenicsx.physics.diffusion.evolution import Evolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving import evolving
