@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MODULE = {"forms": 350, "signorini_fenicsx": 450, "scripts": 400, "tests": 400}
+MODULE = {"forms": 450, "signorini_fenicsx": 450, "scripts": 450, "tests": 450}
 """Most lines of a module, by folder."""
 FUNCTION = 60
 """Most lines of a function in the package and its forms."""

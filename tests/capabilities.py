@@ -19,7 +19,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -35,6 +35,7 @@ from signorini_fenicsx.output.steps import StepFolder
 COMM = MPI.COMM_WORLD
 GOLDEN = Path(__file__).with_name("capabilities.json")
 OF_0_4 = Path(__file__).with_name("results_of_0.4")
+CASES = Path(__file__).with_name("capability_cases")
 TOLERANCE = 1e-10
 """Largest difference of a number, relative to its own size or to that of the numbers beside it."""
 OF_ONE_RUN = {"timings", "peak_memory", "ranks", "versions", "command", "seconds", "reason", "linear_iterations"}
@@ -48,102 +49,6 @@ PATH = {"changed", "zero_trace", "no_flux", "sigma_change", "u_change"}
 """Names of numbers of steps on the way to the solution."""
 STRUCTURED = ("--set", "geometry.mesh=structured")
 
-TWO_PARTS = """
-[geometry]
-shape = "square"
-mesh = "structured"
-[boundary]
-signorini = ["bottom"]
-neumann = ["left"]
-[problem]
-f = "30*(x - 0.4)"
-kappa = [["2 + x", "0.3"], ["0.3", "1 + y"]]
-psi = "-0.05 + 0.1*x"
-q_S = "0.1*y - 0.2"
-g_N = "0.3*y"
-u_D = "0.2*x"
-[[law]]
-parts = ["right"]
-kind = "regulator"
-k = "2 + y"
-g_low = -0.3
-g_high = 0.2
-a = 0.1
-[solve]
-h = "1/8"
-"""
-CROSSED = """
-[geometry]
-file = "FAULT"
-[boundary]
-inner = ["fault"]
-sides = {fault = "upper"}
-neumann = ["left", "right"]
-[[law]]
-parts = ["fault"]
-kind = "signorini"
-psi = -0.01
-[problem]
-f = "-2 if y > 0 else -1"
-kappa = {upper = 1, lower = [[2, 0.2], [0.2, 1]]}
-obstacle = "-0.15 + 0.05*x"
-"""
-REACTION = """
-[geometry]
-shape = "cube"
-mesh = "structured"
-[boundary]
-signorini = ["bottom", "left"]
-neumann = ["top"]
-[problem]
-f = "20*(x - 0.5)"
-c = "1 + x"
-kappa = "1 + z"
-[[law]]
-parts = ["right"]
-kind = "graph"
-corners = [[-0.1, 0.2], [0, 0.1], [0.1, 0.1]]
-before = "vertical"
-[solve]
-h = "1/3"
-"""
-BLOCK = """
-physics = "elasticity"
-[geometry]
-shape = "cube"
-mesh = "structured"
-[boundary]
-contact = ["bottom"]
-neumann = ["left", "right", "back"]
-fixed = {front = "n"}
-[problem]
-young = "1 + z"
-poisson = 0.3
-f = ["0", "0", "-0.1*x"]
-u_D = ["0", "0", "-0.05"]
-gap = "0.02*(x - 0.5)^2"
-[solve]
-h = "1/2"
-"""
-TRESCA = """
-physics = "elasticity"
-[geometry]
-shape = "[0, 2] x [0, 1]"
-mesh = "structured"
-[boundary]
-contact = ["bottom"]
-neumann = ["left", "right"]
-[[law]]
-kind = "friction"
-parts = ["bottom"]
-MU
-[problem]
-young = 1
-poisson = 0.3
-u_D = ["0.02", "-0.03"]
-[solve]
-h = "1/4"
-"""
 ENDED = "ended after step 2"
 """In front of a command in time: it ends as if a solve of step 3 had failed."""
 STUDY = """
@@ -177,6 +82,14 @@ class Capability:
     files: dict[str, str] = field(default_factory=dict)
     slow: bool = False
     beside: frozenset[str] = frozenset()
+
+
+def own(case: str, *options: str, **texts: str) -> Capability:
+    """A case of the folder `capability_cases` solved, with words of it replaced."""
+    content = (CASES / f"{case}.toml").read_text(encoding="utf-8")
+    for word, text in texts.items():
+        content = content.replace(word, text)
+    return solved(f"{case}.toml", *options, **{case: content})
 
 
 def solved(
@@ -254,13 +167,13 @@ def _methods() -> Iterator[Capability]:
 
 def _rare() -> Iterator[Capability]:
     """Paths that are taken seldom."""
-    yield solved("own.toml", own=TWO_PARTS)
-    yield solved("own.toml", "--backend", "mixed", "--algorithm", "alg2", own=TWO_PARTS)
-    yield solved("crossed.toml", crossed=CROSSED)
-    yield solved("reaction.toml", reaction=REACTION)
-    yield solved("block.toml", block=BLOCK)
-    yield solved("tresca.toml", tresca=TRESCA.replace("MU", "g = 0.01"))
-    yield solved("coulomb.toml", coulomb=TRESCA.replace("MU", "mu = 0.3"))
+    yield own("two_parts")
+    yield own("two_parts", "--backend", "mixed", "--algorithm", "alg2")
+    yield own("crossed")
+    yield own("reaction")
+    yield own("block")
+    yield own("tresca", FRICTION="g = 0.01")
+    yield replace(own("tresca", FRICTION="mu = 0.3"), name="solve coulomb")
     yield solved("example1", *STRUCTURED, "--rigorous", h="1/8")
     yield solved("cube", *STRUCTURED, "--rigorous", h="1/2")
     yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2")
