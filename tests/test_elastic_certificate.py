@@ -16,8 +16,8 @@ from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.certificate.korn import KORN, TRACE
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.solving.elastic import solve_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -26,8 +26,8 @@ COMM = MPI.COMM_WORLD
 def test_bound_is_near_a_singular_error(nu: float):
     """In contact that ends with σ ~ r^½ the bound is at most 1.4 times the error; with quadratics alone it was 1.63."""
     u = half_plane_contact(nu)
-    solution = solve_elastic(
-        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u)
+    solution = solve(
+        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u))
     )
     errors, certificate = solution.errors(), certify_elastic(solution)
     assert errors is not None
@@ -41,7 +41,7 @@ def test_loads_that_are_polynomials():
     load = ["2*y*(1 - y) + x*(1 - x)", "-(1 - 2*x)*(1 - 2*y)/2"]
     problem = ElasticProblem(1.0, 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
     for n in (2, 8):
-        solution = solve_elastic(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), ElasticBoundary([]), problem)
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
         errors, certificate = solution.errors(), certify_elastic(solution)
         assert errors is not None
         assert certificate.guaranteed
@@ -56,7 +56,7 @@ def test_tractions_that_are_polynomials():
     problem = ElasticProblem(1.0, 0.0, f=["-8*x*y", "-7*x^2/2 - y^2"], g_N=tractions, exact=["x^3*y", "x^2*y^2"])
     boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
     for n in (2, 8):
-        solution = solve_elastic(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), boundary, problem)
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
         errors, certificate = solution.errors(), certify_elastic(solution)
         assert errors is not None
         assert certificate.guaranteed
@@ -70,7 +70,7 @@ def test_tractions_that_the_mesh_does_not_see(dim: int):
     legendre = "20*x^3 - 30*x^2 + 12*x - 1" if dim == 2 else "20*y^3 - 30*y^2 + 12*y - 1"
     boundary = ElasticBoundary([], neumann=["yz"[dim - 2] + "1"])
     problem = ElasticProblem(1.0, 0.3, g_N=["0"] * (dim - 1) + [legendre])
-    solution, fine = (solve_elastic(box(COMM, n, *ends), boundary, problem) for n in (1, {2: 8, 3: 4}[dim]))
+    solution, fine = (solve(box(COMM, n, *ends), (boundary, problem)) for n in (1, {2: 8, 3: 4}[dim]))
     certificate = certify_elastic(solution)
     assert certificate.guaranteed
     assert fine.norms()["energy"] <= certificate.sigma_bound
@@ -85,7 +85,7 @@ def test_a_body_of_two_materials():
     )
     problem = ElasticProblem({"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"])
     boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
-    solution = solve_elastic(domain, boundary, problem)
+    solution = solve(domain, (boundary, problem))
     certificate = certify_elastic(solution)
     assert certificate.guaranteed
     assert solution.norms()["contact_force"] == pytest.approx(0.15)
@@ -120,7 +120,7 @@ def test_bounds_of_random_problems():
         g_N = [f"{a}*x + {b}*y" for a, b in zip(g, g[::-1], strict=True)]
         problem = ElasticProblem(1.0, nu, f=[str(f[0]), str(f[1] - 0.5)], g_N=g_N, gap=gap)
         boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"y1": "y"} if number % 2 else {})
-        coarse, fine = (solve_elastic(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), boundary, problem) for n in (3, 12))
+        coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), (boundary, problem)) for n in (3, 12))
         certificate = certify_elastic(coarse)
         assert certificate.guaranteed
         error = complementary_energy(coarse, gap) - complementary_energy(fine, gap)  # at least this
@@ -144,7 +144,7 @@ def test_bound_on_ranks_and_corners():
         domain = box(comm, 4, [0.0, 0.0], [1.0, 1.0])
         boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
         problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
-        solution = solve_elastic(domain, boundary, problem)
+        solution = solve(domain, (boundary, problem))
         certificate = certify_elastic(solution)
         found.append(certificate.numbers())
         squares = comm.allreduce(float((certificate.indicator.x.array**2).sum()))
@@ -158,11 +158,11 @@ def test_bound_in_space():
     domain = box(COMM, 2, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
     boundary = ElasticBoundary(["z0"], neumann=["x1", "y1"], fixed={"x0": "x", "y0": "y"})
     problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1"], gap="0.1*(x^2 + y^2)")
-    solution = solve_elastic(domain, boundary, problem)
+    solution = solve(domain, (boundary, problem))
     certificate = certify_elastic(solution)
     assert certificate.guaranteed
     assert certificate.relative < 0.5
-    fine = solve_elastic(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), boundary, problem)
+    fine = solve(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), (boundary, problem))
     assert abs(solution.norms()["energy"] - fine.norms()["energy"]) < certificate.bound
 
 
@@ -173,7 +173,7 @@ def test_adaptive_meshes_start_from_the_sets_before():
     problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"]}, gap="x^2/2")
 
     def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
-        return solve_elastic(domain, boundary, problem, start=start)
+        return solve(domain, (boundary, problem), start=start)
 
     rows: dict[float, list[AdaptRow]] = {0.5: [], 1.0: []}
     for theta, found in rows.items():

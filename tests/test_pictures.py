@@ -14,7 +14,6 @@ from matplotlib.image import imread
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
@@ -22,17 +21,11 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output import sample
 from signorini_fenicsx.output.elastic_body import gather_body
-from signorini_fenicsx.output.gather import (
-    Boundary,
-    FacetTable,
-    Fields,
-    gather_boundary,
-    gather_facets,
-    gather_fields,
-)
-from signorini_fenicsx.output.pictures import draw_all, draw_sets, scene_of, style, traces
+from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields, gather_boundary, gather_facets, gather_fields
+from signorini_fenicsx.output.pictures import draw_all, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps
 from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
+from signorini_fenicsx.output.pictures.evolution import draw_sets
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -241,7 +234,7 @@ def test_boundary_is_the_same_on_all_ranks():
 def test_foundation_of_a_body():
     """It is where the gap says, y = −x²/2 over a body that has moved, and touches it in the contact set."""
     h = 1 / 8
-    body = gather_body(solve_case(load_any_case("hertz").with_values({"solve.h": h})))
+    body = gather_body(solve_case(load_case("hertz").with_values({"solve.h": h})))
     assert body is not None
     moved = body.fields.points + body.displacement
     surface = foundation_of(body, moved, 1.0, 10.0)[:, :2]

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -28,12 +29,16 @@ from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, 
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import Side
+from signorini_fenicsx.meshes.domain import Boundary as Posed
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import BACKENDS
+
+MODELS = {"elasticity": "signorini_fenicsx.cases.elastic_case.ElasticCase"}
+"""The cases of other physics than diffusion, by what a file has for `physics`."""
 
 
 class Exact(Section):
@@ -72,6 +77,14 @@ class CaseFile(Section):
     @property
     def parts(self) -> Parts:
         """The section `[boundary]`."""
+        raise NotImplementedError
+
+    def posed(self, dim: int) -> tuple[Any, Any]:
+        """The parts of each kind of boundary, and the problem sorted by them, as `Solver` takes both.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
         raise NotImplementedError
 
     @property
@@ -241,6 +254,11 @@ class Case(CaseFile):
         """The end of a problem in time; None for others."""
         return None if self.time is None else self.time.end
 
+    def posed(self, dim: int) -> tuple[Posed, Problem]:
+        """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
+        parts = self.boundary
+        return Posed([*parts.signorini, *self.law_parts], parts.neumann, parts.inner), self.data(dim)
+
     def data(self, dim: int) -> Problem:
         """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
 
@@ -270,16 +288,23 @@ def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
     return ufl.SpatialCoordinate(ufl.Mesh(coordinate_element(dim)))
 
 
-def load_case(name_or_path: str | Path) -> Case:
-    """Read a case by name (`example1`) or path (`my/case.toml`).
+def load_case(name_or_path: str | Path) -> Any:
+    """Read a case of any physics by name (`example1`) or path (`my/case.toml`).
+
+    Returns:
+        A `Case`, or the case of another physics.
 
     Raises:
         InputError: If there is no such case, or it is malformed; the message names file, key and reason.
     """
     tree, path = read_case_file(name_or_path)
-    if "physics" in tree:
-        raise InputError(f"{path}: this is for scalar problems, not for physics = {tree['physics']!r}")
-    return validated(Case, tree, path.stem, str(path))
+    if "physics" not in tree:
+        return validated(Case, tree, path.stem, str(path))
+    if tree["physics"] not in MODELS:
+        known = " or ".join(f'"{name}"' for name in MODELS)
+        raise InputError(f"{path}: physics: unknown {tree['physics']!r}; use {known}, or leave it out")
+    module, _, model = MODELS[tree["physics"]].rpartition(".")
+    return validated(getattr(import_module(module), model), tree, path.stem, str(path))
 
 
 def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:

@@ -64,8 +64,8 @@ from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, owned_cells
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.solution import Solution
 
 QUADRATIC = 2
 """Degree of |κ∇v − y|² where v is quadratic and κ a number."""

@@ -41,9 +41,9 @@ from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.forms.elasticity import stress_gap
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, facet_moments
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 UPDATES = 30
 """Set updates of v at most; each v is admissible."""

@@ -16,9 +16,9 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     SplitQuadrature,
 )
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
 def load_oscillation(solution: ElasticSolution) -> Array:

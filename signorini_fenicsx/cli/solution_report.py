@@ -14,7 +14,7 @@ from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.report import named
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
@@ -73,7 +73,7 @@ class SolutionReport(CaseReport):
             states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
             lines["friction"] = f"facet vertices: {', '.join(states)}"
         if "coulomb" in summary:
-            lines["Coulomb"] = _fixed_point(summary["coulomb"]["changes"])
+            lines["CoulombLaw"] = _fixed_point(summary["coulomb"]["changes"])
         for part, segments in summary.get("segments", {}).items():
             counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
             lines[f"on {part}"] = f"facets on each segment: {counts}"

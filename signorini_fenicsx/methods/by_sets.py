@@ -4,9 +4,6 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.history import Outcome
@@ -25,7 +22,7 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
     """
     with task.watch.phase("assembly"):
         backend = task.backend(task.spaces, task.data)
-    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=_floating(task))
+    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=task.floating())
     outcome = _from_best_start(backend, rule, parameters, task)
     if backend.precise is None or not outcome.converged:
         return outcome
@@ -40,7 +37,7 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
     with contextlib.suppress(LinearSolveFailure):
         with task.watch.phase("prediction"):
             earlier, inexact, worth_it = task.start, backend.inexact, task.predict and prediction.is_worth_it(spaces)
-            if earlier is None and task.predict and task.data.obstacle is not None:
+            if earlier is None and task.predict and task.in_cells:
                 earlier = prediction.over_obstacle(spaces)
             elif earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces)
@@ -58,13 +55,6 @@ def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Param
     if predicted is None:
         return cold
     return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
-
-
-def _floating(task: Task) -> Array | None:
-    if task.data.holds(task.spaces):
-        return None
-    cells = task.spaces.cell_measures if task.data.obstacle is not None else np.empty(0)
-    return np.append(task.spaces.facet_measure, cells)
 
 
 def _made_precise(

@@ -21,8 +21,6 @@ from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.methods.task import Coarser
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
@@ -59,11 +57,11 @@ class Prediction:
         present = Present(segment, NOTHING, NOTHING)
         return law.conditions(self.rule.following(law, p, flux, self.rho, present))
 
-    def is_worth_it(self, spaces: Spaces) -> bool:
+    def is_worth_it(self, spaces: MeshSpaces) -> bool:
         """Whether the problem is so large that a prediction saves more than it costs."""
-        return spaces.V.dofmap.index_map.size_global >= self.tuning.predict_from
+        return spaces.facets_of_mesh >= self.tuning.predict_from
 
-    def over_obstacle(self, spaces: Spaces, factor: float = 1.0) -> Segments | None:
+    def over_obstacle(self, spaces: MeshSpaces, factor: float = 1.0) -> Segments | None:
         """The segments on a mesh that is coarser by 2, from those on one that is coarser still (collective).
 
         From a cold start the edge of the contact with an obstacle moves by one cell per step, so that the number of
@@ -76,13 +74,13 @@ class Prediction:
         Returns:
             The set. None if the present mesh is small, or there is no coarser mesh or no solution on it.
         """
-        if self.coarser is None or spaces.V.dofmap.index_map.size_global < self.tuning.predict_obstacle_from:
+        if self.coarser is None or spaces.facets_of_mesh < self.tuning.predict_obstacle_from:
             return None
         factor *= OBSTACLE_COARSENING
         with contextlib.suppress(InputError, NumericalFailure):
-            coarse, data = self.coarser(factor)
+            coarse, backend_of = self.coarser(factor)
             start = self.over_obstacle(coarse, factor)
-            backend = HybridBackend(coarse, data, tuning=self.tuning, prefix="coarse_")
+            backend = backend_of(False)
             law, conditions = self.law(backend.chains), self.start(coarse, backend.chains, start)
             for _ in range(MOST_STEPS):
                 pairs = backend.solve(conditions)
@@ -94,7 +92,7 @@ class Prediction:
             return Segments.of_sites(coarse, law.segments(conditions), obstacle=True)
         return None
 
-    def from_coarser_mesh(self, present: Spaces, factor: float = 1.0) -> Segments | None:
+    def from_coarser_mesh(self, present: MeshSpaces, factor: float = 1.0) -> Segments | None:
         """The segments on a coarser mesh, from those on one that is coarser still (collective).
 
         Args:
@@ -107,13 +105,13 @@ class Prediction:
         """
         if self.coarser is None or present.mesh.topology.dim == 3:
             return None
-        if present.V.dofmap.index_map.size_global < self.tuning.coarsen_from:
+        if present.facets_of_mesh < self.tuning.coarsen_from:
             return None
         factor *= self.tuning.coarsening
         with contextlib.suppress(InputError, NumericalFailure):
-            spaces, data = self.coarser(factor)
+            spaces, backend_of = self.coarser(factor)
             start = self.from_coarser_mesh(spaces, factor)
-            backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
+            backend = backend_of(True)
             if backend.inexact is None:  # the user's options chose a direct solver
                 return None
             first = self.start(spaces, backend.chains, start)
@@ -154,14 +152,14 @@ class Prediction:
             conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
         return conditions, len(changed)
 
-    def start(self, spaces: Spaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
+    def start(self, spaces: MeshSpaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
         """Those of another mesh, or the algorithm's own start (collective)."""
         law = self.law(chains)
         if earlier is not None:
             return self.transferred(earlier, spaces, law)
         return contact_without_dirichlet(spaces, chains) or law.conditions(self.rule.first(law))
 
-    def transferred(self, earlier: Segments, spaces: Spaces, law: Chains) -> SiteConditions:
+    def transferred(self, earlier: Segments, spaces: MeshSpaces, law: Chains) -> SiteConditions:
         """Conditions for the segments of another mesh of the domain (collective).
 
         A facet is on the segment of the other mesh's facet at its midpoint, and a cell on that of the cell there.
@@ -209,7 +207,7 @@ class _Watch:
         return changing > 0 and self._steady >= tuning.patience
 
 
-def contact_without_dirichlet(spaces: Spaces, chains: Chains) -> SiteConditions | None:
+def contact_without_dirichlet(spaces: MeshSpaces, chains: Chains) -> SiteConditions | None:
     """Contact everywhere if there is no Γ_D: an algorithm's own start may be a Neumann problem. None otherwise.
 
     For other laws it is the steepest segment.

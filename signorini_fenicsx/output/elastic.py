@@ -20,7 +20,7 @@ from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mis
 from signorini_fenicsx.output.field_files import write_vtx
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.physics.elasticity.residuals import imbalance
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
 @dataclass(frozen=True)

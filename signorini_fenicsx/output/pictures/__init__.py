@@ -26,8 +26,8 @@ from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, d
 from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 __all__ = [
     "animate",

@@ -44,22 +44,19 @@ TRACES = {"p": r"$p_h$ on $\Gamma_S$", "flux": r"$\sigma_h\cdot n$ on $\Gamma_S$
 OF_BODY = {"flux": r"pressure $-\sigma_{nn}$", "p": "gap $g - u_n$"}
 
 
-def draw_body_files(folder: Path, scene: Scene, moved: Scene, foundation: Array, title: str) -> None:
-    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png` of an elastic body.
-
-    Args:
-        folder: Where.
-        scene: The body as it was.
-        moved: The deformed body.
-        foundation: Facets of the foundation, shape (facets, 3, 3).
-        title: Title of the deformed body.
-    """
-    space, after = Space(scene), Space(moved)
+def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
+    """A deformed body on its foundation, and half of it; facets of the foundation have shape (facets, 3, 3)."""
+    after = Space(moved)
     sheet, (left, right) = _row(2, title)
     after.draw_outside(sheet, left, "(a) deformed body on its foundation", foundation)
     after.draw_sigma(sheet, right, "(b) half of it")
     sheet.legend_below([])
-    sheet.save(folder / "deformed.png")
+    return sheet
+
+
+def draw_files_of_body(folder: Path, scene: Scene) -> None:
+    """Draw `pressure.png` and, with a certificate, `certificate.png` of an elastic body."""
+    space = Space(scene)
     _draw_certificate_file(folder, space)
     _draw_traces(folder / "pressure.png", space, OF_BODY)
 

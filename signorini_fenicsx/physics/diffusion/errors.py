@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
@@ -21,9 +22,6 @@ from signorini_fenicsx.discrete.points import (
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-
-EXACT_CONTACT = 1e-12
-"""An exact u − ψ of less than this on Γ_S, relative to the largest |u| there, is contact."""
 
 
 def exact_errors(

@@ -15,19 +15,19 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.physics.diffusion.errors import EXACT_CONTACT
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, resultants, subcell_squares
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.solved import InContact, Solved
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
@@ -156,13 +156,22 @@ class ElasticSolution(Solved):
         """The facets of Γ_C with a vertex in contact."""
         return FacetSet(self.spaces, self.touching.any(axis=1))
 
-    @collector_off()
-    def contact(self) -> tuple[int, float]:
-        """Number of facet vertices in contact, and their share of Γ_C's measure (collective)."""
-        touching = self.touching.ravel()
-        found = np.array([np.count_nonzero(touching), self.spaces.site_measure[touching].sum()])
+    @cached_property
+    def contact(self) -> InContact:
+        """Number of facets with a vertex in contact, and the vertices' share of Γ_C (collective when first used)."""
+        touching = self.touching
+        found = np.array([touching.any(axis=1).sum(), self.spaces.site_measure[touching.ravel()].sum()])
         count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
-        return int(count), measure
+        return InContact(int(count), measure)
+
+    @cached_property
+    def touching_vertices(self) -> int:
+        """Number of facet vertices in contact (collective when first used)."""
+        return int(self.spaces.mesh.comm.allreduce(int(np.count_nonzero(self.touching))))
+
+    def sites_in_contact(self) -> tuple[int, float]:
+        """Number of facet vertices in contact, and their share of Γ_C (collective when first used)."""
+        return self.touching_vertices, self.contact.measure
 
     @collector_off()
     def friction_states(self) -> dict[str, dict[str, float]]:
@@ -244,13 +253,12 @@ class ElasticSolution(Solved):
         return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
 
     def _sets(self) -> dict[str, Any]:
-        vertices, measure = self.contact()
         return {
             "physics": "elasticity",
             "contact_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,
-            "touching_vertices": vertices,
-            "contact_measure": measure,
+            "touching_vertices": self.touching_vertices,
+            "contact_measure": self.contact.measure,
             **({} if self.data.friction is None else {"friction": self.friction_states()}),
             **({"coulomb": {"changes": list(self.bound_changes)}} if self.bound_changes else {}),
         }

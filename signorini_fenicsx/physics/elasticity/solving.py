@@ -1,16 +1,16 @@
-"""From a domain, a boundary and an elastic problem to the solution."""
+"""How problems of elastic contact are solved: the system on a mesh, and Coulomb's friction around the loop."""
 
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -22,14 +22,15 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
-from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import Remesh, same_domain
+from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
 
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
@@ -40,86 +41,105 @@ MORE_WITH_FRICTION = 4
 """By default so many times the iterations of problems without friction are allowed for each bound."""
 
 
-@collector_off()
-def solve_elastic(
-    domain: Domain,
-    boundary: ElasticBoundary,
-    problem: ElasticProblem,
-    options: Options | None = None,
-    *,
-    start: ElasticSolution | None = None,
-    remesh: Remesh | None = None,
-    name: str = "problem",
-    title: str = "",
-    source: object = None,
-    watch: Stopwatch | None = None,
-    on_step: OnStep = lambda step: None,
-) -> ElasticSolution:
-    """Solve an elastic contact problem (collective).
+class System:
+    """The spaces of elastic contact on a mesh.
 
-    Args:
-        domain: The mesh with its parts.
-        boundary: Which parts are in contact, loaded or fixed.
-        problem: The data.
-        options: The algorithm, alg1 or alg2, its number of iterations, and whether large problems start from predicted
-            sets.
-        start: Solution whose contact set is taken for the first one, on any mesh of the domain.
-        remesh: Makes coarser meshes, from which the sets of a large problem are predicted.
-        name: What results are called.
-        title: The same in more words.
-        source: What the problem was read from.
-        watch: Has measured what went before.
-        on_step: Called on all ranks after each iteration.
-
-    Raises:
-        InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
-        NumericalFailure: If the sets do not settle or a residual is large; its `solution` holds the last state.
+    Attributes:
+        spaces: The discrete spaces.
+        boundary: The parts that are in contact, loaded or fixed.
     """
-    options, watch = Options.of(options), watch or Stopwatch()
-    if options.algorithm not in RULES:
-        raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {options.algorithm_name}")
-    boundary = _with_rough_parts(boundary, problem)
-    with watch.phase("assembly"):
-        check_parts(domain, boundary.named)
-        _check_start(domain, start)
-        spaces = build_elastic_spaces(domain, boundary, problem.rough)
-        data = elastic_data(spaces, problem)
-        motions = check_rigid_motions(spaces, data)
-        held_by_contact = motions.shape[1] > 0
-        backend = ElasticBackend(spaces, data, options.tuning, motions)
-    large = options.predict and backend.dofs >= options.tuning.elastic_predict_from
-    if start is None and remesh is not None and large:
-        with watch.phase("prediction"):
-            start = _on_coarser_mesh(remesh, boundary, problem, options)
-    first, rough_steps = _first(backend, start, held_by_contact=held_by_contact), 0
-    if large and backend.inexact is not None:
-        with watch.phase("prediction"):
-            first, rough_steps = _settled(backend, options, first)
-    with watch.phase("solve"):
-        outcome, changes = _with_friction(backend, options, first, on_step)
-        outcome = replace(outcome, rough_steps=rough_steps)
-    data = replace(data, friction=backend.friction)
-    with watch.phase("kkt"):
-        kkt = elastic_kkt(spaces, data, spaces.split.values(outcome.iterate.sigma), outcome.iterate.p)
-        PETSc.garbage_cleanup(domain.mesh.comm)  # in parallel PETSc only queues what Python lets go
-    solution = ElasticSolution(
-        name=name,
-        title=title,
-        boundary=boundary,
-        problem=problem,
-        options=options,
-        spaces=spaces,
-        data=data,
-        outcome=outcome.ended(kkt.violation() if outcome.converged else outcome.reason),
-        kkt=kkt,
-        bound_changes=changes,
-        source=source,
-        timings=watch.longest(domain.mesh.comm),
-        peak_memory=peak_memory(domain.mesh.comm),
-    )
-    if solution.converged:
-        return solution
-    raise NumericalFailure(solution.outcome.reason, solution)
+
+    def __init__(self, domain: Domain, boundary: ElasticBoundary, problem: ElasticProblem):
+        """Set up the spaces (collective).
+
+        Raises:
+            InputError: If a part is unknown, empty or not on the boundary.
+        """
+        self.boundary = _with_rough_parts(boundary, problem)
+        check_parts(domain, self.boundary.named)
+        self.spaces = build_elastic_spaces(domain, self.boundary, problem.rough)
+        self._rough = sorted(problem.rough)
+
+    def prepared(self, given: tuple[ElasticBoundary, ElasticProblem], wish: Wish) -> ElasticRun:
+        """Read the data and check them; predict the sets of a large problem on coarser meshes (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
+        """
+        options, (boundary, problem) = wish.options, given
+        if options.algorithm not in RULES:
+            name = options.algorithm_name
+            raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {name}")
+        if _with_rough_parts(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
+            raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
+        _check_start(self.spaces.domain, wish.start)
+        data = elastic_data(self.spaces, problem)
+        motions = check_rigid_motions(self.spaces, data)
+        return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish)
+
+    def forget(self) -> None:
+        """Nothing is kept from solve to solve."""
+
+
+@dataclass
+class ElasticRun:
+    """An elastic problem on its mesh, ready to be solved.
+
+    Attributes:
+        spaces: The discrete spaces.
+        motions: The rigid motions that only contact prevents, see `ElasticBackend`.
+        boundary: The parts of each kind of boundary.
+        problem: The data as given.
+        data: The data on the mesh; in the end with the last bounds of the friction.
+        wish: How it is to be solved.
+        changes: By how much the bound of Coulomb's friction changed in each step.
+    """
+
+    spaces: ElasticSpaces
+    motions: Array
+    boundary: ElasticBoundary
+    problem: ElasticProblem
+    data: ElasticData
+    wish: Wish
+    changes: tuple[float, ...] = ()
+
+    def outcome(self) -> Outcome:
+        """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
+        options, watch, start = self.wish.options, self.wish.watch, self.wish.start
+        with watch.phase("assembly"):
+            backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
+        large = options.predict and backend.dofs >= options.tuning.elastic_predict_from
+        if start is None and self.wish.remesh is not None and large:
+            with watch.phase("prediction"):
+                start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
+        first, rough_steps = _first(backend, start, held_by_contact=self.motions.shape[1] > 0), 0
+        if large and backend.inexact is not None:
+            with watch.phase("prediction"):
+                first, rough_steps = _settled(backend, options, first)
+        with watch.phase("solve"):
+            outcome, self.changes = _with_friction(backend, options, first, self.wish.on_step)
+        self.data = replace(self.data, friction=backend.friction)
+        return replace(outcome, rough_steps=rough_steps)
+
+    def judged(self, outcome: Outcome) -> tuple[Outcome, ElasticKKT]:
+        """The outcome, which has converged only if its residuals are small, and these (collective)."""
+        stresses = self.spaces.split.values(outcome.iterate.sigma)
+        kkt = elastic_kkt(self.spaces, self.data, stresses, outcome.iterate.p)
+        return outcome.ended(kkt.violation() if outcome.converged else outcome.reason), kkt
+
+    def solution(self, outcome: Outcome, kkt: ElasticKKT, **about: Any) -> ElasticSolution:
+        """The solution."""
+        return ElasticSolution(
+            boundary=self.boundary,
+            problem=self.problem,
+            options=self.wish.options,
+            spaces=self.spaces,
+            data=self.data,
+            outcome=outcome,
+            kkt=kkt,
+            bound_changes=self.changes,
+            **about,
+        )
 
 
 def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
@@ -156,7 +176,8 @@ def _on_coarser_mesh(
         return remesh(factor * further)
 
     with contextlib.suppress(InputError, NumericalFailure):
-        return solve_elastic(remesh(factor), boundary, problem, options, remesh=coarser)
+        found: ElasticSolution = solve(remesh(factor), (boundary, problem), options, remesh=coarser)
+        return found
     return None
 
 
