@@ -147,7 +147,7 @@ def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
         NumericalFailure: If a solve fails.
     """
     case, coarse, fine, problem = random_pair(seed, jumps, comm)
-    boundary, _ = case.posed(domain.mesh.geometry.dim)
+    boundary, _ = case.posed(coarse.mesh.geometry.dim)
     solution = solve(coarse, (boundary, problem(coarse)), options_of(case))
     finer = solve(fine, (boundary, problem(fine)))
     words = f"{case.geometry.shape} {case.geometry.mesh} {case.solve.algorithm} Γ_S {boundary.signorini}"
