@@ -48,12 +48,12 @@ class SolutionReport(CaseReport):
         penalty = (row.robin, row.clipped) if self._penalised else ()
         counts = "".join(f"{number:9d}" for number in (row.no_flux, row.zero_trace, *penalty, row.changed))
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
-        self.line(f"{row.iteration:4d}{counts} {changes}")
+        self.line(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
 
     def solution(self, result: AnySolution, certificate: Certificate, proof: Proof | None = None) -> None:
         """Print the summary of a finished run (collective)."""
         summary = result.summary()
-        rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
+        rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
         elastic = isinstance(result, ElasticSolution)
         if elastic:
             facets, touching = f"{summary['contact_facets']} Γ_C", f"{summary['touching_vertices']} facet vertices"
