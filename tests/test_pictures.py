@@ -30,7 +30,7 @@ from signorini_fenicsx.output.gather import (
     gather_facets,
     gather_fields,
 )
-from signorini_fenicsx.output.pictures import draw_all, draw_sets, overview, scene_of, style, traces
+from signorini_fenicsx.output.pictures import caption, draw_all, draw_sets, overview, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps, moves
 from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.page import plain
@@ -285,6 +285,21 @@ def test_rough_steps_are_hollow():
     assert "rough" in axes.get_xlabel()
     assert moves(steps)
     assert not moves([Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)])
+
+
+def test_only_a_guaranteed_bound_is_called_certified():
+    """Captions of pictures, those of `solution.html` among them, say "not guaranteed" where the certificate does."""
+    solution = solve_case(load_case("example1").with_values({"solve.h": 1 / 4}))
+    certificate, fields = certify(solution), gather_fields(solution)
+    assert fields is not None
+    assert certificate.guaranteed
+    assert "certified energy error $" in caption(solution, fields, certificate)
+    words = caption(solution, fields, replace(certificate, guaranteed=False, relative=1.3))
+    assert "certified" not in words
+    assert words.endswith("not guaranteed")
+    assert "%" not in words  # of a norm that is not above the bound
+    of_penalty = caption(solution, fields, replace(certificate, of_penalty=True))
+    assert "penalty problem" in of_penalty
 
 
 @pytest.mark.parametrize("name", ["example1", "example5", "cube", "sphere"])

@@ -89,10 +89,8 @@ def caption(solution: Solution, fields: Fields, certificate: Certificate | None)
         words.append(rf"$\varepsilon = {style.power(solution.options.eps)}$")
     words.append(fields.count)
     if certificate is not None and math.isfinite(certificate.bound):
-        words.append(
-            rf"certified energy error $\leq {style.power(certificate.bound)}$ "
-            rf"({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)"
-        )
+        share = rf" ({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)" if certificate.smaller_than_flux else ""
+        words += style.bound_in_words(certificate, rf"${style.power(certificate.bound)}${share}")
     return ", ".join(words)
 
 

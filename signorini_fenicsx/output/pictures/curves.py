@@ -93,7 +93,7 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
 
 @mpl.rc_context(style.STYLE)
 def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> None:
-    """Draw the certified error over the unknowns, with a line of the best possible slope (rank 0)."""
+    """Draw the error bound over the unknowns, with a line of the best possible slope (rank 0)."""
     sheet = Sheet([4.8], [3.6], bars=False)
     axes = sheet.panel(0, 0)
     for refinement, look in (("adaptive", "o-"), ("uniform", "s--")):
@@ -105,6 +105,6 @@ def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> No
     axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** best, "k:", label=f"slope ${best:.2g}$")
     if not any(0 < row.bound < np.inf for row in rows):  # a bound of 0, or none, has no logarithm
         axes.set_yscale("linear")
-    axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
+    axes.set(xlabel="unknowns", ylabel="bound of the energy error", title=title)
     sheet.legend_below(axes.get_legend_handles_labels()[0])
     sheet.save(path)

@@ -72,7 +72,7 @@ def _draw_map(path: Path, plane: Plane, which: str) -> None:
     if which == "sigma":
         plane.draw_sigma(sheet, axes, r"flux $\sigma_h$: streamlines on $|\sigma_h|$")
     else:
-        plane.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the certified error")
+        plane.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound")
     sheet.legend_below(plane.handles())
     sheet.save(path)
 

@@ -67,7 +67,7 @@ def draw_body_files(folder: Path, scene: Scene, moved: Scene, foundation: Array,
 def _draw_certificate_file(folder: Path, space: Space) -> None:
     if space.scene.fields.indicator is not None:
         sheet, (axes,) = _row(1)
-        space.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the certified error, half of the domain")
+        space.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound, half of the domain")
         sheet.legend_below([])
         sheet.save(folder / "certificate.png")
 
