@@ -32,10 +32,7 @@ from signorini_fenicsx.physics.elasticity.problem import Coulomb
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.solution import Solution
 
-OUTCOME = (
-    *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
-    "rough_steps",
-)
+OUTCOME = ("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details")
 """Stored attributes of a solution's outcome, apart from fields and history."""
 COSTS = ("timings", "peak_memory")
 

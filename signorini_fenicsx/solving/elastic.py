@@ -14,7 +14,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memor
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.history import OnStep, Outcome, Step
+from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.discrete.contact_sets import transferred
@@ -91,13 +91,8 @@ def solve_elastic(
     if start is None and remesh is not None and large:
         with watch.phase("prediction"):
             start = _on_coarser_mesh(remesh, boundary, problem, options)
-    first, rough_steps = _first(backend, start, held_by_contact=held_by_contact), 0
-    if large and backend.inexact is not None:
-        with watch.phase("prediction"):
-            first, rough_steps = _settled(backend, options, first)
-    with watch.phase("solve"):
-        outcome, changes = _with_friction(backend, options, first, on_step)
-        outcome = replace(outcome, rough_steps=rough_steps)
+    first = _first(backend, start, held_by_contact=held_by_contact)
+    outcome, changes = _run(backend, options, first, watch, on_step, predict=large)
     data = replace(data, friction=backend.friction)
     with watch.phase("kkt"):
         kkt = elastic_kkt(spaces, data, spaces.split.values(outcome.iterate.sigma), outcome.iterate.p)
@@ -112,7 +107,7 @@ def solve_elastic(
         data=data,
         outcome=outcome.ended(kkt.violation() if outcome.converged else outcome.reason),
         kkt=kkt,
-        bound_changes=changes,
+        bound_changes=tuple(changes),
         source=source,
         timings=watch.longest(domain.mesh.comm),
         peak_memory=peak_memory(domain.mesh.comm),
@@ -160,55 +155,75 @@ def _on_coarser_mesh(
     return None
 
 
-def _settled(backend: ElasticBackend, options: Options, first: SiteConditions | None) -> tuple[SiteConditions, int]:
-    """Conditions from solves that stop as soon as the next ones are known, and the number of these (collective)."""
+def _run(
+    backend: ElasticBackend,
+    options: Options,
+    first: SiteConditions | None,
+    watch: Stopwatch,
+    on_step: OnStep,
+    *,
+    predict: bool,
+) -> tuple[Outcome, list[float]]:
+    """Predict the sets and run the loop; if one is interrupted, return the last state (collective).
+
+    Returns:
+        The outcome, and how much the bound of Coulomb's friction changed after each loop, relative to itself.
+    """
+    history, changes = History(backend.comm, on_step), list[float]()
+    before: Iterate | None = None
+    try:
+        if predict and backend.inexact is not None:
+            with watch.phase("prediction"):
+                first, before = _settled(backend, options, first, history)
+        with watch.phase("solve"):
+            return _with_friction(backend, options, first, before, history, changes), changes
+    except LoopInterruption as interruption:
+        return Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver()), changes
+
+
+def _settled(
+    backend: ElasticBackend, options: Options, first: SiteConditions | None, history: History
+) -> tuple[SiteConditions, Iterate | None]:
+    """Conditions from solves that stop as soon as the next ones are known, and the last iterate (collective)."""
     rule = RULES[str(options.algorithm)]
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
     first = first or backend.chains.conditions(rule.first(backend.chains))
-    return prediction.settle(backend, backend.spaces, backend.chains, first)
+    history.start_from(first)
+    return prediction.settle(backend, backend, backend.spaces, first, history)
 
 
 def _with_friction(
-    backend: ElasticBackend, options: Options, first: SiteConditions | None, on_step: OnStep
-) -> tuple[Outcome, tuple[float, ...]]:
+    backend: ElasticBackend,
+    options: Options,
+    first: SiteConditions | None,
+    before: Iterate | None,
+    history: History,
+    changes: list[float],
+) -> Outcome:
     """Run the loop over the sets; with Coulomb's friction once for each bound of the shear (collective).
 
     Returns:
-        The outcome with the iterations of all loops, and how much the bound changed after each, relative to itself.
+        The outcome with the iterations of all loops. How much the bound changed after each is added to the changes.
     """
     rule = RULES[str(options.algorithm)]
     most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
     parameters = Parameters(max_iterations=options.max_iterations or most)
-    history: list[Step] = []
-    last: Iterate | None = None
-    changes: list[float] = []
     spaces = backend.spaces
-
-    def numbered(step: Step) -> Step:
-        return replace(step, iteration=step.iteration + len(history))
-
     while True:
-        try:
-            outcome = iterate_sets(
-                backend, rule, parameters, start=first, before=last, on_step=lambda step: on_step(numbered(step))
-            )
-        except LoopInterruption as interruption:
-            outcome = Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
-        history += [numbered(step) for step in outcome.history]
-        outcome = replace(outcome, history=history)
+        outcome = iterate_sets(backend, rule, parameters, start=first, before=before, history=history)
         present = backend.friction
         if present is None or not present.by_pressure or not outcome.converged:
-            return outcome, tuple(changes)
+            return outcome
         pressure = outcome.iterate.flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
         following = present.following(pressure)
         changes.append(present.change(following, spaces))
         if changes[-1] <= BOUND_CHANGE:
-            return outcome, tuple(changes)
+            return outcome
         if len(changes) == MOST_BOUNDS:
             reason = f"the bound of the friction still changes by {changes[-1]:.1e} after {MOST_BOUNDS} steps"
-            return outcome.ended(reason), tuple(changes)
+            return outcome.ended(reason)
         segments = backend.chains.segments(outcome.conditions)
-        backend.friction, last = following, outcome.iterate
+        backend.friction, before = following, outcome.iterate
         first = backend.chains.conditions(segments)
 
 

@@ -38,7 +38,8 @@ def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | N
     """The body as it was, with Γ_C for Γ_S (rank 0)."""
     caption = f"{solution.title or solution.name}, {body.fields.count}"
     if certificate is not None and np.isfinite(certificate.bound):
-        caption += rf", energy error $\leq$ {100 * certificate.relative:.3g} %"
+        share = f"{100 * certificate.relative:.3g} %" if certificate.smaller_than_flux else f"{certificate.bound:.3g}"
+        caption = ", ".join([caption, *style.bound_in_words(certificate, share)])
     return Scene(
         title=solution.title or solution.name,
         caption=caption,

@@ -120,6 +120,10 @@ class ElasticBackend:
             self._solve(conditions)
         return self._pairs(self._x, conditions)
 
+    def reached(self, conditions: SiteConditions) -> Iterate:
+        """The iterate of the last solve, see `Inexact.reached` (collective)."""
+        return self._recovered(conditions)
+
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
         """None: there are no solves on patches."""
 
