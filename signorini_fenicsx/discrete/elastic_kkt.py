@@ -99,6 +99,18 @@ def subcell_squares(stresses: Array) -> Array:
     return (own + of_sum) / (size * (size + 1))
 
 
+def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
+    """(𝔸σ, σ) of each owned cell, from values as in `SplitMesh.values` (collective)."""
+    found = np.empty(len(spaces.order))
+    for cells in blocks_of_cells(spaces):
+        here = stresses[cells]
+        trace = np.einsum("nsaii->nsa", here)
+        of_all, of_traces = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
+        found[cells] = np.einsum("nsab,nsaij,nsbij->n", of_all, here, here, optimize=True)
+        found[cells] -= np.einsum("nsab,nsa,nsb->n", of_traces, trace, trace, optimize=True)
+    return found
+
+
 def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """Moments of ∇·σ + f against the hats of the cells' vertices, over |T|, shape (cells, d + 1, d)."""
     dim = spaces.dim

@@ -16,7 +16,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_moments
-from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT, resultants, subcell_squares
+from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT, energy_squares, resultants, subcell_squares
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.errors import EXACT_CONTACT
@@ -181,16 +181,13 @@ class ElasticSolution(Solved):
         spaces, data = self.spaces, self.data
         u, squares = spaces.displacement_values(self.u), np.zeros(3)
         size = spaces.dim + 1
+        squares[0] = energy_squares(spaces, data, self.stresses).sum()
         for cells in blocks_of_cells(spaces):
             measure = Cells(spaces.vertices[cells]).measure
             here, values = self.stresses[cells], u[cells]
-            trace = np.einsum("nsaii->nsa", here)
-            of_all, of_traces = data.masses(spaces, cells, measure)
-            energy = np.einsum("nsab,nsaij,nsbij->", of_all, here, here, optimize=True)
-            energy -= np.einsum("nsab,nsa,nsb->", of_traces, trace, trace, optimize=True)
             own, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
-            in_l2 = (subcell_squares(here) * measure[:, None] / size).sum()
-            squares += energy, in_l2, (measure * (own + of_sum)).sum() / (size * (size + 1))
+            squares[1] += (subcell_squares(here) * measure[:, None] / size).sum()
+            squares[2] += (measure * (own + of_sum)).sum() / (size * (size + 1))
         energy, sigma, displacement = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
         force = spaces.mesh.comm.allreduce(float(spaces.site_measure @ self.pressure.ravel()))
         return {"energy": energy, "sigma_L2": sigma, "u_L2": displacement, "contact_force": force}
