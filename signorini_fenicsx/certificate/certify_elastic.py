@@ -50,7 +50,7 @@ HIGHER = {2: 4, 3: 3}
 SHARE = 0.05
 """The share of each of these cells is larger than this,"""
 HALF, FEW = 0.5, {2: 200, 3: 20}
-"""or they are the cells that have half of the gap, if there are not more than so many, by dimension."""
+"""or it is one of those that have half of the gap, if these are not more than so many, by dimension."""
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,10 @@ def _displacement(
 def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     """Owned cells with a large share of the gap, and those that share a vertex with one (collective)."""
     comm, squares = spaces.mesh.comm, np.maximum(of_cells, 0.0)
-    large = dorfler(np.sqrt(squares), HALF, comm)
-    if comm.allreduce(len(large)) > FEW[spaces.dim]:
-        large = np.flatnonzero(squares > SHARE * comm.allreduce(squares.sum())).astype(np.int32)
+    large = np.flatnonzero(squares > SHARE * comm.allreduce(squares.sum()))
+    half = dorfler(np.sqrt(squares), HALF, comm)
+    if comm.allreduce(len(half)) <= FEW[spaces.dim]:
+        large = np.union1d(large, half)
     nodes = spaces.mesh.geometry.dofmaps[0][: len(of_cells)]
     near = la.vector(spaces.mesh.geometry.index_map())
     near.array[nodes[large]] = 1.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import basix
 import numpy as np
+import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.korn import korn_constants, trace_constants
@@ -34,7 +35,8 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
     dim, facets = spaces.dim, spaces.neumann
     found = np.zeros(len(spaces.order))
     traction, rest = _tractions(spaces, data)
-    np.add.at(found, facets.cells, trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure) * rest)
+    constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
+    np.add.at(found, facets.cells, constants * rest)
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         inverse, theta = data.moduli(data.points(spaces, numbers))
@@ -51,7 +53,9 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
     return found
 
 
-def _force(spaces: ElasticSpaces, data: ElasticData, stresses: Array, numbers: Array) -> tuple[Array, Array]:
+def _force(
+    spaces: ElasticSpaces, data: ElasticData, stresses: Array, numbers: npt.NDArray[np.int32]
+) -> tuple[Array, Array]:
     """The part of f − f_h that is quadratic on each subcell, in its lattice, and the L² norm of the rest (collective)."""
     dim, places = spaces.dim, lattice(spaces.dim + 1, INSIDE)
     if data.f.polynomial == 0:
@@ -113,7 +117,8 @@ def _without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) -
     values = values.copy()
     for fixed, k, letter in spaces.fixed[spaces.dim :]:
         mine = np.flatnonzero(np.isin(part.facets, fixed.facets))
-        axes = part.normals[mine] if letter == NORMAL else np.broadcast_to(np.eye(spaces.dim)[k], (len(mine), spaces.dim))
+        axes = np.broadcast_to(np.eye(spaces.dim)[k], (len(mine), spaces.dim))
+        axes = part.normals[mine] if letter == NORMAL else axes
         values[mine] -= np.einsum("nqj,nj,ni->nqi", values[mine], axes, axes)
     return values
 
