@@ -21,8 +21,8 @@ from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
 
 ROUNDING = 1e-9
-"""What is left is rounding if it is at most this share of ‖σ_h‖ in the energy norm. The bound then contains this share in
-its place, which does not depend on the order of sums: the bound is the same on any number of ranks."""
+"""What is left is rounding if it is at most this share of ‖σ_h‖ in the energy norm. The bound then contains this share
+in its place, which does not depend on the order of sums: the bound is the same on any number of ranks."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from signorini_fenicsx.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.forms.elasticity import strain, strain_energy, stress_product
 
 FREE = 1e-12
-"""A condition of whose unit direction less than this square is free is left out; it is met by what is given, or never."""
+"""A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""
 SHIFT = 1e-13
 """Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
 PUSHES = 20
@@ -270,7 +270,7 @@ class BestDisplacement:
         return np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, self.contact.basis(points))
 
     def _in_coefficients(self, values: Array, measure: Array) -> Array:
-        """∫ w B over facets for the B of each of their nodes, from a linear w at their vertices, shape (facets, nodes)."""
+        """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
         found: Array = measure[:, None] * (values @ self._moments)
         return found
 

@@ -1,8 +1,8 @@
 """What the loads do within cells and facets, which the stresses of an elastic solution do not balance.
 
 On each cell f − f_h and, on Γ_N, g_N − Π₁g_N are orthogonal to linear fields. Their projections to quadratic fields on
-each subcell and to cubic ones on each facet are balanced by local stresses, whose norms are computed. What is left after
-that is orthogonal to linear fields as well, and the constants of `korn` bound it.
+each subcell and to cubic ones on each facet are balanced by local stresses, whose norms are computed. What is left
+after that is orthogonal to linear fields as well, and the constants of `korn` bound it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
 def _force(
     spaces: ElasticSpaces, data: ElasticData, stresses: Array, numbers: npt.NDArray[np.int32]
 ) -> tuple[Array, Array]:
-    """The part of f − f_h that is quadratic on each subcell, in its lattice, and the L² norm of the rest (collective)."""
+    """The part of f − f_h quadratic on subcells, in their lattices, and the L² norm of the rest (collective)."""
     dim, places = spaces.dim, lattice(spaces.dim + 1, INSIDE)
     if data.f.polynomial == 0:
         return np.zeros((len(numbers), dim + 1, len(places), dim)), np.zeros(len(numbers))

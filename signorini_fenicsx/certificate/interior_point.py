@@ -1,4 +1,4 @@
-"""The minimum of a convex quadratic function with terms at nodes: foundations and friction, by an interior-point method.
+"""The minimum of a convex quadratic function with terms at nodes, foundations and friction, by an interior point.
 
 It minimises ½x·Kx − b·x + Σ max τ(a·x − g) over low ≤ τ ≤ high, with a small vector a and a number g for each term. A
 foundation, a·x ≤ g, has the forces 0 ≤ τ < ∞; friction w|a·x − g| has −w ≤ τ ≤ w. At the minimum Kx + Σ τa = b. With
