@@ -44,6 +44,7 @@ from signorini_fenicsx.forms.elasticity import stress_gap
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
+TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
 HIGHER = {2: 4, 3: 3}
 """Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
@@ -67,11 +68,14 @@ class ElasticCertificate(Certificate):
     @property
     def of(self) -> str:
         """To which solution the error is, in words; empty if it is that of the problem."""
-        return " to the exact solution with the last bound of the friction" if self.of_last_bound else ""
+        return f" to {TRESCA}" if self.of_last_bound else ""
 
     def summary(self) -> dict[str, Any]:
-        """All but the fields, ready for JSON."""
-        return super().summary() | ({"of_last_bound": True} if self.of_last_bound else {})
+        """All but the fields, ready for JSON; what is not of the problem itself is guaranteed only with its name."""
+        if not self.of_last_bound:
+            return super().summary()
+        named = {"guaranteed": False, "of_last_bound": True}
+        return super().summary() | named | ({"guaranteed_for": TRESCA} if self.guaranteed else {})
 
 
 def certify_elastic(solution: ElasticSolution) -> Certificate:

@@ -43,6 +43,8 @@ class SolutionReport(CaseReport):
 
     def step(self, row: Step) -> None:
         """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
+        if row.iteration == 21:
+            self.line(f"{'…':>4} from here on only 30, 40, …, 100, 200, …; all are in history.csv")
         if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
         penalty = (row.robin, row.clipped) if self._penalised else ()

@@ -16,10 +16,10 @@ from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import transferred
-from signorini_fenicsx.discrete.elastic_data import elastic_data
-from signorini_fenicsx.discrete.elastic_kkt import elastic_kkt
+from signorini_fenicsx.discrete.elastic_data import ElasticData, elastic_data
+from signorini_fenicsx.discrete.elastic_kkt import ElasticKKT, elastic_kkt
 from signorini_fenicsx.discrete.elastic_problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
+from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.history import OnStep, Outcome, Step
@@ -28,7 +28,7 @@ from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.methods.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.rigid_motions import check_rigid_motions
+from signorini_fenicsx.solving.rigid_motions import check_rigid_motions, slides
 from signorini_fenicsx.solving.solver import Remesh, same_domain
 
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
@@ -109,7 +109,7 @@ def solve_elastic(
         options=options,
         spaces=spaces,
         data=data,
-        outcome=outcome.ended(kkt.violation() if outcome.converged else outcome.reason),
+        outcome=outcome.ended(_failure(spaces, data, outcome, kkt)),
         kkt=kkt,
         bound_changes=changes,
         source=source,
@@ -119,6 +119,14 @@ def solve_elastic(
     if solution.converged:
         return solution
     raise NumericalFailure(solution.outcome.reason, solution)
+
+
+def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
+    """Why there is no solution; None if there is one (collective)."""
+    if not outcome.converged:
+        return outcome.reason
+    failure = kkt.violation()
+    return failure if failure is None or data.friction is None else slides(spaces, data) or failure
 
 
 def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:

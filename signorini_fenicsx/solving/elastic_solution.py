@@ -27,6 +27,8 @@ from signorini_fenicsx.methods.history import Outcome
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 
+STATES = (*Friction.segments, "open")
+"""The states of a vertex with friction."""
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
 
@@ -118,6 +120,13 @@ class ElasticSolution(Solved):
         return np.where(self.data.friction.bound > 0, found, np.where(self.slip < 0, 0, 2))
 
     @property
+    def _states_or_open(self) -> Indices:
+        """Index into `STATES`: open is what neither is in contact nor has a bound of the shear, as in Coulomb's law."""
+        assert self.data.friction is not None
+        is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
+        return np.where(is_open, STATES.index("open"), self.states)
+
+    @property
     def contact_parts(self) -> Sequence[str]:
         """The parts of Γ_C."""
         return self.boundary.contact
@@ -140,11 +149,11 @@ class ElasticSolution(Solved):
         return function
 
     def on_all_contact(self) -> tuple[Array, Array, Array]:
-        """σ_t, linear u_t and the state at the vertices of the facets of Γ_C; NaN where there is no friction."""
+        """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         found = np.full((3, *self.touching.shape), np.nan)
         if self.data.friction is not None:
             linear_slip = (self.spaces.dim + 1) * self.slip - self.slip.sum(axis=1, keepdims=True)
-            for values, rough in zip(found, (self.shear, linear_slip, self.states), strict=True):
+            for values, rough in zip(found, (self.shear, linear_slip, self._states_or_open), strict=True):
                 values[self.spaces.rough_rows] = rough
         shear, slip, state = found
         return shear, slip, state
@@ -162,13 +171,13 @@ class ElasticSolution(Solved):
 
     def friction_states(self) -> dict[str, dict[str, float]]:
         """Number of facet vertices with friction in each state, and their measure (collective)."""
-        states = self.states.ravel()
-        number = len(Friction.segments)
+        states = self._states_or_open.ravel()
+        number = len(STATES)
         found = np.stack([np.bincount(states, weights, number) for weights in (None, self.spaces.slip_measure)])
         counts, measures = self.spaces.mesh.comm.allreduce(found).tolist()
         return {
             name: {"vertices": int(count), "measure": measure}
-            for name, count, measure in zip(Friction.segments, counts, measures, strict=True)
+            for name, count, measure in zip(STATES, counts, measures, strict=True)
         }
 
     def resultants(self) -> dict[str, list[float]]:
