@@ -13,6 +13,7 @@ from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import boundary_of
+from signorini_fenicsx.discrete.boundary_nodes import check_against_foundation
 from signorini_fenicsx.discrete.data import project_data
 from signorini_fenicsx.discrete.elastic_data import elastic_data
 from signorini_fenicsx.discrete.elastic_spaces import build_elastic_spaces
@@ -155,7 +156,9 @@ def check(case: AnyCase, comm: MPI.Comm) -> Mapping[str, int]:
             problem = case.data()
             boundary_of_body = case.boundary.read().touching_on(problem.rough)
             contact, elastic = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
-            check_rigid_motions(elastic, elastic_data(elastic, problem))
+            data = elastic_data(elastic, problem)
+            check_against_foundation(elastic, data)
+            check_rigid_motions(elastic, data)
             spaces = elastic.scalar
         else:
             boundary = boundary_of(case)

@@ -23,8 +23,8 @@ from signorini_fenicsx.backends.petsc import direct_solver
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress
-from signorini_fenicsx.certificate.boundary_nodes import add_at, facet_coefficients, given_nodes
 from signorini_fenicsx.certificate.interior_point import minimise
+from signorini_fenicsx.discrete.boundary_nodes import add_at, facet_coefficients, given_nodes
 from signorini_fenicsx.discrete.elastic_data import ElasticData, blocks_of_cells, facet_rule
 from signorini_fenicsx.discrete.elastic_spaces import ElasticSpaces
 from signorini_fenicsx.discrete.johnson_mercier import SplitQuadrature, split_vertices

@@ -71,6 +71,9 @@ class SolutionReport(CaseReport):
             **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
         }
+        if "least_gap" in summary:
+            least = f"negative, down to {summary['least_gap']:.4g}"
+            lines["gap"] = f"{least}: there the foundation reaches into the body at rest, and is taken to press it back"
         if "friction" in summary:
             states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
             lines["friction"] = f"facet vertices: {', '.join(states)}"

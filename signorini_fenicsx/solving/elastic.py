@@ -14,6 +14,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, peak_memory
 from signorini_fenicsx.base.signals import LoopInterruption
+from signorini_fenicsx.discrete.boundary_nodes import check_against_foundation
 from signorini_fenicsx.discrete.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import transferred
 from signorini_fenicsx.discrete.elastic_data import ElasticData, elastic_data
@@ -83,6 +84,7 @@ def solve_elastic(
         _check_start(domain, start)
         spaces = build_elastic_spaces(domain, boundary, problem.rough)
         data = elastic_data(spaces, problem)
+        check_against_foundation(spaces, data)
         motions = check_rigid_motions(spaces, data)
         held_by_contact = motions.shape[1] > 0
         backend = ElasticBackend(spaces, data, options.tuning, motions)

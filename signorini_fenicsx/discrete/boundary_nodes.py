@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import basix
+import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.elastic_data import ElasticData
 from signorini_fenicsx.discrete.elastic_problem import NORMAL
@@ -28,6 +32,8 @@ from signorini_fenicsx.discrete.vector_datum import VectorDatum
 
 ALONG = 1e-12
 """v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
+TURNED = 0.5
+"""The sine of the angle by which the normal of a facet may differ from that of a curved body."""
 
 
 @dataclass(frozen=True)
@@ -169,3 +175,36 @@ def add_at(sums: la.Vector, nodes: npt.NDArray[np.int32], values: Array) -> None
     """Add values of nodes to them; they may be the same for all nodes of a facet."""
     rows = sums.array.reshape(-1, sums.block_size)
     np.add.at(rows, nodes, values.reshape(*values.shape[: nodes.ndim], sums.block_size))
+
+
+def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
+    """Make sure that what is given of u does not pass the foundation where parts meet (collective).
+
+    There no displacement could satisfy both. On a curved Γ_C the facets have other normals than the body, so what is
+    less than the share `TURNED` of the given displacement is let pass here; the certificate judges it.
+
+    Raises:
+        InputError: If it does; the place is told.
+    """
+    split, dim, comm = spaces.split, spaces.dim, spaces.mesh.comm
+    element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
+    space = fem.functionspace(split.mesh, element)
+    at, contact = given_nodes(spaces, data, split, space), facet_coefficients(split, space, spaces.contact)
+    gap = contact.of(spaces.mesh, data.gap)
+    axes = np.einsum("nkij,ni->nkj", at.frames[contact.nodes], contact.facets.normals)
+    free = np.where(at.given[contact.nodes], 0.0, axes**2).sum(axis=2)
+    values = at.values[contact.nodes]
+    past = np.where(free <= ALONG, (axes * values).sum(axis=2) - gap, -np.inf)
+    past -= TURNED * np.linalg.norm(values, axis=2)
+    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), np.abs(gap).max(initial=0.0))), MPI.MAX)
+    worst = float(past.max(initial=-np.inf)), ""
+    if worst[0] > LINEAR * size:
+        facet, place = np.unravel_index(int(past.argmax()), past.shape)
+        x = ", ".join(f"{entry:.4g}" for entry in contact.places()[facet, place])
+        u_n, g = (axes * values).sum(axis=2)[facet, place], gap[facet, place]
+        worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at ({x})"
+    _, told = max(comm.allgather(worst))
+    if told:
+        raise InputError(
+            f"[problem] u_D passes the foundation where parts meet, {told}: no displacement satisfies both"
+        )
