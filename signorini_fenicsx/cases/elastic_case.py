@@ -154,7 +154,30 @@ def load_any_case(name_or_path: str | Path) -> AnyCase:
     """
     tree, path = read_case_file(name_or_path)
     if "physics" not in tree:
-        return load_case(name_or_path)
+        try:
+            return load_case(name_or_path)
+        except InputError as error:
+            if (key := _of_elasticity(tree)) is None:
+                raise
+            needs = f'which needs physics = "{ELASTICITY}"'
+            raise InputError(f"{error}; '{key}' is of elastic contact, {needs}") from None
     if tree["physics"] != ELASTICITY:
         raise InputError(f'{path}: physics: unknown {tree["physics"]!r}; use "{ELASTICITY}", or leave it out')
+    for key in tree:
+        if key in Case.model_fields and key not in ElasticCase.model_fields:
+            raise InputError(f"{path}: [{key}] is of scalar problems, without physics; elastic contact has none")
     return validated(ElasticCase, tree, path.stem, str(path))
+
+
+def _of_elasticity(tree: dict[str, Any]) -> str | None:
+    """A key in a file that only elastic contact has, in a section or of the name of one; None if there is none."""
+    for section, own, other in (
+        ("problem", ElasticTexts, Case.model_fields["problem"].annotation),
+        ("boundary", ElasticParts, Case.model_fields["boundary"].annotation),
+    ):
+        keys = tree.get(section)
+        others = getattr(other, "model_fields", {})
+        found = [key for key in own.model_fields if isinstance(keys, dict) and key in keys and key not in others]
+        if found:
+            return found[0]
+    return None

@@ -24,6 +24,7 @@ from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.evolution import Steps
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
@@ -177,7 +178,9 @@ def check(case: AnyCase, comm: MPI.Comm) -> Checked:
             problem = case.data()
             boundary_of_body = case.boundary.read().touching_on(problem.rough)
             contact, spaces = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
-            check_rigid_motions(spaces, elastic_data(spaces, problem))
+            data = elastic_data(spaces, problem)
+            check_against_foundation(spaces, data)
+            check_rigid_motions(spaces, data)
         else:
             boundary = boundary_of(case)
             spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)

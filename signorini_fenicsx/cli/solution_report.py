@@ -43,6 +43,8 @@ class SolutionReport(CaseReport):
 
     def step(self, row: Step) -> None:
         """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
+        if row.iteration == 21:
+            self.line(f"{'…':>4} from here on only 30, 40, …, 100, 200, …; all are in history.csv")
         if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
         penalty = (row.robin, row.clipped) if self._penalised else ()
@@ -69,6 +71,9 @@ class SolutionReport(CaseReport):
             **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
         }
+        if "least_gap" in summary:
+            least = f"negative, down to {summary['least_gap']:.4g}"
+            lines["gap"] = f"{least}: there the foundation reaches into the body at rest, and is taken to press it back"
         if "friction" in summary:
             states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
             lines["friction"] = f"facet vertices: {', '.join(states)}"

@@ -22,11 +22,12 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
+from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
-from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
-from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Remesh, same_domain
@@ -84,6 +85,7 @@ def solve_elastic(
         _check_start(domain, start)
         spaces = build_elastic_spaces(domain, boundary, problem.rough)
         data = elastic_data(spaces, problem)
+        check_against_foundation(spaces, data)
         motions = check_rigid_motions(spaces, data)
         held_by_contact = motions.shape[1] > 0
         backend = ElasticBackend(spaces, data, options.tuning, motions)
@@ -105,7 +107,7 @@ def solve_elastic(
         options=options,
         spaces=spaces,
         data=data,
-        outcome=outcome.ended(kkt.violation() if outcome.converged else outcome.reason),
+        outcome=outcome.ended(_failure(spaces, data, outcome, kkt)),
         kkt=kkt,
         bound_changes=tuple(changes),
         source=source,
@@ -115,6 +117,14 @@ def solve_elastic(
     if solution.converged:
         return solution
     raise NumericalFailure(solution.outcome.reason, solution)
+
+
+def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
+    """Why there is no solution; None if there is one (collective)."""
+    if not outcome.converged:
+        return outcome.reason
+    failure = kkt.violation()
+    return failure if failure is None or data.friction is None else slides(spaces, data) or failure
 
 
 def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
