@@ -74,7 +74,7 @@ def stands_still(before: Solution, solution: Solution) -> bool:
     """Whether a step has the sets of the one before, and took one linear problem (collective)."""
     outcome = solution.outcome
     same = not outcome.conditions.differ(before.outcome.conditions).any()
-    return COMM.allreduce(same, MPI.LAND) and outcome.rough_steps == 0 and len(outcome.history) == 1
+    return COMM.allreduce(same, MPI.LAND) and len(outcome.history) == 1
 
 
 def main() -> None:

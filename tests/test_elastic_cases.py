@@ -142,6 +142,9 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ('h = "1/4"', 'h = "1/4"\neps = 1e-3', "[solve] eps: elastic contact has no such key"),
         ("u_D", "g_N = {top = [0, 1]}\nu_D", "g_N: no traction is given on part 'top'"),
         ("gap", "gip", "unknown key 'gip' in [problem]"),
+        ("young", "yuong", "unknown key 'yuong' in [problem]; known are young, poisson, f"),
+        ('physics = "elasticity"', "", "'young' is of elastic contact, which needs physics = \"elasticity\""),
+        ('h = "1/4"', 'h = "1/4"\n[time]\nend = 1', "[time] is of scalar problems, without physics"),
         ('neumann = ["right"]', 'neumann = ["right", "top"]', "the body can move rigidly"),
     ],
 )
@@ -279,7 +282,7 @@ def test_saved_solutions(folder: Path):
 
 def test_problems_given_in_python_are_saved(tmp_path: Path):
     """With data that are numbers and texts nothing has to be passed again."""
-    problem = ElasticProblem(1.0, "0.3", u_D=[0.01, "-0.1"], gap=0.02, laws=[Friction(["y0"], g=0.01)])
+    problem = ElasticProblem(1.0, "0.3", u_D=[0.01, "-0.1*y"], gap=0.02, laws=[Friction(["y0"], g=0.01)])
     domain = box(MPI.COMM_SELF, 2, [0.0, 0.0], [1.0, 1.0])
     solution = solve(domain, (ElasticBoundary([], fixed={"x0": "x"}), problem))
     solution.write(tmp_path / "new" / "run")

@@ -6,16 +6,20 @@ from dataclasses import replace
 import dolfinx.mesh
 import numpy as np
 import pytest
+from dolfinx.mesh import GhostMode
 from elastic import box, half_plane_contact
 from korn_constants import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
-from random_elastic_bounds import measured
+from random_elastic_bounds import energy_difference, measured
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.certificate.korn import KORN, TRACE
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -183,3 +187,72 @@ def test_adaptive_meshes_start_from_the_sets_before():
         assert all(one.bound > other.bound for one, other in itertools.pairwise(found))
     best = min(row.bound for row in rows[1.0])
     assert min(row.unknowns for row in rows[0.5] if row.bound < best) < 0.5 * max(row.unknowns for row in rows[1.0])
+
+
+def test_contact_with_two_normals_at_a_corner():
+    """The stress is exact, and v is found exactly though its vertex has two conditions; the bound was 12 %."""
+    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"], "x1": ["-0.01", "0"]})
+    boundary = ElasticBoundary(["x0", "y0"], neumann=["x1", "y1"])
+    certificate = certify_elastic(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    assert certificate.guaranteed
+    assert certificate.relative < 1e-7
+
+
+def test_a_body_that_one_vertex_holds():
+    """Contact at one vertex of a facet holds v against a rigid motion; without that the bound was 1e9 %."""
+    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.005"]}, gap="2*x^2")
+    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
+    solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)) for n in (4, 24))
+    assert solution.contact()[0] == 1
+    difference = energy_difference(solution, fine)
+    assert difference < certify_elastic(solution).bound < 3 * difference
+
+
+def test_grooves():
+    """On a polygon each vertex of Γ_C has two normals: the bound is near the error in energy, and does not grow."""
+    boundary, problem = ElasticBoundary(["arc"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.05"], gap="0.01")
+    for h in (0.6, 0.3):
+        domain = build_domain(COMM, "half_disk", h, mesh="unstructured")
+        parts = {name: replace(part, nearest=None) for name, part in domain.parts.items()}  # no finer polygons
+        domain = replace(domain, is_shape=False, coarser=None, parts=parts)
+        found: list[float] = []
+        rows: list[AdaptRow] = []
+
+        def solve_on(domain: Domain, start: ElasticSolution | None, found: list[float] = found) -> ElasticSolution:
+            solution = solve(domain, (boundary, problem), start=start)
+            given = 0.05 * solution.resultants()["diameter"][1]
+            found.append(complementary_energy(solution, "0.01") + given)
+            return solution
+
+        adapt(domain, solve_on, max_cells=900, on_row=rows.append)
+        for row, energy in list(zip(rows, found, strict=True))[:3]:
+            assert 1 < np.sqrt(row.gap / (energy - found[-1])) < 2
+        assert rows[-1].bound < 0.3 * rows[0].bound
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.4999])
+def test_flat_cells(nu: float):
+    """In cells of 1 : 20 local stresses bound what a load does within them; by constants of Korn it was 4.4 times."""
+    mesh = dolfinx.mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [2, 40], ghost_mode=GhostMode.none)
+    mu, lame = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
+    f = [f"{2 * (2 * mu + lame)}*y*(1 - y) + {2 * mu}*x*(1 - x)", f"-{lame + mu}*(1 - 2*x)*(1 - 2*y)"]
+    problem = ElasticProblem(1.0, nu, f=f, exact=["x*(1 - x)*y*(1 - y)", "0"])
+    solution = solve(domain_of(mesh, {"y0": lambda x: np.isclose(x[1], 0)}), (ElasticBoundary([]), problem))
+    errors, certificate = solution.errors(), certify_elastic(solution)
+    assert errors is not None
+    assert certificate.guaranteed
+    assert errors["energy"] <= certificate.sigma_bound <= certificate.bound < 3 * errors["energy"]
+
+
+def test_what_a_solver_leaves():
+    """A stress that does not balance its load is replaced, and its distance from the new one is in the bound."""
+    problem = ElasticProblem(1.0, 0.3, f=["0.1", "-0.2"])
+    solution = solve(box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"], neumann=["x1"]), problem))
+    exact, iterate = certify_elastic(solution), solution.outcome.iterate
+    sigma = iterate.sigma.copy()
+    sigma.x.array[:] *= 1 + 1e-4
+    kkt = elastic_kkt(solution.spaces, solution.data, solution.spaces.split.values(sigma), iterate.p)
+    left = replace(solution, outcome=replace(solution.outcome, iterate=replace(iterate, sigma=sigma)), kkt=kkt)
+    certificate = certify_elastic(left)
+    assert certificate.remainder == pytest.approx(1e-4 * solution.norms()["energy"], rel=1e-3)
+    assert certificate.gap == pytest.approx(exact.gap, rel=1e-6)

@@ -87,7 +87,7 @@ def test_sets_predicted_from_coarser_meshes():
     warm = solve_case(case, COMM, tuning=replace(MULTIGRID, elastic_predict_from=1000))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
-    assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, 1)
+    assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, warm.outcome.rough_steps + 2)
     assert 0 < warm.outcome.rough_steps == warm.summary()["rough_steps"] < len(cold.outcome.history)
     np.testing.assert_array_equal(warm.touching, cold.touching)
     assert warm.norms() == pytest.approx(cold.norms(), rel=1e-9)

@@ -299,12 +299,36 @@ def load_case(name_or_path: str | Path) -> Any:
     """
     tree, path = read_case_file(name_or_path)
     if "physics" not in tree:
-        return validated(Case, tree, path.stem, str(path))
+        try:
+            return validated(Case, tree, path.stem, str(path))
+        except InputError as error:
+            raise InputError(f"{error}{_of_other_physics(tree)}") from None
     if tree["physics"] not in MODELS:
         known = " or ".join(f'"{name}"' for name in MODELS)
         raise InputError(f"{path}: physics: unknown {tree['physics']!r}; use {known}, or leave it out")
-    module, _, model = MODELS[tree["physics"]].rpartition(".")
-    return validated(getattr(import_module(module), model), tree, path.stem, str(path))
+    model = _model_of(tree["physics"])
+    for key in tree:
+        if key in Case.model_fields and key not in model.model_fields:
+            raise InputError(f"{path}: [{key}] is of problems without physics; {tree['physics']} has none")
+    return validated(model, tree, path.stem, str(path))
+
+
+def _model_of(physics: str) -> type[CaseFile]:
+    module, _, name = MODELS[physics].rpartition(".")
+    model: type[CaseFile] = getattr(import_module(module), name)
+    return model
+
+
+def _of_other_physics(tree: dict[str, Any]) -> str:
+    """What to say of a key in a file without `physics` that only the cases of another one have; "" if there is none."""
+    for physics in MODELS:
+        for section in ("problem", "boundary"):
+            models = [model.model_fields[section].annotation for model in (_model_of(physics), Case)]
+            theirs, ours = (set(getattr(model, "model_fields", {})) for model in models)
+            given = tree.get(section)
+            if isinstance(given, dict) and (found := [key for key in given if key in theirs - ours]):
+                return f"; '{found[0]}' is of {physics}, which needs physics = \"{physics}\""
+    return ""
 
 
 def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:

@@ -23,6 +23,10 @@ type SolveOn[S: Solved] = Callable[[Domain, S | None], S]
 
 FIRST_MESH = 8.0
 """By default h of the first mesh is at most the diameter of the domain divided by this."""
+ROUNDING = 1e-10
+"""A bound below this share of ‖σ_h‖, or of the largest bound of the run, is rounding."""
+LONGER = 1.5
+"""A slope needs meshes whose unknowns differ by this factor."""
 DEFAULT_THETA = 0.5
 DEFAULT_MAX_CELLS = 10**6
 
@@ -144,9 +148,13 @@ def _row(refinement: str, mesh: int, solution: Solved, certificate: Certificate,
 
 
 def rate(rows: Sequence[AdaptRow]) -> float | None:
-    """Least-squares slope of the bound against the unknowns on logarithmic axes, from the finer half of the meshes."""
-    fine = [row for row in rows[len(rows) // 2 :] if 0 < row.bound < np.inf]
-    if len(fine) < 2:
+    """Least-squares slope of the bound against the unknowns on logarithmic axes, from the finer half of the meshes.
+
+    None if these are too few or of nearly one size; bounds that are rounding do not count.
+    """
+    least = ROUNDING * max((row.bound for row in rows if row.bound < np.inf), default=0.0)
+    fine = [row for row in rows[len(rows) // 2 :] if row.relative > ROUNDING and least < row.bound < np.inf]
+    if len(fine) < 2 or fine[-1].unknowns < LONGER * fine[0].unknowns:
         return None
     unknowns, bound = np.log([row.unknowns for row in fine]), np.log([row.bound for row in fine])
     return float(np.polyfit(unknowns, bound, 1)[0])

@@ -123,6 +123,11 @@ class Certificate:
         """To which solution the error is, in words; empty if it is that of the problem."""
         return " to the exact solution of the penalty problem" if self.of_penalty else ""
 
+    @property
+    def smaller_than_flux(self) -> bool:
+        """Whether the bound is below ‖σ_h‖; otherwise its share of ‖σ_h‖ says nothing: σ may be 0."""
+        return self.relative < 1
+
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""
         names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")

@@ -5,6 +5,7 @@ A prediction changes only the number of steps. The result is the same, because t
 
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
@@ -14,9 +15,10 @@ from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact
+from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.history import History, reached
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -115,42 +117,51 @@ class Prediction:
             if backend.inexact is None:  # the user's options chose a direct solver
                 return None
             first = self.start(spaces, backend.chains, start)
-            conditions, _ = self.settle(backend.inexact, spaces, backend.chains, first)
+            conditions, _ = self.settle(backend, backend.inexact, spaces, first)
             PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
             return Segments(spaces, self.law(backend.chains).segments(conditions))
         return None
 
     def settle(
-        self, backend: Inexact, spaces: MeshSpaces, chains: Chains, conditions: SiteConditions
-    ) -> tuple[SiteConditions, int]:
+        self,
+        backend: Backend[Iterate],
+        inexact: Inexact,
+        spaces: MeshSpaces,
+        conditions: SiteConditions,
+        history: History | None = None,
+    ) -> tuple[SiteConditions, Iterate | None]:
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
         Ends early if a step changes at least as many sites as two steps before.
 
         Args:
-            backend: Solves from its last solution.
+            backend: The backend.
+            inexact: Its solves, each from the last solution.
             spaces: Its spaces.
-            chains: The law of each facet.
             conditions: Those to start from.
+            history: Gets a rough step for each solve that was stopped early, except the start; None for no steps.
 
         Returns:
-            The last conditions, and the number of solves that were stopped early. If the sets repeated, the backend
-            holds the solution under these conditions.
+            The last conditions, and the last iterate that was stopped early if the history has it. If the sets
+            repeated, the backend holds the solution under these conditions.
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
         """
-        comm, law = spaces.mesh.comm, self.law(chains)
+        comm, law = spaces.mesh.comm, self.law(backend.chains)
         changed: list[int] = []
+        iterate: Iterate | None = None
         while len(changed) < 3 or changed[-1] < changed[-3]:
             watch = _Watch(self, law, conditions, comm)
-            wanted = self.wanted(law, watch.segment, *backend.solve_until(conditions, watch))
+            wanted = self.wanted(law, watch.segment, *inexact.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
             progress.detail("set update", len(changed))
             if changed[-1] == 0:
-                return conditions, len(changed) - 1
-            conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
-        return conditions, len(changed)
+                break
+            if history is not None:
+                iterate = _recorded(history, backend, inexact.reached(conditions), conditions, iterate)
+            conditions = self._settled_nearby(inexact, spaces, law, conditions, wanted)
+        return conditions, iterate
 
     def start(self, spaces: MeshSpaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
         """Those of another mesh, or the algorithm's own start (collective)."""
@@ -205,6 +216,21 @@ class _Watch:
         self._last = wanted
         self._steady = self._steady + 1 if moved <= tuning.leeway * changing else 0
         return changing > 0 and self._steady >= tuning.patience
+
+
+def _recorded(
+    history: History,
+    backend: Backend[Iterate],
+    iterate: Iterate | None,
+    conditions: SiteConditions,
+    before: Iterate | None,
+) -> Iterate | None:
+    """Add a rough step for an iterate, unless it is the first, which is the start (collective); return it."""
+    if iterate is not None and before is not None:
+        with reached(partial(backend.in_mixed_spaces, iterate, conditions), history.steps):
+            change = backend.change(iterate, before)
+            history.append(conditions, change, linear_iterations=iterate.linear_iterations, rough=True)
+    return iterate
 
 
 def contact_without_dirichlet(spaces: MeshSpaces, chains: Chains) -> SiteConditions | None:

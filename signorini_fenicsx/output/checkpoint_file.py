@@ -119,7 +119,6 @@ class About(BaseModel):
     linear_solver: str
     own_residual: float | None = None
     details: dict[str, float] = {}
-    rough_steps: int
     timings: dict[str, float]
     peak_memory: int
 

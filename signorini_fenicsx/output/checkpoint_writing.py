@@ -31,10 +31,7 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
-OUTCOME = (
-    *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
-    "rough_steps",
-)
+OUTCOME = ("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details")
 """Stored attributes of a solution's outcome, apart from fields and history."""
 COSTS = ("timings", "peak_memory")
 

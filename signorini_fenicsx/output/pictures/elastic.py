@@ -38,7 +38,8 @@ def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | N
     """The body as it was, with Γ_C for Γ_S (rank 0)."""
     caption = f"{solution.title or solution.name}, {body.fields.count}"
     if certificate is not None and np.isfinite(certificate.bound):
-        caption += rf", energy error $\leq$ {100 * certificate.relative:.3g} %"
+        share = f"{100 * certificate.relative:.3g} %" if certificate.smaller_than_flux else f"{certificate.bound:.3g}"
+        caption = ", ".join([caption, *style.bound_in_words(certificate, share)])
     return Scene(
         title=solution.title or solution.name,
         caption=caption,
@@ -164,15 +165,16 @@ def without_rounding(values: Array) -> Array:
 
 
 def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:
-    """Marks at the lower edge where the body slips in contact, and none where it sticks or is open."""
-    along, state = table.along[rows], np.where(table.touching[rows], table.state[rows], -1)
-    for name, look in (("slip+", "<"), ("slip-", ">")):
-        slipping = along[state == Friction.segments.index(name)]
-        if len(slipping):
-            place = np.full(len(slipping), 0.03)
-            axes.plot(
-                slipping, place, look, color="black", markersize=3, transform=axes.get_xaxis_transform(), label=name
-            )
+    """Marks at the lower edge where the body slips in contact, to where it moves; none where it sticks or is open."""
+    along, forward = table.along[rows], table.forward[rows]
+    state = np.where(table.touching[rows], table.state[rows], -1)
+    for name, sign in (("slip+", -1), ("slip-", 1)):
+        for way, look in ((-1, "<"), (1, ">")):
+            slipping = along[(state == Friction.segments.index(name)) & (sign * forward == way)]
+            if len(slipping):
+                place, label = np.full(len(slipping), 0.03), f"{name}, $u_t {'<' if sign < 0 else '>'} 0$"
+                look_of = {"color": "black", "markersize": 3, "transform": axes.get_xaxis_transform(), "label": label}
+                axes.plot(slipping, place, look, **look_of)
 
 
 def _rounded(value: float) -> float:

@@ -148,9 +148,10 @@ class Solution(Solved):
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective).
 
-        They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
-        the contact set and the facets at whose midpoints the exact u is ψ. With an obstacle the measure of the cells
-        that are in contact in one of u and u_h only takes the place of the error of ∇·σ.
+        They are the error of σ in the energy norm, which a certificate bounds, the L² norms of the errors of σ, ∇·σ, u
+        over Ω and of p over Γ_S, and the Hausdorff distance between the contact set and the facets at whose midpoints
+        the exact u is ψ. With an obstacle the measure of the cells that are in contact in one of u and u_h only takes
+        the place of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:

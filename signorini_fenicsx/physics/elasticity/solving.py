@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +12,11 @@ import numpy as np
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.history import OnStep, Outcome, Step
+from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.discrete.contact_sets import transferred
@@ -22,10 +24,11 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
 from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
-from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.options import Options
@@ -74,6 +77,7 @@ class System:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
         _check_start(self.spaces.domain, wish.start)
         data = elastic_data(self.spaces, problem)
+        check_against_foundation(self.spaces, data)
         motions = check_rigid_motions(self.spaces, data)
         return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish)
 
@@ -101,7 +105,7 @@ class ElasticRun:
     problem: ElasticProblem
     data: ElasticData
     wish: Wish
-    changes: tuple[float, ...] = ()
+    changes: Sequence[float] = ()
 
     def outcome(self) -> Outcome:
         """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
@@ -112,20 +116,16 @@ class ElasticRun:
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
-        first, rough_steps = _first(backend, start, held_by_contact=self.motions.shape[1] > 0), 0
-        if large and backend.inexact is not None:
-            with watch.phase("prediction"):
-                first, rough_steps = _settled(backend, options, first)
-        with watch.phase("solve"):
-            outcome, self.changes = _with_friction(backend, options, first, self.wish.on_step)
+        first = _first(backend, start, held_by_contact=self.motions.shape[1] > 0)
+        outcome, self.changes = _run(backend, options, first, watch, self.wish.on_step, predict=large)
         self.data = replace(self.data, friction=backend.friction)
-        return replace(outcome, rough_steps=rough_steps)
+        return outcome
 
     def judged(self, outcome: Outcome) -> tuple[Outcome, ElasticKKT]:
         """The outcome, which has converged only if its residuals are small, and these (collective)."""
         stresses = self.spaces.split.values(outcome.iterate.sigma)
         kkt = elastic_kkt(self.spaces, self.data, stresses, outcome.iterate.p)
-        return outcome.ended(kkt.violation() if outcome.converged else outcome.reason), kkt
+        return outcome.ended(_failure(self.spaces, self.data, outcome, kkt)), kkt
 
     def solution(self, outcome: Outcome, kkt: ElasticKKT, **about: Any) -> ElasticSolution:
         """The solution."""
@@ -137,9 +137,17 @@ class ElasticRun:
             data=self.data,
             outcome=outcome,
             kkt=kkt,
-            bound_changes=self.changes,
+            bound_changes=tuple(self.changes),
             **about,
         )
+
+
+def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
+    """Why there is no solution; None if there is one (collective)."""
+    if not outcome.converged:
+        return outcome.reason
+    failure = kkt.violation()
+    return failure if failure is None or data.friction is None else slides(spaces, data) or failure
 
 
 def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
@@ -181,55 +189,75 @@ def _on_coarser_mesh(
     return None
 
 
-def _settled(backend: ElasticBackend, options: Options, first: SiteConditions | None) -> tuple[SiteConditions, int]:
-    """Conditions from solves that stop as soon as the next ones are known, and the number of these (collective)."""
+def _run(
+    backend: ElasticBackend,
+    options: Options,
+    first: SiteConditions | None,
+    watch: Stopwatch,
+    on_step: OnStep,
+    *,
+    predict: bool,
+) -> tuple[Outcome, list[float]]:
+    """Predict the sets and run the loop; if one is interrupted, return the last state (collective).
+
+    Returns:
+        The outcome, and how much the bound of Coulomb's friction changed after each loop, relative to itself.
+    """
+    history, changes = History(backend.comm, on_step), list[float]()
+    before: Iterate | None = None
+    try:
+        if predict and backend.inexact is not None:
+            with watch.phase("prediction"):
+                first, before = _settled(backend, options, first, history)
+        with watch.phase("solve"):
+            return _with_friction(backend, options, first, before, history, changes), changes
+    except LoopInterruption as interruption:
+        return Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver()), changes
+
+
+def _settled(
+    backend: ElasticBackend, options: Options, first: SiteConditions | None, history: History
+) -> tuple[SiteConditions, Iterate | None]:
+    """Conditions from solves that stop as soon as the next ones are known, and the last iterate (collective)."""
     rule = RULES[str(options.algorithm)]
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
     first = first or backend.chains.conditions(rule.first(backend.chains))
-    return prediction.settle(backend, backend.spaces, backend.chains, first)
+    history.start_from(first)
+    return prediction.settle(backend, backend, backend.spaces, first, history)
 
 
 def _with_friction(
-    backend: ElasticBackend, options: Options, first: SiteConditions | None, on_step: OnStep
-) -> tuple[Outcome, tuple[float, ...]]:
+    backend: ElasticBackend,
+    options: Options,
+    first: SiteConditions | None,
+    before: Iterate | None,
+    history: History,
+    changes: list[float],
+) -> Outcome:
     """Run the loop over the sets; with Coulomb's friction once for each bound of the shear (collective).
 
     Returns:
-        The outcome with the iterations of all loops, and how much the bound changed after each, relative to itself.
+        The outcome with the iterations of all loops. How much the bound changed after each is added to the changes.
     """
     rule = RULES[str(options.algorithm)]
     most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
     parameters = Parameters(max_iterations=options.max_iterations or most)
-    history: list[Step] = []
-    last: Iterate | None = None
-    changes: list[float] = []
     spaces = backend.spaces
-
-    def numbered(step: Step) -> Step:
-        return replace(step, iteration=step.iteration + len(history))
-
     while True:
-        try:
-            outcome = iterate_sets(
-                backend, rule, parameters, start=first, before=last, on_step=lambda step: on_step(numbered(step))
-            )
-        except LoopInterruption as interruption:
-            outcome = Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
-        history += [numbered(step) for step in outcome.history]
-        outcome = replace(outcome, history=history)
+        outcome = iterate_sets(backend, rule, parameters, start=first, before=before, history=history)
         present = backend.friction
         if present is None or not present.by_pressure or not outcome.converged:
-            return outcome, tuple(changes)
+            return outcome
         pressure = outcome.iterate.flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
         following = present.following(pressure)
         changes.append(present.change(following, spaces))
         if changes[-1] <= BOUND_CHANGE:
-            return outcome, tuple(changes)
+            return outcome
         if len(changes) == MOST_BOUNDS:
             reason = f"the bound of the friction still changes by {changes[-1]:.1e} after {MOST_BOUNDS} steps"
-            return outcome.ended(reason), tuple(changes)
+            return outcome.ended(reason)
         segments = backend.chains.segments(outcome.conditions)
-        backend.friction, last = following, outcome.iterate
+        backend.friction, before = following, outcome.iterate
         first = backend.chains.conditions(segments)
 
 

@@ -217,7 +217,8 @@ class P1History:
     def __init__(self, task: DiffusionTask, system: P1System, u: Array, conditions: SiteConditions):
         """Begin with the start, which is not a step itself (collective)."""
         self._system, self._last, self._norms = system, u, P1Change(system)
-        self._history = History(task.spaces.mesh.comm, conditions, task.on_step)
+        self._history = History(task.spaces.mesh.comm, task.on_step)
+        self._history.start_from(conditions)
         self.steps = self._history.steps
 
     def add(self, u: Array, conditions: SiteConditions) -> None:
