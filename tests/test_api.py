@@ -302,7 +302,7 @@ def test_refusals():
 def test_arguments_of_the_wrong_kind():
     """One sentence each, for scalar and elastic problems."""
     domain = domain_of(*square())
-    held, pressed = ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
+    held, pressed = ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"], gap=0.1)
     free, scalar = Boundary(["bottom"]), Problem(f=1.0)
     body, membrane = solve(domain, (held, pressed)), solve(domain, (free, scalar))
     for call, message in [

@@ -119,7 +119,7 @@ class BestDisplacement:
         rubbing = -self._in_coefficients(self._y.shear[here], contact.facets.measure[rough])
         self._forces = np.append(forces.ravel(), rubbing[rubs])[free]
 
-        pull = fem.assemble_vector(fem.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
+        pull = fem.assemble_vector(fenicsx.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
         add_at(pull, contact.nodes, forces[:, :, None] * contact.facets.normals[:, None])
         add_at(pull, contact.nodes[rough], rubbing[:, :, None] * self.spaces.tangents[here][:, None])
         pull.scatter_reverse(la.InsertMode.add)
@@ -129,13 +129,13 @@ class BestDisplacement:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
         dim, size = self.spaces.dim, self._numbers.size_local
         u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        natural = assemble_matrix(fem.form(strain_energy(u, w, *self.moduli, self.dx)))
+        natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
         natural.assemble()
         self._natural = natural.ptap(self._turn(natural))
         self._lift = self._given.values[:size].ravel()
         load = np.einsum("nij,ni->nj", self._given.frames[:size], self._pull.array.reshape(-1, dim)[:size]).ravel()
         image = self.times(self._lift)
-        energy = fem.assemble_scalar(fem.form(stress_product(self.sigma, self.sigma, *self.moduli, self.dx)))
+        energy = fem.assemble_scalar(fenicsx.form(stress_product(self.sigma, self.sigma, *self.moduli, self.dx)))
         sums = [energy / 2 + self._apart, self._lift @ (image / 2 - load)]
         parts = self.comm.allreduce(np.array(sums))
         self.constant, self.scale = float(parts.sum()), float(np.abs(parts).sum())

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import LINEAR
@@ -188,7 +189,7 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     """
     split, dim, comm = spaces.split, spaces.dim, spaces.mesh.comm
     element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
-    space = fem.functionspace(split.mesh, element)
+    space = fenicsx.function_space(split.mesh, element)
     at, contact = given_nodes(spaces, data, split, space), facet_coefficients(split, space, spaces.contact)
     gap = contact.of(spaces.mesh, data.gap)
     axes = np.einsum("nkij,ni->nkj", at.frames[contact.nodes], contact.facets.normals)
