@@ -62,7 +62,7 @@ def test_penalties_have_solutions_of_their_own(algorithm: str):
 def test_tiny_penalties(algorithm: str):
     """Nearly rigid, with ψ and q_S that vary and without Γ_D: the bound is that for the Signorini problem.
 
-    Nearly flat as well: with a kink of q_S within an open facet two quadratures of its mean differed (alg4: was 32 times).
+    Nearly flat as well: for a kink of q_S in an open facet two quadratures of its mean differed (alg4: was 32 times).
     """
     case = load_case("example1").with_values({"solve.h": 0.2, "solve.algorithm": algorithm, "problem.f": "3*x - 2"})
     parts = {"boundary.signorini": ["bottom"], "boundary.neumann": ["left", "right", "top"]}
