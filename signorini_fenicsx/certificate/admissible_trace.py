@@ -27,18 +27,20 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.relaxation import Obstacle, all_edges, relax
+from signorini_fenicsx.certificate.relaxation import Edges, Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import (
     Points,
     facet_lattice,
+    facet_type,
     in_cells,
+    in_facets,
     owned_cells,
     quadratic_nodes,
 )
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jets import cut_off, larger
-from signorini_fenicsx.physics.diffusion.nodes import facet_nodes, largest_around
+from signorini_fenicsx.physics.diffusion.nodes import extreme_around, facet_nodes, largest_around
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -125,7 +127,8 @@ def admissible_trace(solution: Solution, metric: CellMetric, y: fem.Function) ->
     hindrance = "" if feasible else BEYOND
     for function in (w, w_D, psi):
         edges.to_bernstein(function.x.array)
-    obstacle = Obstacle(edges, np.setdiff1d(on_signorini, on_dirichlet), mesh.topology.dim)
+    room = None if data.psi.number is not None else _overshoot(spaces, data, psi, edges)
+    obstacle = Obstacle(edges, np.setdiff1d(on_signorini, on_dirichlet), mesh.topology.dim, room)
     obstacle.project(w.x.array)
     relax(w, psi, y, data.kappa_h, _excess(spaces, data, y, space), on_dirichlet, obstacle)
     v.x.array[:] = w.x.array + psi.x.array
@@ -235,6 +238,25 @@ class ExactTrace:
         """ψ − I_hψ."""
         psi = self.data.psi.jet(points, gradient=gradient)
         return psi - (points.quadratic(self.psi, gradient=gradient) if self.data.psi.number is None else psi)
+
+
+def _overshoot(spaces: Spaces, data: Data, psi: fem.Function, edges: Edges) -> tuple[Array, Array]:
+    """How far I_hψ is above ψ in points of edges, see `Obstacle`; 0 where it is below, and off Γ_S (collective)."""
+    space, facet = psi.function_space, facet_type(spaces.mesh.topology.dim)
+    corners, t = basix.geometry(facet), np.arange(1, SAMPLES) / SAMPLES
+    ends = np.array(basix.topology(facet)[1])
+    along = (1 - t)[:, None] * corners[ends[:, None, 0]] + t[:, None] * corners[ends[:, None, 1]]
+    points = in_facets(spaces.mesh, spaces.facets, along.reshape(-1, corners.shape[1]))
+    above = np.maximum(points.quadratic(psi)[:, :, 0] - data.psi.values(points), 0.0)
+    above = above.reshape(len(above), len(ends), len(t))
+    nodes, number = facet_nodes(space, spaces.facets), space.dofmap.index_map.local_to_global
+    first, second = (number(nodes[:, ends[:, end]].ravel()).reshape(-1, len(ends)) for end in (0, 1))
+    above = np.where((first > second)[:, :, None], above[:, :, ::-1], above)  # all ranks go by these numbers
+    middle = nodes[:, len(corners) :]
+    found = np.stack([extreme_around(space, middle, at, largest=True)[edges.middle] for at in np.moveaxis(above, 2, 0)])
+    found = np.maximum(found, 0.0).T
+    turned = number(edges.ends[:, 0]) > number(edges.ends[:, 1])
+    return t, np.where(turned[:, None], found[:, ::-1], found)
 
 
 def _excess(spaces: Spaces, data: Data, y: fem.Function, space: fem.FunctionSpace) -> Array:

@@ -94,21 +94,23 @@ class Goal:
     Attributes:
         parts: Each law and where it holds.
         chains: The law of each facet by means, measured from `Data.psi_h` and `Data.q_Sh`.
+        flux_h: `Data.q_Sh`.
         plain: Whether that is the Signorini problem of ψ and q_S.
         of_penalty: Whether that is the problem of a penalty.
     """
 
     parts: tuple[PartLaw, ...]
     chains: Chains
+    flux_h: Array
     plain: bool
     of_penalty: bool = False
 
     @classmethod
     def of(cls, solution: Solution, *, for_signorini: bool) -> Goal:
         """The problem that a solution approximates, or the Signorini problem also for a penalty."""
-        laws, penalty = solution.data.laws, solution.method.penalty
+        laws, flux_h, penalty = solution.data.laws, solution.data.q_Sh, solution.method.penalty
         if penalty is None or for_signorini:
-            return cls(laws.of_parts, laws.chains, plain=not laws.listed)
+            return cls(laws.of_parts, laws.chains, flux_h, plain=not laws.listed)
         slopes = penalty.slopes(solution.options.eps)
         kept = np.isinf(slopes[0])  # ψ is still a bound
         parts = tuple(
@@ -119,7 +121,7 @@ class Goal:
             )
             for part in laws.of_parts
         )
-        return cls(parts, solution.law, plain=False, of_penalty=True)
+        return cls(parts, solution.law, flux_h, plain=False, of_penalty=True)
 
     def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> LawPoints:
         """Points in all facets of Γ_S with the law in each (collective)."""
@@ -127,7 +129,7 @@ class Goal:
         for part in self.parts:
             some = in_facets(spaces.mesh, spaces.facets[part.rows], points, weights)
             rows = (number * part.rows[:, None] + np.arange(number)).ravel()
-            of_parts.append((rows, part.chains(some)))
+            of_parts.append((rows, part.chains(some, None if weights is None else self.flux_h[part.rows])))
         everywhere = in_facets(spaces.mesh, spaces.facets, points, weights)
         return LawPoints(everywhere, joined(of_parts, number * len(spaces.facets)))
 

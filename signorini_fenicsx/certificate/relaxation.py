@@ -69,24 +69,38 @@ def all_edges(space: fem.FunctionSpace) -> Edges:
 
 
 class Obstacle:
-    """The condition w ≥ 0 on Γ_S, as lower bounds of Bernstein coefficients.
+    """The condition w ≥ 0 on Γ_S, or w ≥ −d for d ≥ 0 known in points of edges, as lower bounds of coefficients.
 
     Attributes:
         nodes: Nodes of this rank on Γ_S that are not on Γ_D.
     """
 
-    def __init__(self, edges: Edges, nodes: Indices, dim: int):
+    def __init__(self, edges: Edges, nodes: Indices, dim: int, room: tuple[Array, Array] | None = None):
+        """Choose the edges.
+
+        Args:
+            edges: Edges of this rank.
+            nodes: The nodes.
+            dim: The dimension of the mesh.
+            room: The share of each edge from its first end to each point, and d per edge and point; None for d = 0.
+        """
         self.nodes = nodes
         chosen = np.isin(edges.middle, nodes)
         self._edges = Edges(edges.middle[chosen], edges.ends[chosen])
         self._part = 1.0 if dim == 2 else 0.5
+        self._room = None if room is None else (room[0], room[1][chosen])
 
     def lower(self, w: Array) -> Array:
         """The lower bound of each node of this rank, −∞ off Γ_S."""
         bound = np.full(len(w), -np.inf)
         bound[self.nodes] = 0.0
-        a, b = np.maximum(w[self._edges.ends], 0.0).T
-        bound[self._edges.middle] = -self._part * np.sqrt(a * b)
+        ends = np.maximum(w[self._edges.ends], 0.0)
+        middle = -np.sqrt(ends.prod(axis=1))
+        if self._room is not None:
+            t, room = self._room
+            of_ends = ends @ np.array([(1 - t) ** 2, t**2])
+            middle = np.minimum(middle, -((room + of_ends) / (2 * t * (1 - t))).min(axis=1, initial=np.inf))
+        bound[self._edges.middle] = self._part * middle
         return bound
 
     def free(self, w: Array, descent: Array) -> npt.NDArray[np.bool_]:

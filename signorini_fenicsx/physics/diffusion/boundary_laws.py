@@ -46,10 +46,20 @@ class PartLaw:
         """The name of one of its data in messages."""
         return f"{self.name}.{name}" if self.name else name
 
-    def chains(self, points: FacetPoints) -> Chains:
-        """The law in each of some points of its facets, measured from u = 0 and κ∇u·n = 0."""
+    def chains(self, points: FacetPoints, flux_h: Array | None = None) -> Chains:
+        """The law in each of some points of its facets, measured from u = 0 and κ∇u·n = 0.
+
+        Args:
+            points: The points; those of a quadrature if `flux_h` is given.
+            flux_h: κ∇u·n at the reference of each facet. If it is a mean of one of the data, the graphs in the points
+                of a facet are moved to have this mean: another quadrature of a kink has another one.
+        """
         values = {name: datum.values(points).ravel() for name, datum in self.data.items()}
-        return chains_of(replace(self.law.graph(values), reference=(0.0, 0.0)), points.shape[0] * points.shape[1])
+        graph, origin = self.law.graph(values), np.zeros(points.shape)
+        reference = graph.reference[1]
+        if flux_h is not None and any(reference is each for each in values.values()):
+            origin[:] = (points.means(np.reshape(reference, points.shape)) - flux_h)[:, None]
+        return chains_of(replace(graph, reference=(0.0, origin.ravel())), origin.size)
 
 
 @dataclass(frozen=True)
