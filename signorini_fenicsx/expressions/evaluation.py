@@ -19,7 +19,7 @@ from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.intervals import Elementary, FromNumPy, Interval, Truth, enclosing
 from signorini_fenicsx.expressions.tree import Binary, Negative, Number, Tree, evaluate, exactly
 
-_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt,
     "<=": operator.le,
     ">": operator.gt,
@@ -64,7 +64,7 @@ class Numeric(_Logic):
         return FUNCTIONS[name].numeric(*arguments)
 
     def compare(self, sign: str, left: Array, right: Array) -> Mask:
-        return np.asarray(_COMPARISONS[sign](left, right))
+        return np.asarray(COMPARISONS[sign](left, right))
 
     def choose(self, condition: Mask, then: Array, otherwise: Array) -> Any:
         return np.where(condition, then, otherwise)
