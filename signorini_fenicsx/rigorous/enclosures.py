@@ -135,7 +135,7 @@ def enclose(
                 return work.result()
             left -= wanted
             work.add(parts.take(~active), known[~active], unresolved=np.zeros(np.count_nonzero(~active), dtype=bool))
-            halves = parts.halves(cut)
+            halves = parts.take(cut).halves()
             kept = active & ~cut
             parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
 
