@@ -50,10 +50,10 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
-from signorini_fenicsx.certificate.hidden import hidden_parts
+from signorini_fenicsx.certificate.hidden import Pressure, hidden_parts
 from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
-from signorini_fenicsx.certificate.local_fluxes import FacetLoad
+from signorini_fenicsx.certificate.local_fluxes import FacetLoad, positive_quadrature
 from signorini_fenicsx.certificate.mean_loads import load_left
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
@@ -61,7 +61,7 @@ from signorini_fenicsx.certificate.oscillation import Memory, contact_excess, lo
 from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_type, owned_cells
+from signorini_fenicsx.discrete.points import facet_type, in_cells, owned_cells
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -166,16 +166,17 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
         excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
         trace = admissible_trace(solution, metric, y)
         contact = excess.gap(trace.above(excess.points), len(metric.volume))
+        pressures = [Pressure("psi", data.psi, excess.points, excess.values.max(axis=1, initial=0.0))]
     else:
-        trace, contact, load = _under_laws(solution, metric, goal, y, force)
+        (trace, contact, load), pressures = _under_laws(solution, metric, goal, y, force), []
         resolution.by_quadrature |= not_polynomial(goal)
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
     oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, force)
     if reaction is not None:
         contact = contact + reaction.gap
-    hidden = hidden_parts(resolution, trace, metric, force)
-    contact += hidden.gap
-    mismatch = _with_deviation(metric, flux, _mismatch(spaces, data, trace, flux), deviation)
+    hidden = hidden_parts(resolution, trace, metric, pressures, force)
+    contact = contact + hidden.gap
+    mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), deviation)
     mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
     least = None if reaction is None else reaction.least
@@ -184,14 +185,14 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
     indicator = fem.Function(spaces.Q, name="indicator")
     squares = mismatch + contact + oscillation**2
     indicator.x.array[:] = np.sqrt(np.maximum(squares, 0.0))  # no ghost cells; < 0: no bound
-    sums = np.array([(mismatch + contact).sum() / 2, (oscillation**2).sum(), resolution.missed.sum(), hidden.added])
-    total_gap, total_oscillation, missed, added = comm.allreduce(sums).tolist()
+    sums = np.array([(mismatch + contact).sum() / 2, (oscillation**2).sum(), resolution.missed.sum()])
+    total_gap, total_oscillation, missed = comm.allreduce(sums).tolist()
     bound = sigma_bound = np.inf
     if not trace.hindrance and np.isfinite(total_gap + total_oscillation):
         total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    enclosed = np.sqrt(missed) + left + np.sqrt(added)
+    enclosed = np.sqrt(missed) + left
     if np.isfinite(enclosed):
         enclosed = enclosed / bound if 0 < bound < np.inf else 0.0
     unresolved = resolution.account(enclosed)
@@ -255,7 +256,7 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
     mismatch = np.zeros(spaces.Q.dofmap.index_map.size_local)
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
-        for points in cell_quadrature(mesh, cells, degree):
+        for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
             mismatch[points.rows] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
     return mismatch

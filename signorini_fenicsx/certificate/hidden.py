@@ -9,8 +9,8 @@ linear, or a product of two such functions, on each cell.
 
 The smaller of both is added. Where such bounds of ∇d are not known, this is said.
 
-On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss |e| λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an obstacle
-in Ω the gap has (λ, v − ψ) in the same way.
+On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss |e| λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an
+obstacle in Ω the gap has (λ, v − ψ) in the same way.
 """
 
 from __future__ import annotations
@@ -21,18 +21,23 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.interpolants import in_nodes, quadratic_of
-from signorini_fenicsx.certificate.local_fluxes import positive_quadrature
+from signorini_fenicsx.certificate.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import Force
 from signorini_fenicsx.certificate.resolution import SHARE, SMALLEST, Resolution, of_all_cells
+from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
-from signorini_fenicsx.expressions.enclosures import slopes, tilts
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.enclosures import distances, means, ranges, seen, slopes, tilts
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients, bernstein
 
 CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
+LEBESGUE = 2.0
+"""A quadratic is at most so many times its largest value in the points of a quadrature."""
+POINTS = 8
+"""Least degree of the quadratures on Γ_S."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,9 @@ def hidden_parts(
 ) -> Hidden:
     """Bound what may be hidden (collective).
 
+    v contains ψ where it touches, and where it was raised to ψ. It cannot have been raised on facets where
+    v − I_hψ ≥ sup |ψ − I_hψ|.
+
     Args:
         resolution: Encloses the data.
         trace: Has v.
@@ -61,63 +69,77 @@ def hidden_parts(
         force: λ of an obstacle in Ω, None without one.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
-    for held in trace.held:
-        tree = resolution.tree(held.name, held.datum)
-        if tree is not None:
-            slope[held.cells] += _missed(resolution, held.name, tree, held.cells, metric, trace.degree)[0]
+    data, missed = resolution.data, _Missed(resolution, metric, trace.degree)
+    if (tree := resolution.tree("u_D", data.u_D)) is not None:
+        cells = trace.at_dirichlet.astype(np.int64)
+        slope[cells] += missed.of("u_D", tree, cells)[0]
+    if (tree := resolution.tree("psi", data.psi)) is not None:
+        cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree)).astype(np.int64)
+        slope[cells] += missed.of("psi", tree, cells)[0]
     for pressure in pressures:
-        tree = resolution.tree(pressure.name, pressure.datum)
-        if tree is not None:
+        if (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
             gap += pressure.missed(resolution, tree, len(gap))
-    obstacle = resolution.data.obstacle
-    tree = None if obstacle is None else resolution.tree("obstacle", obstacle.psi)
+    tree = None if data.obstacle is None else resolution.tree("obstacle", data.obstacle.psi)
     if tree is not None and force is not None:
         cells = _cells_of_obstacle(resolution, trace, tree)
-        steep, size = _missed(resolution, "obstacle", tree, cells, metric, trace.degree)
+        steep, size = missed.of("obstacle", tree, cells)
         slope[cells] += steep
         gap[cells] += 2 * force.largest[cells] * metric.volume[cells] * size
     return Hidden(slope, gap)
 
 
-def _missed(
-    resolution: Resolution, name: str, tree: Tree, cells: Indices, metric: CellMetric, degree: int
-) -> tuple[Array, Array]:
-    """What quadrature of a degree may miss on cells of ‖κ^½∇(χd)‖, and of the mean of |d| (collective)."""
-    comm, vertices = resolution.spaces.mesh.comm, resolution.vertices[cells]
-    inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
-    factor = metric.volume[cells] * metric.high[cells] / np.linalg.eigvalsh(inverse)[:, 0]
-    weight = factor / max(SHARE * resolution.error, SMALLEST) ** 2
-    limit = 1 / np.sqrt(max(comm.allreduce(len(cells)), 1) * weight)
-    value, gradient = (2 * each for each in slopes(tree, vertices, resolution.frame, limit / 4))
-    rough = gradient > limit / 2
-    p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
-    found = tilts(tree, vertices[rough], p, resolution.frame, weight[rough])
-    seen = _seen(tree, vertices[rough], p, degree)
-    decay = CUT_OFFS * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
-    with np.errstate(invalid="ignore"):
-        one = gradient + decay * value
-        other = found.tilt + seen[1] + decay[rough] * (found.norm + seen[0])
-    better = np.zeros(len(cells), dtype=bool)
-    better[rough] = other < one[rough]
-    one[rough], value[rough] = np.fmin(one[rough], other), np.fmin(value[rough], found.norm + seen[0])
-    unknown = ~np.isfinite(one)
-    place = vertices.mean(axis=1)
-    place[rough] = found.place
-    resolution.doubt(f"no bound of the gradient of {name} is known", place[unknown], cells[unknown])
-    missed = np.sqrt(factor) * np.where(unknown, 0.0, one)
-    resolution.record_size(name, cells, missed**2)
-    return missed, value
+def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
+    """Owned cells at facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
+    spaces = resolution.spaces
+    vertices = facet_corners(spaces.mesh, spaces.facets)
+    above = np.maximum(trace.lowest, 0.0)
+    found = ranges(tree, vertices, quadratic_of(vertices, in_nodes(tree, vertices)), resolution.frame, -above, above)
+    return np.asarray(spaces.cells[found.sup > above], dtype=np.int64)
 
 
-def _seen(tree: Tree, vertices: Array, p: Quadratic, degree: int) -> tuple[Array, Array]:
-    """Root mean squares of d and of |∇d| over the points of a quadrature."""
-    points, weights = positive_quadrature(SIMPLEX[vertices.shape[1]], degree)
-    x, weights = vertices[:, :1] + points @ (vertices[:, 1:] - vertices[:, :1]), weights / weights.sum()
-    value, gradient = values_and_gradient(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
-    jet = p.at(x - vertices.mean(axis=1, keepdims=True))
-    return np.sqrt((value - jet[:, :, 0]) ** 2 @ weights), np.sqrt(
-        ((gradient - jet[:, :, 1:]) ** 2).sum(axis=2) @ weights
-    )
+def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
+    """Owned cells where the obstacle may be larger than the quadratic v, or v is not quadratic (collective)."""
+    vertices = resolution.vertices
+    corners = vertices.shape[1]
+    nodes = trace.v.function_space.dofmap.list[: len(vertices), [*range(corners), *edge_order(corners)]]
+    p = quadratic_of(vertices, in_nodes(tree, vertices))
+    above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1), 0.0)
+    above[trace.altered] = 0.0
+    return np.flatnonzero(ranges(tree, vertices, p, resolution.frame, -above, above).sup > above)
+
+
+@dataclass(frozen=True)
+class _Missed:
+    """What quadrature of a degree may miss on cells."""
+
+    resolution: Resolution
+    metric: CellMetric
+    degree: int
+
+    def of(self, name: str, tree: Tree, cells: Indices) -> tuple[Array, Array]:
+        """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective)."""
+        resolution, metric, vertices = self.resolution, self.metric, self.resolution.vertices[cells]
+        comm, frame = resolution.spaces.mesh.comm, resolution.frame
+        inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
+        factor = metric.volume[cells] * metric.high[cells] / np.linalg.eigvalsh(inverse)[:, 0]
+        weight = factor / max(SHARE * resolution.error, SMALLEST) ** 2
+        limit = 1 / np.sqrt(max(comm.allreduce(len(cells)), 1) * weight)
+        value, gradient = (2 * each for each in slopes(tree, vertices, frame, limit / 4))
+        decay = CUT_OFFS * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
+        with np.errstate(invalid="ignore"):
+            slope, place = gradient + decay * value, vertices.mean(axis=1)
+        rough = ~(gradient <= limit / 2)
+        p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
+        found = tilts(tree, vertices[rough], p, frame, weight[rough])
+        shown = seen(tree, vertices[rough], p, self.degree)
+        other = found.tilt + shown[1] + decay[rough] * (found.norm + shown[0])
+        slope[rough], value[rough] = np.fmin(slope[rough], other), np.fmin(value[rough], found.norm + shown[0])
+        place[rough] = found.place
+        unknown = ~np.isfinite(slope)
+        resolution.note(name, place[unknown], cells[unknown])
+        missed = np.sqrt(factor) * np.where(unknown, 0.0, slope)
+        resolution.record_missed(name, cells, missed**2)
+        return missed, value
 
 
 @dataclass(frozen=True)
@@ -138,20 +160,15 @@ class Pressure:
 
     def missed(self, resolution: Resolution, tree: Tree, number: int) -> Array:
         """What quadrature may miss of twice ⟨λ, v − ψ⟩, per owned cell of so many (collective)."""
-        points, vertices = self.points, self.points.vertices
+        points, vertices, comm = self.points, self.points.vertices, resolution.spaces.mesh.comm
         size = points.integrals(2 * LEBESGUE * np.repeat(self.largest[:, None], points.shape[1], axis=1))
-        enough = (SHARE * resolution.error) ** 2 / np.maximum(
-            resolution.spaces.mesh.comm.allreduce(size.sum()), SMALLEST
-        )
+        enough = max((SHARE * resolution.error) ** 2 / max(comm.allreduce(size.sum()), SMALLEST), SMALLEST)
         rho = 2 * distances(tree, vertices, resolution.frame, np.full(len(vertices), enough / 4))
-        rough = (rho > enough / 2) & (size > 0)
+        rough = ~(rho <= enough / 2) & (size > 0)
         p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
-        weight = size[rough] / enough
-        found = means(
-            tree, vertices[rough], p, resolution.frame, np.ones(np.count_nonzero(rough)) / max(enough, SMALLEST) ** 2
-        )
-        seen = _seen(tree, vertices[rough], p, 8)[0]
-        rho[rough] = np.fmin(rho[rough], found.norm + seen)
+        weight = np.full(len(p.value), 1 / (enough**2 * max(comm.allreduce(np.count_nonzero(rough)), 1)))
+        found = means(tree, vertices[rough], p, resolution.frame, weight)
+        rho[rough] = np.fmin(rho[rough], found.norm + seen(tree, vertices[rough], p, POINTS)[0])
         missed = np.where(size > 0, size * rho, 0.0)
-        resolution.record_size(self.name, points.cells, missed)
+        resolution.record_missed(self.name, points.cells.astype(np.int64), missed)
         return points.per_cell(missed, number)

@@ -218,7 +218,7 @@ def _remembered(
 
 
 def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> tuple[Projection, Array]:
-    """A load on the owned cells less its means, and these; `degree` is that of a quadrature for its square (collective)."""
+    """A load on the owned cells less its means, and these; the quadrature is for squares of `degree` (collective)."""
     cell = spaces.mesh.basix_cell()
     points, weights = positive_quadrature(cell, degree)
     parts, means = [], []

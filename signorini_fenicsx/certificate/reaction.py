@@ -7,9 +7,9 @@ times too large. r − g is a load like f − f_h, for which
 
     (r − g, w)_T ≤ min(the factor of `local_fluxes`, c^-½‖r − g‖_T) ‖w‖_T.
 
-For c a quadratic p stands, with mean p_T, and S is at least the root mean square of c − p: r is f − f_h + (p_T u* − pv),
-δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T)u*, a number on each cell, and (p − c)(v + δ), whose mean and
-root mean square are at most S(|v| + |δ|). Where p_T ≤ 0, δ is 0.
+For c a quadratic p stands, with mean p_T, and S is at least the root mean square of c − p: r is f − f_h + (p_T u* −
+pv), δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T)u*, a number on each cell, and (p − c)(v + δ), whose
+mean and root mean square are at most S(|v| + |δ|). Where p_T ≤ 0, δ is 0.
 """
 
 from __future__ import annotations

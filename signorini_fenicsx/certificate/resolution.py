@@ -17,14 +17,14 @@ Polynomials are integrated exactly. Data given in Python have no trees; for thes
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.certificate.local_fluxes import facet_constants, positive_quadrature
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.cell_shapes import corners
@@ -38,8 +38,6 @@ from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, inter
 from signorini_fenicsx.expressions.taylor import DEGREE
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-
-type Indices = npt.NDArray[np.int32]
 
 EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
@@ -67,7 +65,7 @@ class Seen:
     norm: Array
     mean: Array
 
-    def of(self, rows: Indices | Mask) -> Seen:
+    def of(self, rows: AnyIndices | Mask) -> Seen:
         """That on some of them."""
         return Seen(self.p.of(rows), self.norm[rows], self.mean[rows])
 
@@ -85,8 +83,7 @@ class Resolution:
         unresolved: Data with a place each that are not resolved, on this rank.
         coarse: Mask of the owned cells with such places.
         load: c, the means of the missed loads, per owned cell.
-        missed: What quadrature has missed apart from these means, squared, per owned cell.
-        lost: Data that the bound does not take into account.
+        missed: What the enclosures add to the bound apart from these means, squared, per owned cell.
     """
 
     spaces: Spaces
@@ -98,8 +95,8 @@ class Resolution:
     coarse: Mask = field(init=False)
     load: Interval = field(init=False)
     missed: Array = field(init=False)
-    lost: set[str] = field(default_factory=set)
     _sizes: dict[str, Array] = field(default_factory=dict)
+    _loads: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         number = self.spaces.Q.dofmap.index_map.size_local
@@ -110,7 +107,9 @@ class Resolution:
     def frame(self) -> Frame:
         """The domain, for enclosures (collective)."""
         spaces = self.spaces
-        return Frame(spaces.domain.box(), spaces.Q.dofmap.index_map.size_global, spaces.mesh.comm)
+        return Frame(
+            spaces.domain.box()[:, : spaces.mesh.geometry.dim], spaces.Q.dofmap.index_map.size_global, spaces.mesh.comm
+        )
 
     @cached_property
     def vertices(self) -> Array:
@@ -129,8 +128,14 @@ class Resolution:
         """Whether enclosures are needed and possible: not for polynomials, and not for data given in Python."""
         return any(is_enclosed(tree) for tree, _ in self.pieces(name, datum))
 
+    def tree(self, name: str, datum: Datum) -> Tree | None:
+        """The tree of a datum that is to be enclosed and is given everywhere at once; None if there is none."""
+        return next(
+            (tree for tree, _ in self.pieces(name, datum) if isinstance(tree, TREES) and is_enclosed(tree)), None
+        )
+
     def on_cells(
-        self, name: str, datum: Datum, seen: Seen, metric: CellMetric, cells: Indices, factor: Array | float = 1.0
+        self, name: str, datum: Datum, seen: Seen, metric: CellMetric, cells: AnyIndices, factor: Array | float = 1.0
     ) -> Array:
         """Root mean square of a load minus p on some owned cells; its mean is recorded (collective).
 
@@ -175,8 +180,8 @@ class Resolution:
         self._record(name, cells, mean, squares * np.maximum(norm**2 - seen.norm**2, 0.0), metric)
         return np.asarray(norm * np.sqrt(area), dtype=np.float64)
 
-    def deviation(self, tree: Tree, p: Quadratic, cells: Indices, tolerance: Array) -> Array:
-        """Root mean square of a tree minus quadratics on some owned cells, about as sharp as `tolerance` (collective)."""
+    def deviation(self, tree: Tree, p: Quadratic, cells: AnyIndices, tolerance: Array) -> Array:
+        """Root mean square of a tree minus quadratics on owned cells, about as sharp as `tolerance` (collective)."""
         rule = positive_quadrature(self.spaces.mesh.basix_cell(), 2 * DEGREE)
         norm, mean = np.empty((2, len(cells)))
         for points in in_cells(self.spaces.mesh, cells.astype(np.int32), *rule):
@@ -198,14 +203,20 @@ class Resolution:
         norm[hidden], mean[:, hidden] = found.norm, [found.mean.lo, found.mean.hi]
         return norm, mean
 
-    def _record(self, name: str, cells: Indices, mean: Interval, squares: Array, metric: CellMetric) -> None:
+    def _record(self, name: str, cells: AnyIndices, mean: Interval, squares: Array, metric: CellMetric) -> None:
         """Record a load of which these means, and these squares of factors of |w|, are not seen."""
         number = len(self.coarse)
         self.load = self.load + Interval(*(np.bincount(cells, end, number) for end in (mean.lo, mean.hi)))
-        self.missed += np.bincount(cells, squares, number)
+        self.record_missed(name, cells, squares)
         of_mean = (SHARE * self.error * mean.largest / self._tolerance(metric)[cells]) ** 2
-        more = np.bincount(cells, squares + of_mean * metric.volume[cells] / self.volume, number)
-        self._sizes[name] = self._sizes.get(name, 0.0) + more
+        self._loads.add(name)
+        self._sizes[name] += np.bincount(cells, of_mean * metric.volume[cells] / self.volume, number)
+
+    def record_missed(self, name: str, cells: AnyIndices, squares: Array) -> None:
+        """Record squares of what a datum adds to the bound on some owned cells."""
+        of_cells = np.bincount(cells, squares, len(self.coarse))
+        self.missed += of_cells
+        self._sizes[name] = self._sizes.get(name, 0.0) + of_cells
 
     def add_means(self, name: str, means: Array, metric: CellMetric) -> None:
         """Record the means of a load on the owned cells."""
@@ -216,7 +227,7 @@ class Resolution:
         squares = (metric.diameter / np.pi * size) ** 2 * metric.volume / metric.low
         self._record(name, np.arange(len(size)), Interval(-size, size), squares, metric)
 
-    def range_of(self, name: str, datum: Datum, cells: Indices, limit: Array) -> Interval:
+    def range_of(self, name: str, datum: Datum, cells: AnyIndices, limit: Array) -> Interval:
         """Range of a datum on some owned cells, as narrow as is needed to see whether it is ≤ a limit (collective).
 
         Of data given in Python the range in the points of a quadrature.
@@ -267,8 +278,6 @@ class Resolution:
             ratios[:, :, -1].max(axis=1, initial=1.0) + beside,
         )
         lost = ~(low > 0)
-        if lost.any():
-            self.lost.add("kappa")
         self.note("kappa", self.vertices[lost].mean(axis=1), np.flatnonzero(lost))
         low, high, deviation = (
             np.where(lost, metric.low, low),
@@ -297,7 +306,18 @@ class Resolution:
         """A load size per owned cell that makes about the share SHARE of the error."""
         return np.maximum(self.flux(metric) / self.volume ** (1 / self.vertices.shape[2]), SMALLEST)
 
-    def note(self, name: str, places: Array, cells: Indices) -> None:
+    def load_left(self, measure: Callable[[Interval], float]) -> float:
+        """What the means of the loads add to the bound, by `measure`; where that is infinite without Γ_D, nothing.
+
+        Then these loads rely on quadrature (collective).
+        """
+        left = measure(self.load)
+        if np.isfinite(left) or self.spaces.has_dirichlet:
+            return left
+        self.by_quadrature |= self._loads
+        return 0.0
+
+    def note(self, name: str, places: Array, cells: AnyIndices) -> None:
         """Record places on some cells where a datum is not resolved."""
         self.unresolved += [(name, tuple(place)) for place in places.tolist()]
         self.coarse[cells] = True

@@ -1,8 +1,8 @@
 """Enclosures of data on simplices: of d = e − p, an expression e minus a quadratic p.
 
-Let e be within ρ of a polynomial on a simplex, and Q a quadrature with positive weights that is exact for the polynomial
-and its square. Then the mean of d is in Q(d) ± 2ρ, and its root mean square at most Q(d²)^½ + 2ρ; likewise for ∇d. `taylor`
-gives ρ.
+Let e be within ρ of a polynomial on a simplex, and Q a quadrature with positive weights that is exact for the
+polynomial and its square. Then the mean of d is in Q(d) ± 2ρ, and its root mean square at most Q(d²)^½ + 2ρ; likewise
+for ∇d. `taylor` gives ρ.
 
 *Boxes.* First ρ is taken from boxes that contain many simplices, smaller and smaller ones, until it is small enough.
 *Parts.* The other simplices are cut into parts: along the switch of a condition if one is undecided, else through the
@@ -276,7 +276,7 @@ def ranges(
         low: Of each simplex.
         high: Of each simplex.
     """
-    number, dim = len(vertices), vertices.shape[2]
+    number = len(vertices)
     low, high = (np.broadcast_to(end, number) for end in (low, high))
 
     def bounds(parts: Parts, rho: Array) -> Array:
@@ -354,18 +354,19 @@ def _in_parts(
         need: Gives from this how much each part needs to be cut.
     """
 
-    def seen(parts: Parts) -> tuple[Array, ...]:
-        found = []
+    def looked(parts: Parts) -> tuple[Array, Array]:
+        found, cuts = [], []
         for begin in range(0, max(len(parts.own), 1), CHUNK):
             some = parts.take(slice(begin, begin + CHUNK))
             regions = Regions.of_simplices(some.vertices, frame.scale)
             series, switch = expanded(tree, regions)
             remainder = Remainder.of(series, regions.half, slice(None), np.ones_like(regions.half))
-            found.append((look(some, remainder), *_cuts(some, regions, switch)))
-        return tuple(map(np.concatenate, zip(*found, strict=True)))
+            found.append(look(some, remainder))
+            cuts.append(_cuts(some, regions, switch))
+        return np.concatenate(found), np.concatenate(cuts)
 
     parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
-    known, *cuts = seen(parts)
+    known, cuts = looked(parts)
     left = MOST + MOST_EACH * frame.simplices - frame.comm.allreduce(len(vertices))
     while True:
         needs = np.where(parts.share > FINEST, need(parts, known), 0.0)
@@ -375,11 +376,12 @@ def _in_parts(
         chosen = _worst(needs, 1 / number, left // 2, frame.comm)
         if not frame.comm.allreduce(np.count_nonzero(chosen)):
             return parts, known
-        halves = parts.take(chosen).cut(*(cut[chosen] for cut in cuts))
+        first, second = cuts[chosen, :2].astype(np.int64).T
+        halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
         left -= frame.comm.allreduce(len(halves.own))
         parts = parts.take(~chosen).and_(halves)
-        more = seen(halves)
-        known, *cuts = (np.concatenate([old[~chosen], new]) for old, new in zip((known, *cuts), more, strict=True))
+        new = looked(halves)
+        known, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((known, cuts), new, strict=True))
 
 
 def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
@@ -392,8 +394,8 @@ def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
     return np.zeros(len(needs), dtype=bool)
 
 
-def _cuts(parts: Parts, regions: Regions, switch: Switch) -> tuple[Indices, Indices, Array]:
-    """Where each part is to be cut: an edge by the numbers of its vertices, and the share of it at the first."""
+def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
+    """Where each part is to be cut: the numbers of two vertices, and the share of their edge at the first."""
     first, second = parts.longest()
     share, rows = np.full(len(first), 0.5), np.arange(len(first))
     a = switch.at + np.einsum("in,icn->cn", switch.slope, regions.corners)
@@ -406,20 +408,36 @@ def _cuts(parts: Parts, regions: Regions, switch: Switch) -> tuple[Indices, Indi
             place = (level - least) / (most - least)
         here = switch.undecided & (place > margin) & (place < 1 - margin)
         first, second, share = (np.where(here, *pair) for pair in ((low, first), (high, second), (place, share)))
-    return first, second, share
+    return np.column_stack([first, second, share])
 
 
-def _points(vertices: Array) -> tuple[Array, Array]:
+def seen(tree: Tree, vertices: Array, p: Quadratic, degree: int) -> tuple[Array, Array]:
+    """Root mean squares of d and of |∇d| over the points of a quadrature with positive weights."""
+    found = np.empty((2, len(vertices)))
+    for begin in range(0, len(vertices), CHUNK):
+        some = slice(begin, begin + CHUNK)
+        x, weights = _points(vertices[some], degree)
+        value, gradient = values_and_gradient(tree, _named(x))
+        jet = Quadratic(p.value[some], p.gradient[some], p.hessian[some]).at(
+            x - vertices[some].mean(axis=1, keepdims=True)
+        )
+        found[0, some] = np.sqrt((value - jet[:, :, 0]) ** 2 @ weights)
+        found[1, some] = np.sqrt(((gradient - jet[:, :, 1:]) ** 2).sum(axis=2) @ weights)
+    return found[0], found[1]
+
+
+def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
     """Points of a quadrature in each simplex, shape (n, points, dim), and its weights > 0 with sum 1."""
-    points, weights = _rule(vertices.shape[1])
+    points, weights = _rule(vertices.shape[1], degree)
     return vertices[:, :1] + points @ (vertices[:, 1:] - vertices[:, :1]), weights
 
 
 @cache
-def _rule(corners: int) -> tuple[Array, Array]:
+def _rule(corners: int, degree: int) -> tuple[Array, Array]:
     cell = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}[corners]
-    kind = basix.QuadratureType.xiao_gimbutas if corners > 2 else basix.QuadratureType.default
-    points, weights = basix.make_quadrature(cell, 2 * DEGREE, kind)
+    few = degree <= {2: -1, 3: 30, 4: 15}[corners]
+    kind = basix.QuadratureType.xiao_gimbutas if few else basix.QuadratureType.gauss_jacobi
+    points, weights = basix.make_quadrature(cell, degree, kind)
     return points, weights / weights.sum()
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
 from signorini_fenicsx.expressions.evaluation import values
 from signorini_fenicsx.expressions.tree import Tree
 
@@ -28,7 +28,7 @@ class Quadratic:
     gradient: Array
     hessian: Array
 
-    def of(self, rows: Indices | Mask) -> Quadratic:
+    def of(self, rows: AnyIndices | Mask) -> Quadratic:
         """That of some of the simplices."""
         return Quadratic(self.value[rows], self.gradient[rows], self.hessian[rows])
 

@@ -9,9 +9,9 @@ contains H^α ∂^α e/α! in all points of the box. By Taylor's formula e is on
 of a polynomial of degree j, for each j ≤ K, and its gradient is within the derivative of this sum of the gradient of
 the same polynomial.
 
-Where a condition is undecided, e is in the hull of both branches. Gradients of min, max and abs are in the hull of those
-of both branches (Clarke's gradient); all other derivatives are unknown. Such a region can be cut along the *switch*
-a = 0 that is undecided: a is within `Switch.blur` of an affine function.
+Where a condition is undecided, e is in the hull of both branches. Gradients of min, max and abs are in the hull of
+those of both branches (Clarke's gradient); all other derivatives are unknown. Such a region can be cut along the
+*switch* a = 0 that is undecided: a is within `Switch.blur` of an affine function.
 
 Floating-point arithmetic counts as exact here. For proofs, rounding included, there is `simplices`.
 """
@@ -131,7 +131,8 @@ class Series:
     def of(self, derivatives: Sequence[Interval | None], at: Array) -> Series:
         """φ(e), from enclosures of φ^(k)(e)/k! for 0 ≤ k ≤ K, None for 0, and its value in c."""
         change: list[Layer] = [None, *self.layers]
-        power, layers, value = change, [None] * (DEGREE + 1), derivatives[0]
+        layers: list[Layer] = [None] * (DEGREE + 1)
+        power, value = change, derivatives[0]
         assert value is not None
         unknown = np.isnan(value.lo + value.hi)
         for derivative in derivatives[1:]:
@@ -344,7 +345,7 @@ class _Taylor:
             return arguments[0].power(0.5)
         value = function.enclosure(NUMPY, *(a.value for a in arguments))
         if name == "atan2":
-            return self._angle(*arguments, at, value)
+            return self._angle(arguments[0], arguments[1], at, value)
         left, right = arguments if len(arguments) == 2 else (arguments[0], -arguments[0])
         first = self.compare("<=" if name == "min" else ">=", left, right)
         return self._chosen(first, left, right, at, value, continuous=True)
@@ -414,13 +415,12 @@ class _Taylor:
                 continue
             zero = np.zeros((len(indices(len(self._regions.centre), order)), 1))
             one, other = a or (zero, zero), b or (zero, zero)
-            mixed = _hull(one, other) if order == 1 and continuous else (0.0, np.inf)
-            layers.append(
-                tuple(  # type: ignore[arg-type]
-                    np.where(condition.surely, x, np.where(condition.possibly, both, y))
-                    for x, y, both in zip(one, other, mixed, strict=True)
-                )
+            mixed = _hull(one, other) if order == 1 and continuous else (zero, zero + np.inf)
+            mid, rad = (
+                np.where(condition.surely, x, np.where(condition.possibly, both, y))
+                for x, y, both in zip(one, other, mixed, strict=True)
             )
+            layers.append((mid, rad))
         found = then._with(otherwise, at, value, layers)
         return replace(found, corners=self._regions.corners) if undecided.any() else found
 
