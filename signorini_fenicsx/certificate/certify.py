@@ -174,11 +174,11 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
     oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, force)
     if reaction is not None:
         contact = contact + reaction.gap
-    hidden = hidden_parts(resolution, trace, metric, pressures, force)
-    contact = contact + hidden.gap
     mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), deviation)
-    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
+    hidden = hidden_parts(resolution, trace, metric, pressures, force, known)
+    contact = contact + hidden.gap
+    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     least = None if reaction is None else reaction.least
     left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * known))
     oscillation = _with_more(oscillation, left, metric, comm)

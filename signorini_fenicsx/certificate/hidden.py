@@ -7,7 +7,8 @@ linear, or a product of two such functions, on each cell.
   most 2κ_max^½|T|^½ (ρ' + |∇χ|ρ), because it integrates the squares of polynomials exactly.
 - In any case it misses at most κ_max^½ (‖∇d‖ + ‖∇d‖_Q + |∇χ|(‖d‖ + ‖d‖_Q)), with the norms by quadrature ‖·‖_Q.
 
-The smaller of both is added. Where such bounds of ∇d are not known, this is said.
+The smaller of both is added, unless this were more than all other terms of the bound. Then, and where no bound of ∇d
+is known, the datum is not resolved: the bound relies on quadrature there, and this is said.
 
 On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss |e| λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an
 obstacle in Ω the gap has (λ, v − ψ) in the same way.
@@ -15,11 +16,13 @@ obstacle in Ω the gap has (λ, v − ψ) in the same way.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.certificate.metric import CellMetric
@@ -30,7 +33,7 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, seen, slopes, tilts
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients, bernstein
+from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
 
 CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
@@ -54,7 +57,12 @@ class Hidden:
 
 
 def hidden_parts(
-    resolution: Resolution, trace: Trace, metric: CellMetric, pressures: list[Pressure], force: Force | None
+    resolution: Resolution,
+    trace: Trace,
+    metric: CellMetric,
+    pressures: list[Pressure],
+    force: Force | None,
+    known: float,
 ) -> Hidden:
     """Bound what may be hidden (collective).
 
@@ -67,9 +75,10 @@ def hidden_parts(
         metric: Metric of the owned cells.
         pressures: What presses v against bounds on Γ_S.
         force: λ of an obstacle in Ω, None without one.
+        known: The bound without what is hidden.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
-    data, missed = resolution.data, _Missed(resolution, metric, trace.degree)
+    data, missed = resolution.data, _Missed(resolution, metric, trace.degree, known)
     if (tree := resolution.tree("u_D", data.u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         slope[cells] += missed.of("u_D", tree, cells)[0]
@@ -93,8 +102,8 @@ def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
     spaces = resolution.spaces
     vertices = facet_corners(spaces.mesh, spaces.facets)
     above = np.maximum(trace.lowest, 0.0)
-    found = ranges(tree, vertices, quadratic_of(vertices, in_nodes(tree, vertices)), resolution.frame, -above, above)
-    return np.asarray(spaces.cells[found.sup > above], dtype=np.int64)
+    p = quadratic_of(vertices, in_nodes(tree, vertices))
+    return np.asarray(spaces.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
 
 
 def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
@@ -105,16 +114,23 @@ def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indi
     p = quadratic_of(vertices, in_nodes(tree, vertices))
     above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1), 0.0)
     above[trace.altered] = 0.0
-    return np.flatnonzero(ranges(tree, vertices, p, resolution.frame, -above, above).sup > above)
+    return np.flatnonzero(_beyond(resolution, tree, vertices, p, above))
+
+
+def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, limit: Array) -> Mask:
+    """Mask of the simplices where |d| may be larger than a limit ≥ 0; true where that is 0 (collective)."""
+    end = np.where(limit > 0, limit, np.inf)
+    return np.asarray((limit == 0) | (ranges(tree, vertices, p, resolution.frame, -end, end).sup > limit))
 
 
 @dataclass(frozen=True)
 class _Missed:
-    """What quadrature of a degree may miss on cells."""
+    """What quadrature of a degree may miss on cells; gradients that add more than `known` are left out, and noted."""
 
     resolution: Resolution
     metric: CellMetric
     degree: int
+    known: float
 
     def of(self, name: str, tree: Tree, cells: Indices) -> tuple[Array, Array]:
         """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective)."""
@@ -135,9 +151,15 @@ class _Missed:
         other = found.tilt + shown[1] + decay[rough] * (found.norm + shown[0])
         slope[rough], value[rough] = np.fmin(slope[rough], other), np.fmin(value[rough], found.norm + shown[0])
         place[rough] = found.place
-        unknown = ~np.isfinite(slope)
-        resolution.note(name, place[unknown], cells[unknown])
-        missed = np.sqrt(factor) * np.where(unknown, 0.0, slope)
+        unknown = ~np.isfinite(slope + value)
+        resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
+        slope[unknown], value[unknown] = 0.0, 0.0
+        missed = np.sqrt(factor) * slope
+        total = math.sqrt(comm.allreduce((missed**2).sum()))
+        if total > self.known:
+            worst = missed >= comm.allreduce(missed.max(initial=0.0), MPI.MAX) / 4
+            resolution.note(name, place[worst], cells[worst])
+            return np.zeros_like(missed), value
         resolution.record_missed(name, cells, missed**2)
         return missed, value
 

@@ -266,15 +266,15 @@ class Ranges:
 def ranges(
     tree: Tree, vertices: Array, p: Quadratic | None, frame: Frame, low: Array | float, high: Array | float
 ) -> Ranges:
-    """Enclose values, as narrowly as is needed to see whether low ≤ d ≤ high, or up to a factor of 2 (collective).
+    """Enclose values, as narrowly as is needed to see whether low ≤ d ≤ high; beyond, up to a factor of 2 (collective).
 
     Args:
         tree: The expression.
         vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
         p: The quadratics; None for 0.
         frame: The domain.
-        low: Of each simplex.
-        high: Of each simplex.
+        low: Of each simplex; −∞ for none.
+        high: Of each simplex; ∞ for none.
     """
     number = len(vertices)
     low, high = (np.broadcast_to(end, number) for end in (low, high))
@@ -294,8 +294,8 @@ def ranges(
 
     def lacking(own: Indices, known: Array) -> Array:
         lo, hi, least, most = known[:, :4].T
-        below = np.minimum(low[own], 2 * least) - lo
-        above = hi - np.maximum(high[own], 2 * most)
+        below = np.where(least < low[own], 2 * least, low[own]) - lo
+        above = hi - np.where(most > high[own], 2 * most, high[own])
         return np.asarray(np.maximum(below, above))
 
     everything = Parts(vertices, np.arange(number), np.ones(number))
