@@ -39,6 +39,11 @@ CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
 LEBESGUE = 2.0
 """A quadratic is at most so many times its largest value in the points of a quadrature."""
+BESIDE = 1e-4, 1e-8
+"""A datum jumps if it is as far from its value in a node at the second share of the way to the centroid as at the
+first; r^α would be 10^-4α times as far."""
+ROUNDING = 1e-12
+"""Relative size of what is no jump."""
 POINTS = 8
 """Least degree of the quadratures on Γ_S."""
 
@@ -120,7 +125,7 @@ def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indi
 def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, limit: Array) -> Mask:
     """Mask of the simplices where |d| may be larger than a limit ≥ 0; true where that is 0 (collective)."""
     end = np.where(limit > 0, limit, np.inf)
-    return np.asarray((limit == 0) | (ranges(tree, vertices, p, resolution.frame, -end, end).sup > limit))
+    return np.asarray((limit == 0) | (ranges(tree, vertices, p, resolution.spaces.frame, -end, end).sup > limit))
 
 
 @dataclass(frozen=True)
@@ -135,7 +140,7 @@ class _Missed:
     def of(self, name: str, tree: Tree, cells: Indices) -> tuple[Array, Array]:
         """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective)."""
         resolution, metric, vertices = self.resolution, self.metric, self.resolution.vertices[cells]
-        comm, frame = resolution.spaces.mesh.comm, resolution.frame
+        comm, frame = resolution.spaces.mesh.comm, resolution.spaces.frame
         inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
         factor = metric.volume[cells] * metric.high[cells] / np.linalg.eigvalsh(inverse)[:, 0]
         weight = factor / max(SHARE * resolution.error, SMALLEST) ** 2
@@ -151,7 +156,7 @@ class _Missed:
         other = found.tilt + shown[1] + decay[rough] * (found.norm + shown[0])
         slope[rough], value[rough] = np.fmin(slope[rough], other), np.fmin(value[rough], found.norm + shown[0])
         place[rough] = found.place
-        unknown = ~np.isfinite(slope + value)
+        unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices)
         resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
         slope[unknown], value[unknown] = 0.0, 0.0
         missed = np.sqrt(factor) * slope
@@ -162,6 +167,14 @@ class _Missed:
             return np.zeros_like(missed), value
         resolution.record_missed(name, cells, missed**2)
         return missed, value
+
+
+def _jumps(tree: Tree, vertices: Array) -> Mask:
+    """Mask of the simplices in whose nodes the values of a tree are not the limits from inside."""
+    inside = vertices.mean(axis=1, keepdims=True) - vertices
+    at, near, nearer = (in_nodes(tree, vertices + share * inside) for share in (0.0, *BESIDE))
+    far, close = np.abs(near - at), np.abs(nearer - at)
+    return np.asarray(((close > far / 2) & (close > ROUNDING * np.abs(at).max(initial=0.0))).any(axis=1))
 
 
 @dataclass(frozen=True)
@@ -185,11 +198,11 @@ class Pressure:
         points, vertices, comm = self.points, self.points.vertices, resolution.spaces.mesh.comm
         size = points.integrals(2 * LEBESGUE * np.repeat(self.largest[:, None], points.shape[1], axis=1))
         enough = max((SHARE * resolution.error) ** 2 / max(comm.allreduce(size.sum()), SMALLEST), SMALLEST)
-        rho = 2 * distances(tree, vertices, resolution.frame, np.full(len(vertices), enough / 4))
+        rho = 2 * distances(tree, vertices, resolution.spaces.frame, np.full(len(vertices), enough / 4))
         rough = ~(rho <= enough / 2) & (size > 0)
         p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
         weight = np.full(len(p.value), 1 / (enough**2 * max(comm.allreduce(np.count_nonzero(rough)), 1)))
-        found = means(tree, vertices[rough], p, resolution.frame, weight)
+        found = means(tree, vertices[rough], p, resolution.spaces.frame, weight)
         rho[rough] = np.fmin(rho[rough], found.norm + seen(tree, vertices[rough], p, POINTS)[0])
         missed = np.where(size > 0, size * rho, 0.0)
         resolution.record_missed(self.name, points.cells.astype(np.int64), missed)

@@ -38,6 +38,10 @@ SQUARE = 8
 """Degree of (pv)² for two quadratics."""
 
 
+ROUNDING = 1e-9
+"""A c < 0 of this size, relative to the largest c, counts as rounding."""
+
+
 @dataclass(frozen=True)
 class ReactionTerms:
     """The terms of cu, per owned cell.
@@ -129,7 +133,9 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
         degree = polynomial_degree(tree)
         if degree is None or degree > 2:
             deviation[cells] = resolution.deviation(tree, q, cells, tolerance[cells])
-            least[cells] = ranges(tree, vertices[cells], None, resolution.frame, 0.0, np.inf).lo
+            least[cells] = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, np.inf).lo
+    below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))
+    resolution.note("the sign of c", vertices[below].mean(axis=1), below)
     if not resolution.spaces.mesh.comm.allreduce(bool(p.value.any() or deviation.any()), MPI.LOR):
         return None
     return _Coefficient(lambda points: _values(p, points), deviation, np.maximum(least, 0.0))

@@ -31,7 +31,7 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import FacetPoints, cell_quadrature, in_cells
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, values
-from signorini_fenicsx.expressions.enclosures import Frame, distances, means, ranges
+from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
@@ -102,14 +102,6 @@ class Resolution:
         number = self.spaces.Q.dofmap.index_map.size_local
         self.coarse, self.missed = np.zeros(number, dtype=bool), np.zeros(number)
         self.load = enclosing(np.zeros(number))
-
-    @cached_property
-    def frame(self) -> Frame:
-        """The domain, for enclosures (collective)."""
-        spaces = self.spaces
-        return Frame(
-            spaces.domain.box()[:, : spaces.mesh.geometry.dim], spaces.Q.dofmap.index_map.size_global, spaces.mesh.comm
-        )
 
     @cached_property
     def vertices(self) -> Array:
@@ -196,10 +188,10 @@ class Resolution:
         """Root mean square and the ends of the mean of a tree minus p, with the weights of `means` (collective)."""
         number = self.spaces.mesh.comm.allreduce(len(vertices))
         limit = 1 / np.sqrt(np.maximum(number, 1) * weight)
-        rho = 2 * distances(tree, vertices, self.frame, limit / 4)
+        rho = 2 * distances(tree, vertices, self.spaces.frame, limit / 4)
         norm, mean = seen.norm + rho, np.stack([seen.mean - rho, seen.mean + rho])
         hidden = rho > limit / 2
-        found = means(tree, vertices[hidden], seen.p.of(hidden), self.frame, weight[hidden])
+        found = means(tree, vertices[hidden], seen.p.of(hidden), self.spaces.frame, weight[hidden])
         norm[hidden], mean[:, hidden] = found.norm, [found.mean.lo, found.mean.hi]
         return norm, mean
 
@@ -240,7 +232,7 @@ class Resolution:
             assert isinstance(tree, TREES)
             below = np.flatnonzero((hi <= limit) & np.isin(cells, own))
             least, most = (2 * lo - limit)[below], limit[below]
-            found = ranges(tree, self.vertices[cells[below]], None, self.frame, least, most)
+            found = ranges(tree, self.vertices[cells[below]], None, self.spaces.frame, least, most)
             lo[below], hi[below] = found.lo, found.hi
         return Interval(lo, hi)
 
@@ -266,7 +258,7 @@ class Resolution:
             degree = polynomial_degree(tree)
             if degree is None or degree > 2:
                 tolerance = SHARE * self.error / max(size, SMALLEST) * np.abs(of_p).max(axis=1, initial=0.0)
-                found = ranges(tree, self.vertices[cells], p, self.frame, -tolerance, tolerance)
+                found = ranges(tree, self.vertices[cells], p, self.spaces.frame, -tolerance, tolerance)
                 deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * found.sup)
             for i, j in entries:
                 coefficients[cells, :, i, j] = of_p

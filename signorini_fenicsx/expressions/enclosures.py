@@ -294,8 +294,8 @@ def ranges(
 
     def lacking(own: Indices, known: Array) -> Array:
         lo, hi, least, most = known[:, :4].T
-        below = np.where(least < low[own], 2 * least, low[own]) - lo
-        above = hi - np.where(most > high[own], 2 * most, high[own])
+        below = low[own] - lo - 2 * np.maximum(low[own] - least, 0.0)
+        above = hi - high[own] - 2 * np.maximum(most - high[own], 0.0)
         return np.asarray(np.maximum(below, above))
 
     everything = Parts(vertices, np.arange(number), np.ones(number))
