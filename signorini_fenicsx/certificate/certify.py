@@ -50,7 +50,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux
 from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
-from signorini_fenicsx.certificate.hidden import Pressure, hidden_parts
+from signorini_fenicsx.certificate.hidden import Pressure, degree_near, hidden_parts
 from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, positive_quadrature
@@ -255,7 +255,7 @@ def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:
     far = np.delete(owned_cells(mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
     mismatch = np.zeros(spaces.Q.dofmap.index_map.size_local)
-    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, trace.degree)):
+    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, degree_near(trace))):
         for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
             mismatch[points.rows] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))

@@ -1,16 +1,16 @@
-"""What quadrature may miss of data that v contains themselves: u_D, ψ, other bounds and levels, an obstacle.
+"""What quadrature may miss of data that v contains themselves: u_D, ψ, an obstacle.
 
-Let d be the difference between such a datum and its P2 interpolant. v contains χd near Γ_D and Γ_S, with a χ that is
-linear, or a product of two such functions, on each cell.
+v contains χe near Γ_D and Γ_S, with such a datum e and a χ that is linear, or a product of two such functions, on each
+cell. Quadrature integrates the squares of polynomials exactly. So it misses of ‖κ^½∇v − κ^-½y‖_T,
 
-- If d is on T within ρ of a polynomial, and ∇d within ρ' of its gradient, quadrature misses of ‖κ^½∇v − κ^-½y‖_T at
-  most 2κ_max^½|T|^½ (ρ' + |∇χ|ρ), because it integrates the squares of polynomials exactly.
-- In any case it misses at most κ_max^½ (‖∇d‖ + ‖∇d‖_Q + |∇χ|(‖d‖ + ‖d‖_Q)), with the norms by quadrature ‖·‖_Q.
+- if e is on T within ρ of a polynomial, and ∇e within ρ' of its gradient, at most 2κ_max^½|T|^½ (ρ' + |∇χ|ρ);
+- with d = e − P for any polynomial P, at most κ_max^½ (‖∇d‖ + ‖∇d‖_Q + |∇χ|(‖d‖ + ‖d‖_Q)), where the norms ‖·‖_Q are
+  by this quadrature.
 
 The smaller of both is added, unless this were more than all other terms of the bound. Then, and where no bound of ∇d
 is known, the datum is not resolved: the bound relies on quadrature there, and this is said.
 
-On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss |e| λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an
+On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an
 obstacle in Ω the gap has (λ, v − ψ) in the same way.
 """
 
@@ -32,8 +32,9 @@ from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
-from signorini_fenicsx.expressions.enclosures import distances, means, ranges, seen, slopes, tilts
+from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
+from signorini_fenicsx.expressions.taylor import DEGREE
 
 CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
@@ -44,8 +45,6 @@ BESIDE = 1e-4, 1e-8
 first; r^α would be 10^-4α times as far."""
 ROUNDING = 1e-12
 """Relative size of what is no jump."""
-POINTS = 8
-"""Least degree of the quadratures on Γ_S."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def hidden_parts(
         known: The bound without what is hidden.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
-    data, missed = resolution.data, _Missed(resolution, metric, trace.degree, known)
+    data, missed = resolution.data, _Missed(resolution, metric, degree_near(trace), known)
     if (tree := resolution.tree("u_D", data.u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         slope[cells] += missed.of("u_D", tree, cells)[0]
@@ -100,6 +99,11 @@ def hidden_parts(
         slope[cells] += steep
         gap[cells] += 2 * force.largest[cells] * metric.volume[cells] * size
     return Hidden(slope, gap)
+
+
+def degree_near(trace: Trace) -> int:
+    """Degree of the quadrature in `Trace.cells`: exact for squares of gradients of χe, e of degree K, and two χ."""
+    return max(trace.degree, 2 * (DEGREE + 1))
 
 
 def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
@@ -150,11 +154,10 @@ class _Missed:
         with np.errstate(invalid="ignore"):
             slope, place = gradient + decay * value, vertices.mean(axis=1)
         rough = ~(gradient <= limit / 2)
-        p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
-        found = tilts(tree, vertices[rough], p, frame, weight[rough])
-        shown = seen(tree, vertices[rough], p, self.degree)
-        other = found.tilt + shown[1] + decay[rough] * (found.norm + shown[0])
-        slope[rough], value[rough] = np.fmin(slope[rough], other), np.fmin(value[rough], found.norm + shown[0])
+        found = tilts(tree, vertices[rough], frame, weight[rough], self.degree)
+        of_value, of_slope = np.array([found.norm, found.tilt]) + found.seen
+        slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
+        value[rough] = np.fmin(value[rough], of_value)
         place[rough] = found.place
         unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices)
         resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
@@ -203,7 +206,10 @@ class Pressure:
         p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
         weight = np.full(len(p.value), 1 / (enough**2 * max(comm.allreduce(np.count_nonzero(rough)), 1)))
         found = means(tree, vertices[rough], p, resolution.spaces.frame, weight)
-        rho[rough] = np.fmin(rho[rough], found.norm + seen(tree, vertices[rough], p, POINTS)[0])
+        arms = points.x[rough] - vertices[rough].mean(axis=1, keepdims=True)
+        rest = self.datum.values(points)[rough] - p.at(arms)[:, :, 0]
+        shown = np.sqrt(rest**2 @ points.weights / points.weights.sum())
+        rho[rough] = np.fmin(rho[rough], found.norm + shown)
         missed = np.where(size > 0, size * rho, 0.0)
         resolution.record_missed(self.name, points.cells.astype(np.int64), missed)
         return points.per_cell(missed, number)

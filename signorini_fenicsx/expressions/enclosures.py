@@ -12,6 +12,7 @@ uncertainty are cut at once; if there is no room for so many, the worst of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -23,7 +24,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, bernstein, interpolated
+from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, barycentric_gradients, bernstein, interpolated
 from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.expressions.taylor import DEGREE, Regions, Remainder, Switch, expanded
 from signorini_fenicsx.expressions.tree import Tree
@@ -48,6 +49,8 @@ BESIDE = 4.5
 """If e is within ρ of a quadratic, it is within so many times ρ of `interpolated`, whose Lebesgue constant is 3.5."""
 EXACT = 1e-9
 """A switch with a blur below this share of its variation counts as affine."""
+SIMPLICES = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
+"""By their number of vertices."""
 RAISES = 60
 """How often the threshold is raised until there is room."""
 
@@ -198,31 +201,42 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
 
 @dataclass(frozen=True)
 class Tilts:
-    """Enclosures of d = e − p and ∇d on each of n simplices; infinite where nothing is known.
+    """Enclosures of d = e − P and ∇d on each of n simplices, P of degree K; infinite where nothing is known.
 
     Attributes:
         norm: Upper bound of the root mean square of d.
         tilt: Upper bound of that of |∇d|.
+        seen: Both over the points of a quadrature, shape (2, n).
         place: Centroid of the part that adds most to the uncertainty, shape (n, dim).
     """
 
     norm: Array
     tilt: Array
+    seen: Array
     place: Array
 
 
-def tilts(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array) -> Tilts:
-    """Enclose gradients, with arguments like those of `means` (collective).
+def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int) -> Tilts:
+    """Enclose gradients less those of the L² projection to polynomials of degree K (collective).
 
     Σ weight·(by how much the bound of |∇d|² may be too large) ≤ 1 is aimed at; a share CLOSE of the bound is allowed.
+
+    Args:
+        tree: The expression.
+        vertices: Vertices of n simplices of this rank in as many dimensions as the domain, shape (n, dim + 1, dim).
+        frame: The domain.
+        weight: Of each simplex.
+        degree: Degree of the quadrature for `Tilts.seen`.
     """
     number = len(vertices)
+    projection = _Projection.of(tree, vertices)
+    shown = projection.distance(tree, vertices, degree)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
         x, rule = _points(parts.vertices)
-        subtracted = _of_simplices(p, vertices, parts, x)
         value, gradient = values_and_gradient(tree, _named(x))
-        d, gradient = value - subtracted[:, :, 0], gradient - subtracted[:, :, 1:]
+        d, subtracted = projection.at(parts.own, x)
+        d, gradient = value - d, gradient - subtracted
         rho, slope = remainder.slope()
         seen = np.sqrt((gradient**2).sum(axis=2) @ rule)
         steep = (seen + 2 * slope) ** 2
@@ -238,7 +252,65 @@ def tilts(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
     share = parts.share[:, None] * known
     share[np.isnan(share)] = np.inf
     norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)
-    return Tilts(norm, tilt, _place(parts, share[:, 2], vertices))
+    return Tilts(norm, tilt, shown, _place(parts, share[:, 2], vertices))
+
+
+@dataclass(frozen=True)
+class _Projection:
+    """Polynomials of degree K on simplices.
+
+    Attributes:
+        coefficients: In an orthonormal basis on the reference simplex, shape (n, basis).
+        origin: First vertex of each, shape (n, dim).
+        inverse: Inverse of the map from the reference simplex, shape (n, dim, dim).
+    """
+
+    coefficients: Array
+    origin: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, tree: Tree, vertices: Array) -> _Projection:
+        """The L² projections of an expression, by quadrature."""
+        corners = vertices.shape[1]
+        points, weights = _rule(corners, 2 * DEGREE)
+        basis = _basis(corners).tabulate(0, points)[0][:, :, 0]
+        found = np.empty((len(vertices), basis.shape[1]))
+        for begin in range(0, len(vertices), CHUNK):
+            some = slice(begin, begin + CHUNK)
+            found[some] = _values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
+        measure = 1 / math.factorial(corners - 1)
+        return cls(found * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
+
+    def at(self, own: Indices, x: Array) -> tuple[Array, Array]:
+        """Values and gradients in points of simplices with these numbers, shape (parts, points, dim)."""
+        inverse = self.inverse[own]
+        reference = np.einsum("nij,nqj->nqi", inverse, x - self.origin[own, None])
+        table = _basis(x.shape[2] + 1).tabulate(1, reference.reshape(-1, x.shape[2]))[:, :, :, 0]
+        table = table.reshape(len(table), *x.shape[:2], self.coefficients.shape[1])
+        value, *slopes = np.einsum("dnqb,nb->dnq", table, self.coefficients[own])
+        return value, np.einsum("inq,nij->nqj", np.stack(slopes), inverse)
+
+    def distance(self, tree: Tree, vertices: Array, degree: int) -> Array:
+        """Root mean squares of d and of |∇d| over the points of a quadrature of this degree."""
+        found = np.empty((2, len(vertices)))
+        for begin in range(0, len(vertices), CHUNK):
+            own = np.arange(begin, min(begin + CHUNK, len(vertices)))
+            x, weights = _points(vertices[own], degree)
+            value, gradient = values_and_gradient(tree, _named(x))
+            subtracted, slope = self.at(own, x)
+            found[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
+            found[1, own] = np.sqrt(((gradient - slope) ** 2).sum(axis=2) @ weights)
+        return found
+
+
+@cache
+def _basis(corners: int) -> basix.finite_element.FiniteElement:
+    """Polynomials of degree K, orthonormal on the reference simplex."""
+    legendre = basix.LagrangeVariant.legendre
+    return basix.create_element(
+        basix.ElementFamily.P, SIMPLICES[corners], DEGREE, legendre, basix.DPCVariant.unset, True
+    )
 
 
 @dataclass(frozen=True)
@@ -411,21 +483,6 @@ def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
     return np.column_stack([first, second, share])
 
 
-def seen(tree: Tree, vertices: Array, p: Quadratic, degree: int) -> tuple[Array, Array]:
-    """Root mean squares of d and of |∇d| over the points of a quadrature with positive weights."""
-    found = np.empty((2, len(vertices)))
-    for begin in range(0, len(vertices), CHUNK):
-        some = slice(begin, begin + CHUNK)
-        x, weights = _points(vertices[some], degree)
-        value, gradient = values_and_gradient(tree, _named(x))
-        jet = Quadratic(p.value[some], p.gradient[some], p.hessian[some]).at(
-            x - vertices[some].mean(axis=1, keepdims=True)
-        )
-        found[0, some] = np.sqrt((value - jet[:, :, 0]) ** 2 @ weights)
-        found[1, some] = np.sqrt(((gradient - jet[:, :, 1:]) ** 2).sum(axis=2) @ weights)
-    return found[0], found[1]
-
-
 def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
     """Points of a quadrature in each simplex, shape (n, points, dim), and its weights > 0 with sum 1."""
     points, weights = _rule(vertices.shape[1], degree)
@@ -434,10 +491,9 @@ def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
 
 @cache
 def _rule(corners: int, degree: int) -> tuple[Array, Array]:
-    cell = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}[corners]
     few = degree <= {2: -1, 3: 30, 4: 15}[corners]
     kind = basix.QuadratureType.xiao_gimbutas if few else basix.QuadratureType.gauss_jacobi
-    points, weights = basix.make_quadrature(cell, degree, kind)
+    points, weights = basix.make_quadrature(SIMPLICES[corners], degree, kind)
     return points, weights / weights.sum()
 
 

@@ -37,6 +37,8 @@ DEGREE = 4
 """K."""
 NEAR = 1e-12
 """A mesh fits a discontinuity of the data up to this distance, relative to the size of the domain."""
+ROUNDING = 8 * 2.0**-52
+"""The same relative to the coordinates."""
 NUMPY = FromNumPy()
 
 type Layer = tuple[Array, Array] | None
@@ -66,7 +68,8 @@ class Regions:
         lo, hi = x.min(axis=1), x.max(axis=1)
         centre, half = (lo + hi) / 2, (hi - lo) / 2
         corners = (x - centre[:, None]) / np.where(half > 0, half, 1.0)[:, None]
-        return cls(centre, half, corners, NEAR * scale / np.maximum(half.max(axis=0), 1e-300))
+        near = NEAR * scale + ROUNDING * np.abs(x).max(axis=(0, 1))
+        return cls(centre, half, corners, near / np.maximum(half.max(axis=0), 1e-300))
 
     @classmethod
     def of_boxes(cls, lo: Array, hi: Array) -> Regions:
