@@ -127,9 +127,10 @@ def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indi
 
 
 def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, limit: Array) -> Mask:
-    """Mask of the simplices where |d| may be larger than a limit ≥ 0; true where that is 0 (collective)."""
-    end = np.where(limit > 0, limit, np.inf)
-    return np.asarray((limit == 0) | (ranges(tree, vertices, p, resolution.spaces.frame, -end, end).sup > limit))
+    """Mask of the simplices where |d| may be larger than a limit ≥ 0; true where that is rounding (collective)."""
+    small = limit <= ROUNDING * np.abs(p.value).max(initial=0.0)
+    end = np.where(small, np.inf, limit)
+    return np.asarray(small | (ranges(tree, vertices, p, resolution.spaces.frame, -end, end).sup > limit))
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.expressions import intervals
 from signorini_fenicsx.expressions.evaluation import COMPARISONS
 from signorini_fenicsx.expressions.functions import FUNCTIONS
-from signorini_fenicsx.expressions.intervals import UNKNOWN, FromNumPy, Interval, Truth, enclosing
+from signorini_fenicsx.expressions.intervals import UNKNOWN, WHOLE, FromNumPy, Interval, Truth, enclosing
 from signorini_fenicsx.expressions.tree import Number, Tree, evaluate
 
 DEGREE = 4
@@ -104,16 +104,23 @@ class Series:
         value: All values on the region.
         layers: The coefficients of orders 1, …, K.
         corners: Those of `Regions`; None for a constant, whose arrays are broadcast.
+        whole: Of a positive part max(a, 0) this is a, else None.
     """
 
     at: Array
     value: Interval
     layers: tuple[Layer, ...] = (None,) * DEGREE
     corners: Array | None = None
+    whole: Series | None = None
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether it is the constant 0."""
+        return self.corners is None and bool(np.all(self.value.is_zero))
 
     def __neg__(self) -> Series:
         layers = tuple(layer and (-layer[0], layer[1]) for layer in self.layers)
-        return replace(self, at=-self.at, value=-self.value, layers=layers)
+        return Series(-self.at, -self.value, layers, self.corners)
 
     def __add__(self, other: Series) -> Series:
         layers = tuple(map(_sum, self.layers, other.layers))
@@ -148,11 +155,24 @@ class Series:
     def power(self, exponent: float) -> Series:
         """E to the power of a number."""
         binomials = itertools.accumulate(range(DEGREE), lambda b, k: b * (exponent - k) / (k + 1), initial=1.0)
-        derivatives = [
-            None if b == 0 else intervals.power(NUMPY, self.value, enclosing(exponent - k)) * b
-            for k, b in enumerate(binomials)
-        ]
+        powers = [intervals.power(NUMPY, self.value, enclosing(exponent - k)) for k in range(DEGREE + 1)]
+        derivatives = [None if b == 0 else power * b for power, b in zip(powers, binomials, strict=True)]
+        derivatives[0] = powers[0]  # without rounding, so that squares are not negative
+        if self.whole is not None and exponent > 1:
+            return self.whole.of(self.whole._smoother(derivatives, exponent), np.power(self.at, exponent))
         return self.of(derivatives, np.power(self.at, exponent))
+
+    def _smoother(self, derivatives: list[Interval | None], exponent: float) -> list[Interval | None]:
+        """The derivatives of max(a, 0)^p for this a: of orders < p they are continuous, that of order p is bounded."""
+        positive, undecided = self.value.lo > 0, (self.value.lo <= 0) & (self.value.hi > 0)
+        nothing = enclosing(np.zeros_like(self.value.lo))
+        for k in range(1, DEGREE + 1):
+            derivative = derivatives[k] or nothing
+            if k > exponent:
+                derivatives[k] = WHOLE.where(undecided, derivative.where(positive, nothing))
+            elif k == exponent:
+                derivatives[k] = derivative.hull(nothing).where(undecided, derivative.where(positive, nothing))
+        return derivatives
 
     def _with(self, other: Series, at: Array, value: Interval, layers: Sequence[Layer]) -> Series:
         """A series on the same regions; the mean value theorem may narrow its values."""
@@ -351,7 +371,10 @@ class _Taylor:
             return self._angle(arguments[0], arguments[1], at, value)
         left, right = arguments if len(arguments) == 2 else (arguments[0], -arguments[0])
         first = self.compare("<=" if name == "min" else ">=", left, right)
-        return self._chosen(first, left, right, at, value, continuous=True)
+        found = self._chosen(first, left, right, at, value, continuous=True)
+        a: Series | None
+        a = left if right.is_zero else right if left.is_zero else None
+        return replace(found, whole=a) if name == "max" else found
 
     def compare(self, sign: str, left: Series, right: Series) -> _Condition:
         """Compare almost everywhere: if left − right certainly varies, both are equal on a set of measure 0."""
