@@ -11,12 +11,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.certificate.enclosures import cell_vertices, enclose, facet_vertices
-from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
+from signorini_fenicsx.discrete.cell_shapes import corners as cell_corners
+from signorini_fenicsx.discrete.cell_shapes import facet_corners
+from signorini_fenicsx.expressions import read, values, values_and_gradient
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
-from signorini_fenicsx.expressions.reader import read
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
+from signorini_fenicsx.rigorous.enclosures import enclose
 
 COMM = MPI.COMM_SELF
 
@@ -172,9 +173,9 @@ def test_partition_changes_nothing(folder: Path):
     assert set(data.trees) == {"f", "kappa", "c", "u_D", "g_N", "psi", "q_S"}
     comm = MPI.COMM_WORLD
     for tree, vertices in [
-        (data.trees["f"], cell_vertices(spaces.mesh)),
-        (data.trees["q_S"], facet_vertices(spaces.mesh, spaces.facets)),
-        (data.trees["kappa"][0][1], cell_vertices(spaces.mesh)),
+        (data.trees["f"], cell_corners(spaces.mesh)),
+        (data.trees["q_S"], facet_corners(spaces.mesh, spaces.facets)),
+        (data.trees["kappa"][0][1], cell_corners(spaces.mesh)),
     ]:
         found = enclose(tree, vertices, interpolated(tree, vertices), np.full(len(vertices), 0.01), comm, scale=1.0)
         alone = [

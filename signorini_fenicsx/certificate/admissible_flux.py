@@ -17,13 +17,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import force
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
-from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
@@ -35,10 +33,6 @@ ROUNDING = 1e-9
 smaller ‖y − σ_h‖, which depend on the order of sums: the bound is the same on any number of ranks."""
 OF_SUMS = 1e-14
 """The same share of the loads: where f − cu is 0, so are c and σ_h but for the rounding of this difference."""
-DIGITS = 1e-5
-"""For the same reason a constant that comes from a linear solve is rounded up to about this relative size."""
-WORTH = 0.5
-"""A load is balanced by a flux only if at most this share of it is uncertain."""
 CORRECTIONS = 4
 """Largest number of solves until c is rounding; one is enough unless the linear solver stops early."""
 
@@ -79,9 +73,9 @@ def admissible_flux(
             imbalance.x.array[touched] = np.maximum(imbalance.x.array[touched], 0.0)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
-            return y, flux, u, rounding + max(rounding, _distance(spaces, metric, y, solution.sigma))
+            return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma))
         try:
-            correction = _balancing_flux(spaces, data, y, imbalance, limits, touched)
+            correction = balancing_flux(spaces, data, y, imbalance, limits, touched)
         except LinearSolveFailure:
             break
         correction.sigma.x.array[:] += y.x.array
@@ -91,7 +85,7 @@ def admissible_flux(
     return y, flux, u, np.inf
 
 
-def _distance(spaces: Spaces, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
+def distance(spaces: Spaces, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:
     """The bound ‖(low κ_h)^-½ (y − σ_h)‖ of ‖y − σ_h‖ (collective)."""
     if y is sigma:
         return 0.0
@@ -125,7 +119,7 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     return y
 
 
-def _balancing_flux(
+def balancing_flux(
     spaces: Spaces,
     data: Data,
     y: fem.Function,
@@ -133,7 +127,7 @@ def _balancing_flux(
     limits: Limits = NONE,
     touched: Mask | None = None,
 ) -> Iterate:
-    """The flux z of the module, for the load `imbalance`; where c > 0 with −∇·z + cu = imbalance (collective).
+    """The flux z of the module for the load `imbalance`; where c > 0 with −∇·z + cu = imbalance (collective).
 
     Raises:
         LinearSolveFailure: If the solve fails.
@@ -165,48 +159,3 @@ def _most_room(excess: Array, comm: MPI.Comm) -> Kinds:
     largest = comm.allreduce(excess.max(initial=0.0), MPI.MAX)
     room = (excess >= largest / 2) & (excess > 0)
     return np.where(room, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
-
-
-def load_left(spaces: Spaces, data: Data, metric: CellMetric, load: Interval) -> float:
-    """Bound of sup (c, w)/|w| over w = 0 on Γ_D for a load c that is enclosed per owned cell (collective).
-
-    The constant of `_load_constant` gives a bound. If the enclosures are narrow, a flux z with (c, w) = (z, ∇w) for c
-    in the middle of the enclosures may give a smaller one. The bound is infinite without Γ_D, or if a linear solve
-    fails.
-    """
-    comm, volume = spaces.mesh.comm, metric.volume
-    ends = np.maximum(np.abs(load.lo), np.abs(load.hi))
-    middle = fem.Function(spaces.Q)
-    middle.x.array[:] = (load.lo + load.hi) / 2
-    rest = np.nextafter(np.maximum(load.hi - middle.x.array, middle.x.array - load.lo), np.inf)
-    whole, left = np.sqrt(comm.allreduce(np.array([volume @ ends**2, volume @ rest**2]))).tolist()
-    if whole == 0:
-        return 0.0
-    if not spaces.has_dirichlet or not np.isfinite(whole):
-        return np.inf
-    one, nothing = fem.Function(spaces.Q), fem.Function(spaces.V)
-    one.x.array[:] = 1.0
-    data = replace(data, c_h=None)
-    try:
-        constant = _load_constant(spaces, metric, _balancing_flux(spaces, data, nothing, one).sigma)
-        if left > WORTH * whole:
-            return constant * whole
-        z = _balancing_flux(spaces, data, nothing, middle).sigma
-    except LinearSolveFailure:
-        return np.inf
-    return min(constant * whole, constant * left + _distance(spaces, metric, z, nothing))
-
-
-def _load_constant(spaces: Spaces, metric: CellMetric, z: fem.Function) -> float:
-    """C with ‖w‖ ≤ C|w| for all w = 0 on Γ_D, from the flux z for the load 1; see `resolution` (collective)."""
-    comm, flux = spaces.mesh.comm, CellFlux.of(spaces, z)
-    squares = squares_of(flux.in_vertices(), metric.inverse).max(axis=1, initial=0.0) / metric.low
-    s = comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)
-    m = comm.allreduce((-flux.divergence).min(initial=np.inf), MPI.MIN)
-    return _rounded_up(2 * s / m) if m > 0 else np.inf
-
-
-def _rounded_up(value: float) -> float:
-    """The next multiple of a power of 2 that is about DIGITS of a positive value."""
-    step = 2.0 ** math.floor(math.log2(DIGITS * value))
-    return math.ceil(value / step) * step

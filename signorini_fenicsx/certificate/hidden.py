@@ -1,34 +1,74 @@
-"""What quadrature may miss of u_D, ψ and an obstacle, which v contains themselves.
+"""What quadrature may miss of data that v contains themselves: u_D, ψ, an obstacle.
 
-Let d be the difference between such a datum and its P2 interpolant. v contains χd near Γ_D and Γ_S, with χ linear on
-each cell, and ‖κ^½∇(χd)‖_T ≤ κ_max^½ (‖∇d‖ + |T|^½ |∇χ| sup|d|). With an obstacle in Ω v contains max(w, d) with a
-quadratic w, which has nothing of d in the cells where the Bernstein coefficients of w are at least sup|d|; there is no
-χ, but (λ, v − ψ), in which d is at most |T| λ sup|d|.
+v contains χe near Γ_D and Γ_S, with such a datum e and a χ that is linear, or a product of two such functions, on each
+cell. Quadrature integrates the squares of polynomials exactly. So it misses of ‖κ^½∇v − κ^-½y‖_T,
 
-Integrals over these cells use d in the points of a quadrature. If these points show less than a third of ∇d, and the
-rest may be more than all other terms of the bound, the datum is not resolved.
+- if e is on T within ρ of a polynomial, and ∇e within ρ' of its gradient, at most 2κ_max^½|T|^½ (ρ' + |∇χ|ρ);
+- with d = e − P for any polynomial P, at most κ_max^½ (‖∇d‖ + ‖∇d‖_Q + |∇χ|(‖d‖ + ‖d‖_Q)), where the norms ‖·‖_Q are
+  by this quadrature.
+
+The smaller of both is added, unless this were more than all other terms of the bound. Then, and where no bound of ∇d
+is known, the datum is not resolved: the bound relies on quadrature there, and this is said.
+
+On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an
+obstacle in Ω the gap has (λ, v − ψ) in the same way.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.admissible_trace import Indices, Trace
-from signorini_fenicsx.certificate.enclosures import cell_vertices, enclose, facet_vertices
-from signorini_fenicsx.certificate.interpolants import bernstein, edge_order, in_nodes, quadratic_of, seen_slope
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.certificate.admissible_trace import Trace
+from signorini_fenicsx.certificate.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import Force
-from signorini_fenicsx.certificate.resolution import OVERLOOKED, Resolution, of_all_cells
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.certificate.resolution import SHARE, SMALLEST, Resolution, of_all_cells
+from signorini_fenicsx.discrete.cell_shapes import facet_corners
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.points import FacetPoints
+from signorini_fenicsx.expressions import Tree
+from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
+from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
+from signorini_fenicsx.expressions.taylor import DEGREE
 
-SEEN = 0.25
-"""Enclosures stop where the part that is not quadratic is about half of this share of the error."""
+CUT_OFFS = 4.0
+"""|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
+LEBESGUE = 2.0
+"""A quadratic is at most so many times its largest value in the points of a quadrature."""
+BESIDE = 1e-4, 1e-8
+"""A datum jumps if it is as far from its value in a node at the second share of the way to the centroid as at the
+first; r^α would be 10^-4α times as far."""
+ROUNDING = 1e-12
+"""Relative size of what is no jump."""
 
 
-def hidden_parts(resolution: Resolution, trace: Trace, metric: CellMetric, force: Force | None) -> Array:
-    """Bound of what may be hidden of ‖κ^½∇v‖_T and of √(2λ, v − ψ)_T, per owned cell (collective).
+@dataclass(frozen=True)
+class Hidden:
+    """What is added per owned cell.
+
+    Attributes:
+        slope: To ‖κ^½∇v − κ^-½y‖_T.
+        gap: To twice the gap.
+    """
+
+    slope: Array
+    gap: Array
+
+
+def hidden_parts(
+    resolution: Resolution,
+    trace: Trace,
+    metric: CellMetric,
+    pressures: list[Pressure],
+    force: Force | None,
+    known: float,
+) -> Hidden:
+    """Bound what may be hidden (collective).
 
     v contains ψ where it touches, and where it was raised to ψ. It cannot have been raised on facets where
     v − I_hψ ≥ sup |ψ − I_hψ|.
@@ -37,67 +77,140 @@ def hidden_parts(resolution: Resolution, trace: Trace, metric: CellMetric, force
         resolution: Encloses the data.
         trace: Has v.
         metric: Metric of the owned cells.
-        force: λ, None without an obstacle.
+        pressures: What presses v against bounds on Γ_S.
+        force: λ of an obstacle in Ω, None without one.
+        known: The bound without what is hidden.
     """
-    spaces, extra = resolution.spaces, np.zeros(len(metric.volume))
-    touching = np.union1d(trace.touching, spaces.cells[_facets_of_psi(resolution, trace)]).astype(np.int32)
-    where: list[tuple[str, Indices]] = [("u_D", trace.at_dirichlet), ("psi", touching)]
-    where += [] if force is None else [("obstacle", _cells_of_obstacle(resolution, trace))]
-    for name, cells in where:
-        tree = resolution.tree(name)
-        if tree is None:
-            continue
-        vertices, inverse = cell_vertices(spaces.mesh)[cells], of_all_cells(metric.inverse, len(extra))[cells]
-        strip = spaces.mesh.comm.allreduce(metric.volume[cells].sum())
-        kappa_max = (2 - metric.low[cells]) / np.linalg.eigvalsh(inverse)[:, 0]
-        steep = SEEN / 2 * resolution.error / np.sqrt(max(strip, 1e-300) * kappa_max)
-        p = quadratic_of(vertices, in_nodes(tree, vertices))
-        found = resolution.enclosed(name, tree, vertices, p, steep, cells, "tilt")
-        hidden = found.tilt > OVERLOOKED * seen_slope(tree, vertices, p)
-        if name == "obstacle" and force is not None:
-            more = metric.volume[cells] * (kappa_max * found.tilt**2 + 2 * force.largest[cells] * found.sup)
-            extra[cells] = np.hypot(extra[cells], np.where(hidden, np.sqrt(more), 0.0))
-            continue
-        decay = 2 * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
-        more = np.sqrt(kappa_max * metric.volume[cells]) * (found.tilt + decay * found.sup)
-        extra[cells] += np.where(hidden, more, 0.0)
-    return extra
+    slope, gap = np.zeros((2, len(metric.volume)))
+    data, missed = resolution.data, _Missed(resolution, metric, degree_near(trace), known)
+    if (tree := resolution.tree("u_D", data.u_D)) is not None:
+        cells = trace.at_dirichlet.astype(np.int64)
+        slope[cells] += missed.of("u_D", tree, cells)[0]
+    if (tree := resolution.tree("psi", data.psi)) is not None:
+        cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree)).astype(np.int64)
+        slope[cells] += missed.of("psi", tree, cells)[0]
+    for pressure in pressures:
+        if (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
+            gap += pressure.missed(resolution, tree, len(gap))
+    tree = None if data.obstacle is None else resolution.tree("obstacle", data.obstacle.psi)
+    if tree is not None and force is not None:
+        cells = _cells_of_obstacle(resolution, trace, tree)
+        steep, size = missed.of("obstacle", tree, cells)
+        slope[cells] += steep
+        gap[cells] += 2 * force.largest[cells] * metric.volume[cells] * size
+    return Hidden(slope, gap)
 
 
-def overlooked(resolution: Resolution, beside: Array) -> None:
-    """Record that quadrature may overlook u_D, ψ or an obstacle in the cells where `beside` is large (collective)."""
-    mesh = resolution.spaces.mesh
-    worst = beside >= mesh.comm.allreduce(beside.max(initial=0.0), MPI.MAX) / 4
-    given = ["u_D", "psi"] + ([] if resolution.data.obstacle is None else ["obstacle"])
-    names = ", ".join(name for name in given if resolution.encloses(name))
-    resolution.lost.add(names)
-    resolution.note(names, cell_vertices(mesh)[worst].mean(axis=1), np.flatnonzero(worst))
+def degree_near(trace: Trace) -> int:
+    """Degree of the quadrature in `Trace.cells`: exact for squares of gradients of χe, e of degree K, and two χ."""
+    return max(trace.degree, 2 * (DEGREE + 1))
 
 
-def _facets_of_psi(resolution: Resolution, trace: Trace) -> Mask:
-    """Mask of the facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
-    spaces, tree = resolution.spaces, resolution.tree("psi")
-    if tree is None:
-        return np.zeros(len(spaces.facets), dtype=bool)
-    vertices = facet_vertices(spaces.mesh, spaces.facets)
+def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
+    """Owned cells at facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
+    spaces = resolution.spaces
+    vertices = facet_corners(spaces.mesh, spaces.facets)
+    above = np.maximum(trace.lowest, 0.0)
     p = quadratic_of(vertices, in_nodes(tree, vertices))
-    tolerance = np.maximum(trace.lowest, 0.0)
-    enough = np.where(tolerance > 0, tolerance, np.inf)
-    found = enclose(tree, vertices, p, enough, spaces.mesh.comm, scale=resolution.scale(), by="sup")
-    return np.asarray(found.sup > tolerance)
+    return np.asarray(spaces.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
 
 
-def _cells_of_obstacle(resolution: Resolution, trace: Trace) -> Indices:
+def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
     """Owned cells where the obstacle may be larger than the quadratic v, or v is not quadratic (collective)."""
-    mesh, tree = resolution.spaces.mesh, resolution.tree("obstacle")
-    vertices = cell_vertices(mesh)
-    if tree is None:
-        return np.empty(0, dtype=np.int32)
+    vertices = resolution.vertices
     corners = vertices.shape[1]
     nodes = trace.v.function_space.dofmap.list[: len(vertices), [*range(corners), *edge_order(corners)]]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
     above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1), 0.0)
     above[trace.altered] = 0.0
-    enough = np.where(above > 0, above, np.inf)
-    found = enclose(tree, vertices, p, enough, mesh.comm, scale=resolution.scale(), by="sup")
-    return np.flatnonzero(found.sup > above).astype(np.int32)
+    return np.flatnonzero(_beyond(resolution, tree, vertices, p, above))
+
+
+def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, limit: Array) -> Mask:
+    """Mask of the simplices where |d| may be larger than a limit ≥ 0; true where that is rounding (collective)."""
+    small = limit <= ROUNDING * np.abs(p.value).max(initial=0.0)
+    end = np.where(small, np.inf, limit)
+    return np.asarray(small | (ranges(tree, vertices, p, resolution.spaces.frame, -end, end).sup > limit))
+
+
+@dataclass(frozen=True)
+class _Missed:
+    """What quadrature of a degree may miss on cells; gradients that add more than `known` are left out, and noted."""
+
+    resolution: Resolution
+    metric: CellMetric
+    degree: int
+    known: float
+
+    def of(self, name: str, tree: Tree, cells: Indices) -> tuple[Array, Array]:
+        """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective)."""
+        resolution, metric, vertices = self.resolution, self.metric, self.resolution.vertices[cells]
+        comm, frame = resolution.spaces.mesh.comm, resolution.spaces.frame
+        inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
+        factor = metric.volume[cells] * metric.high[cells] / np.linalg.eigvalsh(inverse)[:, 0]
+        weight = factor / max(SHARE * resolution.error, SMALLEST) ** 2
+        limit = 1 / np.sqrt(max(comm.allreduce(len(cells)), 1) * weight)
+        value, gradient = (2 * each for each in slopes(tree, vertices, frame, limit / 4))
+        decay = CUT_OFFS * np.linalg.norm(barycentric_gradients(vertices), axis=2).max(axis=1, initial=0.0)
+        with np.errstate(invalid="ignore"):
+            slope, place = gradient + decay * value, vertices.mean(axis=1)
+        rough = ~(gradient <= limit / 2)
+        found = tilts(tree, vertices[rough], frame, weight[rough], self.degree)
+        of_value, of_slope = np.array([found.norm, found.tilt]) + found.seen
+        slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
+        value[rough] = np.fmin(value[rough], of_value)
+        place[rough] = found.place
+        unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices)
+        resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
+        slope[unknown], value[unknown] = 0.0, 0.0
+        missed = np.sqrt(factor) * slope
+        total = math.sqrt(comm.allreduce((missed**2).sum()))
+        if total > self.known:
+            worst = missed >= comm.allreduce(missed.max(initial=0.0), MPI.MAX) / 4
+            resolution.note(name, place[worst], cells[worst])
+            return np.zeros_like(missed), value
+        resolution.record_missed(name, cells, missed**2)
+        return missed, value
+
+
+def _jumps(tree: Tree, vertices: Array) -> Mask:
+    """Mask of the simplices in whose nodes the values of a tree are not the limits from inside."""
+    inside = vertices.mean(axis=1, keepdims=True) - vertices
+    at, near, nearer = (in_nodes(tree, vertices + share * inside) for share in (0.0, *BESIDE))
+    far, close = np.abs(near - at), np.abs(nearer - at)
+    return np.asarray(((close > far / 2) & (close > ROUNDING * np.abs(at).max(initial=0.0))).any(axis=1))
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """What presses v against a bound on some facets of Γ_S.
+
+    Attributes:
+        name: Name of the bound.
+        datum: The bound.
+        points: Points of the quadrature for the gap.
+        largest: The largest λ in them, per facet; of a λ that is quadratic at most half of its largest value.
+    """
+
+    name: str
+    datum: Datum
+    points: FacetPoints
+    largest: Array
+
+    def missed(self, resolution: Resolution, tree: Tree, number: int) -> Array:
+        """What quadrature may miss of twice ⟨λ, v − ψ⟩, per owned cell of so many (collective)."""
+        points, vertices, comm = self.points, self.points.vertices, resolution.spaces.mesh.comm
+        size = points.integrals(2 * LEBESGUE * np.repeat(self.largest[:, None], points.shape[1], axis=1))
+        enough = max((SHARE * resolution.error) ** 2 / max(comm.allreduce(size.sum()), SMALLEST), SMALLEST)
+        rho = 2 * distances(tree, vertices, resolution.spaces.frame, np.full(len(vertices), enough / 4))
+        rough = ~(rho <= enough / 2) & (size > 0)
+        p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
+        weight = np.full(len(p.value), 1 / (enough**2 * max(comm.allreduce(np.count_nonzero(rough)), 1)))
+        found = means(tree, vertices[rough], p, resolution.spaces.frame, weight)
+        arms = points.x[rough] - vertices[rough].mean(axis=1, keepdims=True)
+        rest = self.datum.values(points)[rough] - p.at(arms)[:, :, 0]
+        shown = np.sqrt(rest**2 @ points.weights / points.weights.sum())
+        rho[rough] = np.fmin(rho[rough], found.norm + shown)
+        missed = np.where(size > 0, size * rho, 0.0)
+        resolution.record_missed(self.name, points.cells.astype(np.int64), missed)
+        return points.per_cell(missed, number)

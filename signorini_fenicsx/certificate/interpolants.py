@@ -77,15 +77,3 @@ def _in_blocks(compute: Callable[[Array, Quadratic], Array], vertices: Array, p:
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, max(len(vertices), 1), BLOCK)]
     parts = [compute(vertices[b], Quadratic(p.value[b], p.gradient[b], p.hessian[b])) for b in blocks]
     return np.concatenate(parts)
-
-
-def bernstein(p: Quadratic, vertices: Array) -> Array:
-    """Bernstein coefficients of quadratics, shape (n, nodes); every value is a weighted mean of them."""
-    corners = vertices.shape[1]
-    first, second = np.array(edges(corners)).T
-    arms = vertices - vertices.mean(axis=1, keepdims=True)
-    slope = np.einsum("nvi,ni->nv", arms, p.gradient)
-    bend = np.einsum("nvi,nij,nwj->nvw", arms, p.hessian, arms) / 2
-    of_vertices = p.value[:, None] + slope + np.einsum("nvv->nv", bend)
-    of_edges = p.value[:, None] + (slope[:, first] + slope[:, second]) / 2 + bend[:, first, second]
-    return np.concatenate([of_vertices, of_edges], axis=1)

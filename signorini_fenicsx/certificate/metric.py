@@ -29,6 +29,7 @@ class CellMetric:
         diameter: Square root of max (x − y)·κ_h⁻¹(x − y) over T: the diameter of T measured in κ_h⁻¹.
         moment: Mean of (x − x_T)·κ_h⁻¹(x − x_T) over T, x_T the centroid.
         low: The largest number ≤ 1 with κ ≥ low κ_h in the nodes of P2 on T.
+        high: The smallest number ≥ 1 with κ ≤ high κ_h there.
         kappa_min: low times the smallest eigenvalue of κ_h.
     """
 
@@ -38,6 +39,7 @@ class CellMetric:
     diameter: Array
     moment: Array
     low: Array
+    high: Array
     kappa_min: Array
 
     def squares(self, flux: CellFlux) -> Array:
@@ -58,7 +60,7 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
         x = corners(mesh, some)
         jacobian[some] = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
         longest[some] = squares_of(x[:, first] - x[:, second], inverse[some]).max(axis=1)
-    low = _lowest_ratio(mesh, data.kappa, inverse)
+    low, high = _ratios(mesh, data.kappa, inverse)
     return CellMetric(
         jacobian=jacobian,
         volume=np.abs(determinants(jacobian)) / math.factorial(dim),
@@ -66,15 +68,16 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
         diameter=np.sqrt(longest),
         moment=mean_moments(squared_arms(mesh, inverse)),
         low=low,
+        high=high,
         kappa_min=low * np.linalg.eigvalsh(kappa_h)[:, 0],
     )
 
 
-def _lowest_ratio(mesh: dolfinx.mesh.Mesh, kappa: Datum, inverse: Array) -> Array:
-    """The smallest eigenvalue of κ_h^-½ κ κ_h^-½ in the nodes of P2 on each cell, at most 1 (collective)."""
-    low = np.ones(len(inverse))
+def _ratios(mesh: dolfinx.mesh.Mesh, kappa: Datum, inverse: Array) -> tuple[Array, Array]:
+    """The extreme eigenvalues of κ_h^-½ κ κ_h^-½ in the nodes of P2 on each cell, and 1 (collective)."""
+    low, high = np.ones(len(inverse)), np.ones(len(inverse))
     if kappa.number is not None:
-        return low
+        return low, high
     dim = inverse.shape[1]
     for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
         values, cells = kappa.values(points), points.cells
@@ -82,4 +85,5 @@ def _lowest_ratio(mesh: dolfinx.mesh.Mesh, kappa: Datum, inverse: Array) -> Arra
         root = np.linalg.cholesky(inverse[cells])[:, None]
         ratios = np.linalg.eigvalsh(root.transpose(0, 1, 3, 2) @ matrices @ root)
         low[cells] = np.minimum(low[cells], ratios[:, :, 0].min(axis=1))
-    return low
+        high[cells] = np.maximum(high[cells], ratios[:, :, -1].max(axis=1))
+    return low, high

@@ -77,8 +77,8 @@ class Force:
         if data.f.number is not None:
             return cls(largest, takes_f)
         most = largest + data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
-        cells = np.flatnonzero(largest > 0).astype(np.int32)
-        f = resolution.range_of("f", cells, most[cells])
+        cells = np.flatnonzero(largest > 0)
+        f = resolution.range_of("f", data.f, cells, most[cells])
         takes_f[cells] = f.hi <= most[cells]
         largest[cells] = np.where(takes_f[cells], most[cells] - f.lo, largest[cells])
         return cls(largest, takes_f)

@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.interpolants import quadratic_of
 from signorini_fenicsx.certificate.laws import with_mean
 from signorini_fenicsx.certificate.local_fluxes import (
     OF_FLUX,
@@ -37,8 +39,8 @@ from signorini_fenicsx.certificate.local_fluxes import (
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import Force
 from signorini_fenicsx.certificate.reaction import ReactionTerms
-from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.certificate.resolution import Resolution, Seen
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     CellPoints,
     FacetPoints,
@@ -53,6 +55,21 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 OF_MEMORY = 8
 """Degree of the square of a bubble, also in space."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a step in time takes from those before.
+
+    Attributes:
+        values: The load in points of cells, shape (cells, points).
+        initial: u_0, where it is a part of this load.
+        factor: By what this part is more than u_0, per owned cell.
+    """
+
+    values: Callable[[CellPoints], Array]
+    initial: Datum | None = None
+    factor: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -92,7 +109,7 @@ def contact_excess(
     mesh = spaces.mesh
     degree = max(quadrature_degree(data.q_S, power=2), quadrature_degree(data.psi, data.u_D))
     on_signorini = facet_quadrature(mesh, spaces.facets, degree)
-    q_S, missed = _on_facets("q_S", on_signorini, data.q_Sh, data, metric, resolution)
+    q_S, missed = on_facets("q_S", data.q_S, on_signorini, data.q_Sh, metric, resolution)
     s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
     load = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
@@ -105,7 +122,7 @@ def load_oscillation(
     metric: CellMetric,
     on_signorini: list[FacetLoad],
     reaction: ReactionTerms | None,
-    memory: Callable[[CellPoints], Array] | None,
+    memory: Memory | None,
     resolution: Resolution,
     force: Force | None,
 ) -> Array:
@@ -122,53 +139,97 @@ def load_oscillation(
         force: The force of an obstacle; where it takes f as it is, f − f_h is no load.
     """
     mesh = spaces.mesh
-    on_facets = [*on_signorini]
+    facet_loads = [*on_signorini]
     if data.g_N.number is None:
         on_neumann = facet_quadrature(mesh, spaces.neumann_facets, quadrature_degree(data.g_N, power=2))
         dofs = spaces.neumann_dofs
         g_h = data.sigma_lift.x.array[dofs] * spaces.neumann_basis_flux / spaces.neumann_measure
-        g_N, missed = _on_facets("g_N", on_neumann, g_h, data, metric, resolution)
+        g_N, missed = on_facets("g_N", data.g_N, on_neumann, g_h, metric, resolution)
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
-        on_facets.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
+        facet_loads.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
     load, cell = _load(spaces, data, metric, resolution, force), mesh.basix_cell()
     if memory is not None and data.memory is not None:
-        known = data.memory.x.array
-        remembered = _projected(spaces, lambda points: memory(points) - known[points.rows, None], OF_MEMORY)
+        remembered = _remembered(spaces, data.memory, metric, memory, resolution)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
-        return load_norms(cell, metric, load, on_facets)
+        return load_norms(cell, metric, load, facet_loads)
     load = reaction.load if load is None else reaction.load.plus(load)
     size = load.norms(math.factorial(mesh.topology.dim) * metric.volume)
     with np.errstate(divide="ignore"):
-        by_reaction = load_norms(cell, metric, None, on_facets) + np.where(
+        by_reaction = load_norms(cell, metric, None, facet_loads) + np.where(
             size > 0, size / np.sqrt(reaction.least), 0.0
         )
-    return np.minimum(load_norms(cell, metric, load, on_facets), by_reaction)
+    return np.minimum(load_norms(cell, metric, load, facet_loads), by_reaction)
 
 
-def _on_facets(
-    name: str, points: FacetPoints, means: Array, data: Data, metric: CellMetric, resolution: Resolution
+def on_facets(
+    name: str, datum: Datum, points: FacetPoints, means: Array, metric: CellMetric, resolution: Resolution
 ) -> tuple[Array, Array]:
-    """Flux data in the points of a quadrature, as quadratics if they can be enclosed, and their error (collective)."""
-    values = getattr(data, name).values(points)
-    if not resolution.encloses(name):
+    """A flux in the points of a quadrature, as quadratics if it is enclosed, and the L² norm of the rest (collective).
+
+    Args:
+        name: Name of the flux.
+        datum: The flux.
+        points: The points, in all facets where it is given.
+        means: Its mean per facet.
+        metric: Metric of the owned cells.
+        resolution: Records what quadrature may have missed.
+    """
+    values = datum.values(points)
+    if not resolution.encloses(name, datum):
         return values, np.zeros(len(values))
-    facet = facet_type(points.mesh.topology.dim)
+    facet, weights = facet_type(points.mesh.topology.dim), points.weights / points.weights.sum()
     projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
     known = [means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in (points.points, quadratic_nodes(facet))]
-    seen = np.sqrt(projection.rest / points.weights.sum())
-    return known[0], resolution.on_facets(name, points, known[1], seen, metric)
+    seen = Seen(quadratic_of(points.vertices, known[1]), *_moments(values - known[0], weights))
+    return known[0], resolution.on_facets(name, datum, seen, points, metric)
 
 
-def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> Projection:
-    """A load with mean 0 on each owned cell; `degree` is that of a quadrature for its square (collective)."""
+def _moments(values: Array, weights: Array) -> tuple[Array, Array]:
+    """Root mean square and mean over points with weights whose sum is 1."""
+    return np.sqrt(values**2 @ weights), values @ weights
+
+
+def _remembered(
+    spaces: Spaces, known: fem.Function, metric: CellMetric, memory: Memory, resolution: Resolution
+) -> Projection:
+    """What a step takes from those before, without its means (collective)."""
+    if memory.initial is None or memory.factor is None:
+        return _projected(spaces, lambda points: memory.values(points) - known.x.array[points.rows, None], OF_MEMORY)[0]
+    u, factor, cell = memory.initial, memory.factor, spaces.mesh.basix_cell()
+    degree, number = max(OF_MEMORY, quadrature_degree(u, power=2)), len(factor)
+    if not resolution.encloses("initial", u):
+        return _projected(spaces, lambda points: memory.values(points) - known.x.array[points.rows, None], degree)[0]
+    nodes = np.concatenate(
+        [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
+    )
+    p, norm, mean = quadratic_of(resolution.vertices, nodes), np.empty(number), np.empty(number)
+
+    def values(points: CellPoints) -> Array:
+        rest = u.values(points) - p.of(points.cells).at(points.arms)[:, :, 0]
+        norm[points.cells], mean[points.cells] = _moments(rest, points.weights / points.weights.sum())
+        return memory.values(points) - known.x.array[points.rows, None] - factor[points.cells, None] * rest
+
+    load, means = _projected(spaces, values, degree)
+    volume = 1 / math.factorial(metric.jacobian.shape[1])
+    resolution.add_means("initial", means, metric)
+    missed = resolution.on_cells("initial", u, Seen(p, norm, mean), metric, owned_cells(spaces.mesh), factor)
+    return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
+
+
+def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> tuple[Projection, Array]:
+    """A load on the owned cells less its means, and these; the quadrature is for squares of `degree` (collective)."""
     cell = spaces.mesh.basix_cell()
     points, weights = positive_quadrature(cell, degree)
-    parts = [
-        projected(load(some), cell, OF_LOAD, points, weights)
-        for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points, weights)
-    ]
-    return Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("coefficients", "rest")))
+    parts, means = [], []
+    for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points, weights):
+        values = load(some)
+        means.append(some.means(values))
+        parts.append(projected(values - means[-1][:, None], cell, OF_LOAD, points, weights))
+    names = ("coefficients", "rest")
+    return Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in names)), np.concatenate(
+        means
+    )
 
 
 def _load(
@@ -179,15 +240,15 @@ def _load(
         return None
     cell, f_h = spaces.mesh.basix_cell(), data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
     degree = quadrature_degree(data.f, power=2)
-    load = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
+    load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
     cells = owned_cells(spaces.mesh)
     if force is not None:
         load.coefficients[force.takes_f], load.rest[force.takes_f] = 0.0, 0.0
         cells = cells[~force.takes_f]
-    if not resolution.encloses("f"):
+    if not resolution.encloses("f", data.f):
         return load
-    nodes = f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell))
+    p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)))
     volume = 1 / math.factorial(metric.jacobian.shape[1])
-    seen = np.sqrt(load.rest / volume)
-    load.rest[cells] = resolution.on_cells("f", nodes[cells], seen[cells], metric, cells) ** 2 * volume
+    seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
+    load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume
     return load

@@ -7,11 +7,9 @@ times too large. r − g is a load like f − f_h, for which
 
     (r − g, w)_T ≤ min(the factor of `local_fluxes`, c^-½‖r − g‖_T) ‖w‖_T.
 
-For c a quadratic p stands, with mean p_T, and S ≥ |c − p|: r is f − f_h + (p_T u* − pv), δ = ∫p(u* − v)/∫p, and
-
-    |(c_h − p_T)u* + (p − c)(v + δ)| ≤ |c_h − p_T| |u*| + S(|v| + |δ|)
-
-is a load whose mean is not known. Where p_T ≤ 0, δ is 0.
+For c a quadratic p stands, with mean p_T, and S is at least the root mean square of c − p: r is f − f_h + (p_T u* −
+pv), δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T)u*, a number on each cell, and (p − c)(v + δ), whose
+mean and root mean square are at most S(|v| + |δ|). Where p_T ≤ 0, δ is 0.
 """
 
 from __future__ import annotations
@@ -21,24 +19,27 @@ from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.enclosures import cell_vertices
-from signorini_fenicsx.certificate.interpolants import bernstein
 from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.resolution import Resolution
+from signorini_fenicsx.certificate.resolution import SMALLEST, Resolution
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells, owned_cells
 from signorini_fenicsx.expressions import TREES, polynomial_degree
-from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated
+from signorini_fenicsx.expressions.enclosures import ranges
+from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 SQUARE = 8
 """Degree of (pv)² for two quadratics."""
+
+
+ROUNDING = 1e-9
+"""A c < 0 of this size, relative to the largest c, counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +76,14 @@ def reaction_terms(
     spaces: Spaces, data: Data, metric: CellMetric, trace: Trace, u: fem.Function, resolution: Resolution
 ) -> ReactionTerms | None:
     """The terms for the admissible function of a trace and u* in P0; None where c = 0 (collective)."""
-    if data.c_h is None:
+    if data.c.number == 0:
         return None
     mesh, number = spaces.mesh, len(metric.volume)
     cell, dim = mesh.basix_cell(), mesh.topology.dim
     nodes = np.abs(trace.v.x.array[trace.v.function_space.dofmap.list[:number]]).max(axis=1)
     coefficient = _coefficient(data, metric, resolution, np.maximum(nodes, np.abs(u.x.array)))
+    if coefficient is None:
+        return None
     delta, mean, missed = np.zeros(number), np.zeros(number), np.zeros(number)
     load = Projection(np.zeros((number, dim)), np.zeros(number))
     squares = SQUARE if "c" not in resolution.by_quadrature else max(SQUARE, quadrature_degree(data.c, power=2))
@@ -100,36 +103,44 @@ def reaction_terms(
             missed[own] += coefficient.deviation[own] * (largest + np.abs(delta[own]))
             part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
             load.coefficients[own], load.rest[own] = part.coefficients, part.rest
-    missed += np.abs(data.c_h.x.array - mean) * np.abs(u.x.array)
-    resolution.add_load(missed, metric)
+    c_h = 0.0 if data.c_h is None else data.c_h.x.array
+    resolution.add_means("c", (c_h - mean) * u.x.array, metric)
+    resolution.add_load("c", missed, metric)
     load.rest[:] = (np.sqrt(load.rest) + missed * np.sqrt(weights.sum())) ** 2
     gap = delta**2 * (np.maximum(mean, 0.0) + coefficient.deviation) * metric.volume
     return ReactionTerms(gap, load, coefficient.least)
 
 
-def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: Array) -> _Coefficient:
-    """Both p and S for a c that is given as text; other c as they are (collective). `size`: that of u on each cell."""
+def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: Array) -> _Coefficient | None:
+    """Both p and S for a c that is given as text; other c as they are; None where c is certainly 0 (collective).
+
+    `size` is that of u on each cell.
+    """
     number, dim = len(metric.volume), metric.jacobian.shape[1]
-    deviation, least = np.zeros(number), np.zeros(number)
-    if not resolution.given_as_text("c"):
-        return _Coefficient(data.c.values, deviation, least)
-    vertices, p = cell_vertices(resolution.spaces.mesh), constant(np.zeros(number), dim)
+    deviation = np.zeros(number)
+    pieces = resolution.pieces("c", data.c)
+    if not pieces:
+        return None if data.c_h is None else _Coefficient(data.c.values, deviation, np.zeros(number))
+    vertices, p = resolution.vertices, constant(np.zeros(number), dim)
     length = resolution.volume ** (1 / dim)
-    tolerance = resolution.flux(metric) / (length * np.maximum(size, 1e-300))
-    for tree, cells in resolution.of_regions("c"):
+    tolerance = resolution.flux(metric) / (length * np.maximum(size, SMALLEST))
+    least = np.zeros(number)
+    for tree, cells in pieces:
         assert isinstance(tree, TREES)
         q = interpolated(tree, vertices[cells])
         p.value[cells], p.gradient[cells], p.hessian[cells] = q.value, q.gradient, q.hessian
+        least[cells] = bernstein(q, vertices[cells]).min(axis=1)
         degree = polynomial_degree(tree)
         if degree is None or degree > 2:
-            found = resolution.enclosed("c", tree, vertices[cells], q, tolerance[cells], cells, "sup")
-            deviation[cells] = found.sup
-    least = np.maximum(bernstein(p, vertices).min(axis=1) - deviation, 0.0)
-    return _Coefficient(lambda points: _values(p, points), deviation, least)
+            deviation[cells] = resolution.deviation(tree, q, cells, tolerance[cells])
+            least[cells] = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, np.inf).lo
+    below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))
+    resolution.note("the sign of c", vertices[below].mean(axis=1), below)
+    if not resolution.spaces.mesh.comm.allreduce(bool(p.value.any() or deviation.any()), MPI.LOR):
+        return None
+    return _Coefficient(lambda points: _values(p, points), deviation, np.maximum(least, 0.0))
 
 
 def _values(p: Quadratic, points: CellPoints) -> Array:
-    own = points.cells
-    linear = p.value[own, None] + (points.arms @ p.gradient[own, :, None])[:, :, 0]
-    found: Array = linear + squares_of(points.arms, p.hessian[own]) / 2
+    found: Array = p.of(points.cells).at(points.arms)[:, :, 0]
     return found

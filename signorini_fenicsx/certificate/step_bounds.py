@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
@@ -19,14 +19,13 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate, certify
+from signorini_fenicsx.certificate.oscillation import Memory
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, owned_cells
 from signorini_fenicsx.physics.diffusion.evolving import Instant
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 type InPoints = Callable[[CellPoints], Array]
 """Values of a function in points of cells."""
-EXACT = 3
-"""Largest degree of a polynomial u_0 whose square the quadrature integrates exactly."""
 
 
 @dataclass(frozen=True)
@@ -73,16 +72,16 @@ class StepBounds:
         if instant.step == 1:
             self._before = [steps.initial.values]
 
-        def memory(points: CellPoints) -> Array:
+        before, weights = self._before, steps.weights(instant.step)
+
+        def values(points: CellPoints) -> Array:
             known = zip(weights, before, strict=False)
             return steps.capacity[points.cells, None] * sum(weight * u(points) for weight, u in known)
 
-        before = self._before
-        weights = steps.weights(instant.step)
-        certificate = certify(solution, memory=memory if len(before) >= len(weights) else None)
-        of_start = instant.step <= len(weights)
-        if of_start and (steps.initial.polynomial is None or steps.initial.polynomial > EXACT):
-            by = tuple(sorted({*certificate.by_quadrature, "initial"}))
-            certificate = replace(certificate, by_quadrature=by, guaranteed=False)
+        memory = None
+        if len(before) >= len(weights):
+            of_start = instant.step <= len(weights)
+            memory = Memory(values, steps.initial, weights[-1] * steps.capacity) if of_start else Memory(values)
+        certificate = certify(solution, memory=memory)
         self._before = [Continuous.of(solution, certificate), *before[:1]]
         return certificate

@@ -42,6 +42,13 @@ def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> A
     return found
 
 
+def facet_corners(mesh: dolfinx.mesh.Mesh, facets: Entities) -> Array:
+    """Vertices of facets of this rank, shape (facets, dim, dim)."""
+    dim = mesh.topology.dim
+    nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets) if len(facets) else np.empty((0, dim), np.int32)
+    return np.array(mesh.geometry.x[nodes, :dim])
+
+
 def arms(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
     """Vertices of cells of this rank less their centroids, by default of all, shape (cells, dim + 1, dim)."""
     vertices = corners(mesh, cells)

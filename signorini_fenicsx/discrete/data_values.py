@@ -8,9 +8,19 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, facet_type, in_facets, quadratic_nodes
+from signorini_fenicsx.discrete.points import (
+    cell_quadrature,
+    facet_quadrature,
+    facet_type,
+    in_facets,
+    owned_cells,
+    quadratic_nodes,
+)
+from signorini_fenicsx.expressions import TREES
+from signorini_fenicsx.expressions.enclosures import ranges
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
@@ -41,6 +51,34 @@ def check_finite(spaces: MeshSpaces, name: str, where: str, datum: Datum, cells:
     finite = [bool(np.isfinite(datum.jet(points, gradient=True)).all()) for points in blocks]
     if not spaces.mesh.comm.allreduce(all(finite), op=MPI.LAND):
         raise InputError(f"{name}: it or its gradient is not finite everywhere {where}")
+
+
+def least_value(spaces: MeshSpaces, datum: Datum, wanted: Array) -> tuple[float, tuple[float, ...]]:
+    """The smallest known value of a scalar in the domain, or eigenvalue of a matrix, and where it is (collective).
+
+    Of a scalar that was given as text it is looked for between the points of a quadrature too, in the owned cells where
+    values below the `wanted` one of the cell are possible.
+    """
+    mesh, vertices = spaces.mesh, corners(spaces.mesh)
+    found: list[tuple[float, tuple[float, ...]]] = [(np.inf, ())]
+    for points in cell_quadrature(mesh, owned_cells(mesh), quadrature_degree(datum)):
+        values = datum.values(points)
+        values = values if values.ndim == 2 else np.linalg.eigvalsh(values)[:, :, 0]
+        found += _least(values.ravel(), points.x.reshape(-1, mesh.geometry.dim))
+    for tree, inside in datum.pieces or []:
+        if isinstance(tree, TREES):
+            cells = slice(None) if inside is None else np.flatnonzero(inside)
+            of_tree = ranges(tree, vertices[cells], None, spaces.frame, wanted[cells], np.inf)
+            found += _least(of_tree.least, of_tree.at)
+    return min(mesh.comm.allgather(min(found)))
+
+
+def _least(values: Array, places: Array) -> list[tuple[float, tuple[float, ...]]]:
+    """The smallest of some values and its place; none if there are none."""
+    if len(values) == 0:
+        return []
+    least = int(np.argmin(values))
+    return [(float(values[least]), tuple(places[least].tolist()))]
 
 
 def check_means(name: str, where: str, means: Array, spaces: MeshSpaces) -> None:

@@ -28,8 +28,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.of_points import interpolated
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, owned_cells
-from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, to_ufl, values, values_and_gradient
-from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.expressions import TREES, Tree, exactly, polynomial_degree, to_ufl, values, values_and_gradient
+from signorini_fenicsx.expressions.given import Given, Rows, parsed
 
 DEGREES = 8, 30
 """Least and largest degree of a quadrature of data."""
@@ -66,6 +66,11 @@ class Datum:
     def polynomial(self) -> int | None:
         """The degree of the polynomial that it is known to be, or None."""
         return None if self.number is None else 0
+
+    @property
+    def pieces(self) -> list[tuple[Tree | Rows, Mask | None]] | None:
+        """The trees that it was given as, each with a mask of the cells where it holds; None if in another way."""
+        return None if self.number is None else [(exactly(self.number), None)]
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""
@@ -117,6 +122,11 @@ class _Text(Datum):
         """The degree of the polynomial that it is, or None."""
         return None if isinstance(self.trees, list) else polynomial_degree(self.trees)
 
+    @property
+    def pieces(self) -> list[tuple[Tree | Rows, Mask | None]]:
+        """It itself, everywhere."""
+        return [(self.trees, None)]
+
     def _values(self, points: Points) -> Array:
         x = _named(points)
         if isinstance(self.trees, list):
@@ -160,6 +170,14 @@ class _ByRegion(Datum):
     def polynomial(self) -> int | None:
         """The largest degree in a region, or None."""
         return largest_degree(datum for _, datum in self.parts)
+
+    @property
+    def pieces(self) -> list[tuple[Tree | Rows, Mask | None]] | None:
+        """Those of the regions; None if one has none."""
+        found = [(inside, datum.pieces) for inside, datum in self.parts]
+        if any(pieces is None for _, pieces in found):
+            return None
+        return [(tree, inside) for inside, pieces in found for tree, _ in pieces or ()]
 
     def _values(self, points: Points) -> Array:
         found = np.empty((*points.shape, *self.shape))

@@ -19,6 +19,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
+from signorini_fenicsx.expressions.enclosures import Frame
 from signorini_fenicsx.meshes.domain import Domain, cells_behind
 
 type Names = Sequence[str]
@@ -105,6 +106,12 @@ class MeshSpaces:
     def length(self) -> float:
         """L = |Ω|^(1/d) (collective when first used)."""
         return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
+
+    @cached_property
+    def frame(self) -> Frame:
+        """The domain, for enclosures (collective when first used)."""
+        box = self.domain.box()[:, : self.mesh.geometry.dim]
+        return Frame(box, self.Q.dofmap.index_map.size_global, self.mesh.comm)
 
     @collector_off()
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:

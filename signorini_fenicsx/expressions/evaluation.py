@@ -19,7 +19,7 @@ from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.intervals import Elementary, FromNumPy, Interval, Truth, enclosing
 from signorini_fenicsx.expressions.tree import Binary, Negative, Number, Tree, evaluate, exactly
 
-_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt,
     "<=": operator.le,
     ">": operator.gt,
@@ -67,7 +67,7 @@ class Numeric(_Logic):
 
     def compare(self, sign: str, left: Array, right: Array) -> Truth:
         unknown = np.isnan(left) | np.isnan(right)
-        surely = _COMPARISONS[sign](left, right) & ~unknown
+        surely = COMPARISONS[sign](left, right) & ~unknown
         return Truth(surely, surely | unknown)
 
     def choose(self, condition: Truth, then: Array, otherwise: Array) -> Any:

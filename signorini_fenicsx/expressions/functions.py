@@ -61,8 +61,10 @@ def _square(m: Any, a: Any) -> Any:
 
 
 def _angle_partials(m: Any, y: Any, x: Any) -> tuple[Any, Any]:
-    square = _square(m, x) + _square(m, y)
-    return x / square, -y / square
+    square, zero = _square(m, x) + _square(m, y), m.constant(0.0)
+    beside = m.either(m.compare(">=", y, zero), m.compare("<=", y, zero))
+    uncut = m.either(m.compare(">=", x, zero), beside)
+    return tuple(m.jump(uncut, partial, partial) for partial in (x / square, -y / square))
 
 
 FUNCTIONS: dict[str, Function] = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
 from signorini_fenicsx.expressions.evaluation import values
 from signorini_fenicsx.expressions.tree import Tree
 
@@ -28,9 +28,15 @@ class Quadratic:
     gradient: Array
     hessian: Array
 
-    def of(self, rows: Indices | Mask) -> Quadratic:
+    def of(self, rows: AnyIndices | Mask) -> Quadratic:
         """That of some of the simplices."""
         return Quadratic(self.value[rows], self.gradient[rows], self.hessian[rows])
+
+    def at(self, arms: Array) -> Array:
+        """Values, and gradients as the last columns, in points x with x − x_T given, shape (n, points, 1 + d)."""
+        bend = np.einsum("nij,nqj->nqi", self.hessian, arms)
+        value = self.value[:, None] + ((self.gradient[:, None] + bend / 2) * arms).sum(axis=2)
+        return np.concatenate([value[:, :, None], self.gradient[:, None] + bend], axis=2)
 
 
 def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadratic:
@@ -68,6 +74,18 @@ def interpolated(tree: Tree, vertices: Array) -> Quadratic:
 def constant(means: Array, dim: int) -> Quadratic:
     """Constant functions with these values, as quadratics."""
     return Quadratic(means, np.zeros((len(means), dim)), np.zeros((len(means), dim, dim)))
+
+
+def bernstein(p: Quadratic, vertices: Array) -> Array:
+    """Bernstein coefficients of quadratics, shape (n, nodes); every value is a weighted mean of them."""
+    corners = vertices.shape[1]
+    first, second = np.array(edges(corners)).T
+    arms = vertices - vertices.mean(axis=1, keepdims=True)
+    slope = np.einsum("nvi,ni->nv", arms, p.gradient)
+    bend = np.einsum("nvi,nij,nwj->nvw", arms, p.hessian, arms) / 2
+    of_vertices = p.value[:, None] + slope + np.einsum("nvv->nv", bend)
+    of_edges = p.value[:, None] + (slope[:, first] + slope[:, second]) / 2 + bend[:, first, second]
+    return np.concatenate([of_vertices, of_edges], axis=1)
 
 
 def edges(corners: int) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals
 from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, enclosing
@@ -29,7 +29,7 @@ class Parts:
     """Parts of simplices: their vertices, the number of their simplex, and their share of its measure."""
 
     vertices: Array
-    own: np.ndarray[tuple[int], np.dtype[np.int64]]
+    own: Indices
     share: Array
 
     def within(self, simplices: Array) -> Places:
@@ -51,19 +51,26 @@ class Parts:
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
         return Parts(*(np.concatenate(pair) for pair in pairs))
 
-    def halves(self, which: Mask) -> Parts:
-        """Both halves of some parts, cut through the middle of the longest edge."""
-        chosen = self.take(which)
+    def longest(self) -> tuple[Indices, Indices]:
+        """The longest edge of each part, by the numbers of its vertices."""
         pairs = np.array(edges(self.vertices.shape[1]))
-        lengths = [((chosen.vertices[:, v] - chosen.vertices[:, w]) ** 2).sum(axis=1) for v, w in pairs]
-        v, w = pairs[np.stack(lengths, axis=1).argmax(axis=1)].T
-        rows = np.arange(len(chosen.own))
-        middle = (chosen.vertices[rows, v] + chosen.vertices[rows, w]) / 2
-        first, second = chosen.vertices.copy(), chosen.vertices.copy()
-        first[rows, v] = middle
-        second[rows, w] = middle
-        own, share = np.tile(chosen.own, 2), np.tile(chosen.share / 2, 2)
-        return Parts(np.concatenate([first, second]), own, share)
+        lengths = [((self.vertices[:, v] - self.vertices[:, w]) ** 2).sum(axis=1) for v, w in pairs]
+        first, second = pairs[np.stack(lengths, axis=1).argmax(axis=1)].T
+        return first, second
+
+    def cut(self, first: Indices, second: Indices, place: Array) -> Parts:
+        """Both pieces of each part; the edge from its first to its second vertex is cut at that share of its length."""
+        rows, beyond = np.arange(len(first)), 1 - place[:, None]
+        middle = beyond * self.vertices[rows, first] + (1 - beyond) * self.vertices[rows, second]
+        pieces = self.vertices.copy(), self.vertices.copy()
+        pieces[0][rows, second] = middle
+        pieces[1][rows, first] = middle
+        share = np.concatenate([self.share * place, self.share * (1 - place)])
+        return Parts(np.concatenate(pieces), np.tile(self.own, 2), share)
+
+    def halves(self) -> Parts:
+        """Both halves of each part."""
+        return self.cut(*self.longest(), np.full(len(self.own), 0.5))
 
 
 @dataclass(frozen=True)

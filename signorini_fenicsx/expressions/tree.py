@@ -134,34 +134,43 @@ ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
-def evaluate(tree: Tree, algebra: Algebra) -> Any:
-    """The value of a tree in an algebra."""
+def evaluate(tree: Tree, algebra: Algebra, known: dict[Tree, Any] | None = None) -> Any:
+    """The value of a tree in an algebra; `known` keeps those of its parts, so that equal parts are evaluated once."""
+    if known is None:
+        return _evaluated(tree, algebra, None)
+    if tree not in known:
+        known[tree] = _evaluated(tree, algebra, known)
+    return known[tree]
+
+
+def _evaluated(tree: Tree, algebra: Algebra, known: dict[Tree, Any] | None) -> Any:
+    def of(part: Tree) -> Any:
+        return evaluate(part, algebra, known)
+
     match tree:
         case Number():
             return algebra.number(tree)
         case Coordinate(name=name):
             return algebra.coordinate(name)
         case Negative(operand=operand):
-            return -evaluate(operand, algebra)
+            return -of(operand)
         case Binary(sign=sign, left=left, right=right):
-            if sign == "^":
-                return algebra.power(evaluate(left, algebra), evaluate(right, algebra))
-            return ARITHMETIC[sign](evaluate(left, algebra), evaluate(right, algebra))
+            return algebra.power(of(left), of(right)) if sign == "^" else ARITHMETIC[sign](of(left), of(right))
         case Call(name=name, arguments=arguments):
-            return algebra.call(name, [evaluate(argument, algebra) for argument in arguments])
+            return algebra.call(name, [of(argument) for argument in arguments])
         case Conditional(condition=condition, then=then, otherwise=otherwise):
-            return algebra.choose(_holds(condition, algebra), evaluate(then, algebra), evaluate(otherwise, algebra))
+            return algebra.choose(_holds(condition, algebra, of), of(then), of(otherwise))
 
 
-def _holds(condition: Condition, algebra: Algebra) -> Any:
+def _holds(condition: Condition, algebra: Algebra, of: Callable[[Tree], Any]) -> Any:
     match condition:
         case Comparison(sign=sign, left=left, right=right):
-            return algebra.compare(sign, evaluate(left, algebra), evaluate(right, algebra))
+            return algebra.compare(sign, of(left), of(right))
         case And(operands=operands) | Or(operands=operands):
             join = algebra.both if isinstance(condition, And) else algebra.either
-            return functools.reduce(join, (_holds(operand, algebra) for operand in operands))
+            return functools.reduce(join, (_holds(operand, algebra, of) for operand in operands))
         case Not(operand=operand):
-            return algebra.opposite(_holds(operand, algebra))
+            return algebra.opposite(_holds(operand, algebra, of))
 
 
 def substituted(node: Any, name: str, number: Number) -> Any:

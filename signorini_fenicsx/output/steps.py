@@ -24,8 +24,7 @@ from signorini_fenicsx.base.exchange import area_of, delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.certificate.enclosures import facet_vertices
-from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.output.gather import FacetTable, cell_values, facet_table, in_order
 from signorini_fenicsx.physics.diffusion.evolving import Instant, Past
@@ -201,6 +200,6 @@ def _same_steps(one: Row, other: Row) -> bool:
 
 def _places(spaces: Spaces) -> dict[str, Indices]:
     """What identifies the owned cells and the facets of Γ_S on any rank: the bits of the sums of their vertices."""
-    vertices = {"cells": corners(spaces.mesh), "facets": facet_vertices(spaces.mesh, spaces.facets)}
+    vertices = {"cells": corners(spaces.mesh), "facets": facet_corners(spaces.mesh, spaces.facets)}
     sums = {key: np.sort(x, axis=1).sum(axis=1) + 0.0 for key, x in vertices.items()}  # sorted: the same bits
     return {key: np.ascontiguousarray(rows).view(np.int64) for key, rows in sums.items()}

@@ -13,12 +13,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.certificate.enclosures import enclose
 from signorini_fenicsx.expressions import Tree, interval, values
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Elementary, Interval, enclosing, larger
 from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, constant, edges, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
+from signorini_fenicsx.rigorous.enclosures import enclose
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
     Simplices,

@@ -14,7 +14,15 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.discrete.data_values import check_finite, check_means, check_nodes, extent, facet_means, total
+from signorini_fenicsx.discrete.data_values import (
+    check_finite,
+    check_means,
+    check_nodes,
+    extent,
+    facet_means,
+    least_value,
+    total,
+)
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
@@ -28,7 +36,9 @@ from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 ROUNDING = 1e-12
-"""Relative asymmetry of κ that counts as rounding."""
+"""Relative asymmetry of κ, or size of a c < 0, that counts as rounding."""
+TINY = 1e-6
+"""Points where κ ≤ 0 are looked for where κ may be below this share of its mean."""
 
 
 @dataclass(frozen=True)
@@ -312,10 +322,15 @@ def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.
     comm = spaces.mesh.comm
     if not comm.allreduce(bool(symmetric.all()), MPI.LAND):
         raise InputError("[problem] kappa: is not symmetric everywhere")
-    smallest = comm.allreduce(float(np.linalg.eigvalsh(matrices).min(initial=np.inf)), MPI.MIN)
+    positive = np.linalg.eigvalsh(matrices)[:, 0]
+    smallest, what = comm.allreduce(float(positive.min(initial=np.inf)), MPI.MIN), "a mean over a cell"
+    place: tuple[float, ...] = ()
+    if smallest > 0 and kappa.number is None:
+        smallest, place = least_value(spaces, kappa, TINY * positive)
+        what = "its value"
     if not smallest > 0:
-        what = "eigenvalue" if kappa.shape else "mean over a cell"
-        raise InputError(f"[problem] kappa: must be positive; its smallest {what} is {smallest:.3g}")
+        what = f"{what} has the eigenvalue" if kappa.shape else f"{what} is"
+        raise InputError(f"[problem] kappa: must be positive; {what} {smallest:.3g}{_near(place)}")
     if kappa.number is not None:
         return fem.Constant(spaces.mesh, kappa.number)
     kappa_h = fem.Function(spaces.Q_matrix if kappa.shape else spaces.Q, name="kappa_h")
@@ -332,11 +347,16 @@ def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | N
     c_h = fem.Function(spaces.Q, name="c_h")
     c_h.x.array[:] = means = cell_means(spaces, c)  # no ghost cells
     check_means("c", "in the domain", means, spaces)
-    blocks = cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), quadrature_degree(c))
-    least = min([0.0, *(float(c.values(points).min(initial=0.0)) for points in blocks)])
-    if (least := comm.allreduce(least, MPI.MIN)) < 0:
-        raise InputError(f"[problem] c: must not be negative; its smallest value is {least:.3g}")
+    rounding = ROUNDING * comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
+    least, place = least_value(spaces, c, np.full(len(means), -rounding))
+    if least < -rounding:
+        raise InputError(f"[problem] c: must not be negative; it is {least:.3g}{_near(place)}")
     return c, c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
+
+
+def _near(place: tuple[float, ...]) -> str:
+    """A place in words."""
+    return f" near ({', '.join(f'{x:.4g}' for x in place)})" if place else ""
 
 
 def cell_means(spaces: Spaces, datum: Datum, degree: int | None = None) -> Array:

@@ -22,8 +22,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
-from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -42,20 +40,6 @@ CLOSE = 0.5
 """An upper bound of ‖d‖² is good enough if it is too large by at most this share of itself."""
 CHUNK = 20000
 """Boxes evaluated at once."""
-
-
-def cell_vertices(mesh: Mesh) -> Array:
-    """Vertices of the owned cells, shape (cells, d + 1, d)."""
-    dim = mesh.geometry.dim
-    cells = mesh.geometry.dofmaps[0][: mesh.topology.index_map(dim).size_local]
-    return np.array(mesh.geometry.x[cells, :dim])
-
-
-def facet_vertices(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Array:
-    """Vertices of facets, shape (facets, d, d)."""
-    dim = mesh.geometry.dim
-    nodes = entities_to_geometry(mesh, dim - 1, facets) if len(facets) else np.empty((0, dim), dtype=np.int32)
-    return np.array(mesh.geometry.x[nodes, :dim])
 
 
 @dataclass(frozen=True)
@@ -135,7 +119,7 @@ def enclose(
                 return work.result()
             left -= wanted
             work.add(parts.take(~active), known[~active], unresolved=np.zeros(np.count_nonzero(~active), dtype=bool))
-            halves = parts.halves(cut)
+            halves = parts.take(cut).halves()
             kept = active & ~cut
             parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
 

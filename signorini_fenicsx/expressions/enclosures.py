@@ -1,0 +1,517 @@
+"""Enclosures of data on simplices: of d = e − p, an expression e minus a quadratic p.
+
+Let e be within ρ of a polynomial on a simplex, and Q a quadrature with positive weights that is exact for the
+polynomial and its square. Then the mean of d is in Q(d) ± 2ρ, and its root mean square at most Q(d²)^½ + 2ρ; likewise
+for ∇d. `taylor` gives ρ.
+
+*Boxes.* First ρ is taken from boxes that contain many simplices, smaller and smaller ones, until it is small enough.
+*Parts.* The other simplices are cut into parts: along the switch of a condition if one is undecided, else through the
+middle of the longest edge, until the enclosures together are narrow enough. All parts with more than their share of the
+uncertainty are cut at once; if there is no room for so many, the worst of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import basix
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
+from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, barycentric_gradients, bernstein, interpolated
+from signorini_fenicsx.expressions.simplices import Parts
+from signorini_fenicsx.expressions.taylor import DEGREE, Regions, Remainder, Switch, expanded
+from signorini_fenicsx.expressions.tree import Tree
+
+FIRST, LAST = 2, 18
+"""The largest and the smallest boxes have 2 to the power of minus this times the extent of the domain."""
+ROOM = 0.25
+"""Simplices of up to this share of a box are looked at in boxes, which are enlarged by so much on each side."""
+MOST, MOST_EACH = 20_000, 2
+"""Largest number of parts that are looked at: the first number plus the second per simplex of the mesh."""
+SLIVER = 0.02
+"""Parts are not cut near a vertex: at least this share of an edge away, unless the cut is exact."""
+WIDE = 3.0
+"""A part is cut so many times its blur away from a switch that is not affine."""
+FINEST = 1e-12
+"""Parts with less than this share of their simplex are not cut."""
+CLOSE = 0.3
+"""An upper bound of ‖∇d‖² is good enough if it is too large by at most this share of itself."""
+CHUNK = 4096
+"""Regions looked at at once."""
+BESIDE = 4.5
+"""If e is within ρ of a quadratic, it is within so many times ρ of `interpolated`, whose Lebesgue constant is 3.5."""
+EXACT = 1e-9
+"""A switch with a blur below this share of its variation counts as affine."""
+SIMPLICES = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
+"""By their number of vertices."""
+RAISES = 60
+"""How often the threshold is raised until there is room."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The domain.
+
+    Attributes:
+        box: Its lower and upper corner, shape (2, dim).
+        simplices: Number of simplices of the mesh, on all ranks.
+        comm: Communicator.
+    """
+
+    box: Array
+    simplices: int
+    comm: MPI.Comm
+
+    @property
+    def scale(self) -> float:
+        """Its size."""
+        return float((self.box[1] - self.box[0]).max())
+
+
+def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: int = DEGREE) -> Array:
+    """Bounds of the distance to polynomials of a degree ≤ K on simplices, only as small as is enough, see `taylor`.
+
+    Args:
+        tree: The expression.
+        vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
+        frame: The domain.
+        enough: Of each simplex.
+        degree: The degree.
+    """
+    found = np.full(len(vertices), np.inf)
+
+    def look(remainder: Remainder, rows: Indices) -> Mask:
+        found[rows] = np.minimum(found[rows], remainder.distance(degree))
+        return np.asarray(found[rows] <= enough[rows])
+
+    _look_everywhere(tree, vertices, frame, look)
+    return found
+
+
+def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Array, Array]:
+    """The same for value and gradient, see `Remainder.slope`; the gradient is only as small as is enough."""
+    found = np.full((2, len(vertices)), np.inf)
+
+    def look(remainder: Remainder, rows: Indices) -> Mask:
+        here = np.stack(remainder.slope())
+        found[:, rows] = np.where(here[1] < found[1, rows], here, found[:, rows])
+        return np.asarray(found[1, rows] <= enough[rows])
+
+    _look_everywhere(tree, vertices, frame, look)
+    return found[0], found[1]
+
+
+def _look_everywhere(tree: Tree, vertices: Array, frame: Frame, look: Callable[[Remainder, Indices], Mask]) -> None:
+    """Look at simplices in smaller and smaller boxes, and last in their own, until `look` says that this is enough.
+
+    The boxes depend on the simplex alone, so that the results do not depend on the number of ranks.
+    """
+    lo, hi = vertices.min(axis=1).T, vertices.max(axis=1).T
+    middle, size, todo = (lo + hi) / 2, (hi - lo).max(axis=0, initial=0.0), np.arange(len(vertices))
+    x = np.moveaxis(vertices, 0, -1).swapaxes(0, 1)
+    first, last = frame.box
+    done = np.zeros(len(vertices), dtype=bool)
+    for level in range(FIRST, LAST):
+        width = frame.scale / 2**level
+        todo = todo[~done[todo] & (size[todo] <= ROOM * width)]
+        if len(todo) == 0:
+            break
+        place = np.floor((middle[:, todo] - first[:, None]) / width).astype(np.int64)
+        key, rows = np.unique(place.T @ (2 ** (level + 1)) ** np.arange(len(place)), return_inverse=True)
+        index = np.stack([key // 2 ** (axis * (level + 1)) % 2 ** (level + 1) for axis in range(len(place))])
+        corner = first[:, None] + (index - ROOM) * width
+        low, high = (np.clip(end, first[:, None], last[:, None]) for end in (corner, corner + (1 + 2 * ROOM) * width))
+        for chunk, own in _chunks(len(key), rows):
+            regions = Regions.of_boxes(low[:, chunk], high[:, chunk])
+            half = np.where(regions.half > 0, regions.half, 1.0)
+            box, some = rows[own] - chunk.start, todo[own]
+            reach = (np.abs(x[:, :, some] - regions.centre[:, None, box]) / half[:, None, box]).max(axis=1)
+            remainder = Remainder.of(expanded(tree, regions)[0], regions.half, box, reach)
+            done[some] = look(remainder, some)
+    left = np.flatnonzero(~done)
+    for some in (left[begin : begin + CHUNK] for begin in range(0, len(left), CHUNK)):
+        regions = Regions.of_simplices(vertices[some], frame.scale)
+        look(Remainder.of(expanded(tree, regions)[0], regions.half, slice(None), np.ones_like(regions.half)), some)
+
+
+def _chunks(number: int, rows: Indices) -> Iterator[tuple[slice, Indices]]:
+    """Some boxes at a time, and the positions of the simplices in them; `rows` has the box of each simplex."""
+    order = np.argsort(rows, kind="stable")
+    for begin in range(0, number, CHUNK):
+        ends = np.searchsorted(rows[order], [begin, begin + CHUNK])
+        yield slice(begin, begin + CHUNK), order[slice(*ends)]
+
+
+@dataclass(frozen=True)
+class Means:
+    """Enclosures of d = e − p on each of n simplices; infinite where nothing is known.
+
+    Attributes:
+        mean: Interval with the mean of d.
+        norm: Upper bound of the root mean square of d.
+        place: Centroid of the part that adds most to the uncertainty, shape (n, dim).
+        parts: Number of parts that were looked at.
+    """
+
+    mean: Interval
+    norm: Array
+    place: Array
+    parts: int
+
+
+def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array) -> Means:
+    """Enclose means (collective): Σ weight·(half width)² ≤ 1 is aimed at, in the sum over all simplices.
+
+    Args:
+        tree: The expression.
+        vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
+        p: The quadratics.
+        frame: The domain.
+        weight: Of each simplex.
+    """
+    number = len(vertices)
+
+    def look(parts: Parts, remainder: Remainder) -> Array:
+        x, rule = _points(parts.vertices)
+        d = _values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
+        rho, middle = 2 * remainder.distance(), d @ rule
+        return np.stack([middle, rho, np.sqrt(d**2 @ rule) + rho], axis=1)
+
+    def need(parts: Parts, known: Array) -> Array:
+        width = parts.share * known[:, 1]
+        of_simplex = np.bincount(parts.own, np.where(np.isfinite(width), width, 0.0), number)[parts.own]
+        return np.where(np.isfinite(width), weight[parts.own] * width * of_simplex, np.inf)
+
+    parts, known = _in_parts(tree, vertices, frame, look, need)
+    share = parts.share[:, None] * np.column_stack([known[:, 0], known[:, 1], known[:, 2] ** 2])
+    share[np.isnan(share)] = np.inf
+    middle, radius, square = (np.bincount(parts.own, column, number) for column in share.T)
+    middle[~np.isfinite(middle)] = 0.0
+    return Means(
+        Interval(middle - radius, middle + radius), np.sqrt(square), _place(parts, share[:, 1], vertices), len(known)
+    )
+
+
+@dataclass(frozen=True)
+class Tilts:
+    """Enclosures of d = e − P and ∇d on each of n simplices, P of degree K; infinite where nothing is known.
+
+    Attributes:
+        norm: Upper bound of the root mean square of d.
+        tilt: Upper bound of that of |∇d|.
+        seen: Both over the points of a quadrature, shape (2, n).
+        place: Centroid of the part that adds most to the uncertainty, shape (n, dim).
+    """
+
+    norm: Array
+    tilt: Array
+    seen: Array
+    place: Array
+
+
+def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int) -> Tilts:
+    """Enclose gradients less those of the L² projection to polynomials of degree K (collective).
+
+    Σ weight·(by how much the bound of |∇d|² may be too large) ≤ 1 is aimed at; a share CLOSE of the bound is allowed.
+
+    Args:
+        tree: The expression.
+        vertices: Vertices of n simplices of this rank in as many dimensions as the domain, shape (n, dim + 1, dim).
+        frame: The domain.
+        weight: Of each simplex.
+        degree: Degree of the quadrature for `Tilts.seen`.
+    """
+    number = len(vertices)
+    projection = _Projection.of(tree, vertices)
+    shown = projection.distance(tree, vertices, degree)
+
+    def look(parts: Parts, remainder: Remainder) -> Array:
+        x, rule = _points(parts.vertices)
+        value, gradient = values_and_gradient(tree, _named(x))
+        d, subtracted = projection.at(parts.own, x)
+        d, gradient = value - d, gradient - subtracted
+        rho, slope = remainder.slope()
+        seen = np.sqrt((gradient**2).sum(axis=2) @ rule)
+        steep = (seen + 2 * slope) ** 2
+        return np.stack([(np.sqrt(d**2 @ rule) + 2 * rho) ** 2, steep, steep - seen**2], axis=1)
+
+    def need(parts: Parts, known: Array) -> Array:
+        steep, excess = (np.bincount(parts.own, parts.share * column, number) for column in known[:, 1:].T)
+        close = (excess <= CLOSE * steep)[parts.own]
+        wanted = weight[parts.own] * parts.share * known[:, 2]
+        return np.where(close, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
+
+    parts, known = _in_parts(tree, vertices, frame, look, need)
+    share = parts.share[:, None] * known
+    share[np.isnan(share)] = np.inf
+    norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)
+    return Tilts(norm, tilt, shown, _place(parts, share[:, 2], vertices))
+
+
+@dataclass(frozen=True)
+class _Projection:
+    """Polynomials of degree K on simplices.
+
+    Attributes:
+        coefficients: In an orthonormal basis on the reference simplex, shape (n, basis).
+        origin: First vertex of each, shape (n, dim).
+        inverse: Inverse of the map from the reference simplex, shape (n, dim, dim).
+    """
+
+    coefficients: Array
+    origin: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, tree: Tree, vertices: Array) -> _Projection:
+        """The L² projections of an expression, by quadrature."""
+        corners = vertices.shape[1]
+        points, weights = _rule(corners, 2 * DEGREE)
+        basis = _basis(corners).tabulate(0, points)[0][:, :, 0]
+        found = np.empty((len(vertices), basis.shape[1]))
+        for begin in range(0, len(vertices), CHUNK):
+            some = slice(begin, begin + CHUNK)
+            found[some] = _values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
+        measure = 1 / math.factorial(corners - 1)
+        return cls(found * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
+
+    def at(self, own: Indices, x: Array) -> tuple[Array, Array]:
+        """Values and gradients in points of simplices with these numbers, shape (parts, points, dim)."""
+        inverse = self.inverse[own]
+        reference = np.einsum("nij,nqj->nqi", inverse, x - self.origin[own, None])
+        table = _basis(x.shape[2] + 1).tabulate(1, reference.reshape(-1, x.shape[2]))[:, :, :, 0]
+        table = table.reshape(len(table), *x.shape[:2], self.coefficients.shape[1])
+        value, *slopes = np.einsum("dnqb,nb->dnq", table, self.coefficients[own])
+        return value, np.einsum("inq,nij->nqj", np.stack(slopes), inverse)
+
+    def distance(self, tree: Tree, vertices: Array, degree: int) -> Array:
+        """Root mean squares of d and of |∇d| over the points of a quadrature of this degree."""
+        found = np.empty((2, len(vertices)))
+        for begin in range(0, len(vertices), CHUNK):
+            own = np.arange(begin, min(begin + CHUNK, len(vertices)))
+            x, weights = _points(vertices[own], degree)
+            value, gradient = values_and_gradient(tree, _named(x))
+            subtracted, slope = self.at(own, x)
+            found[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
+            found[1, own] = np.sqrt(((gradient - slope) ** 2).sum(axis=2) @ weights)
+        return found
+
+
+@cache
+def _basis(corners: int) -> basix.finite_element.FiniteElement:
+    """Polynomials of degree K, orthonormal on the reference simplex."""
+    legendre = basix.LagrangeVariant.legendre
+    return basix.create_element(
+        basix.ElementFamily.P, SIMPLICES[corners], DEGREE, legendre, basix.DPCVariant.unset, True
+    )
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Enclosures of d = e − p on each of n simplices; infinite where nothing is known.
+
+    Attributes:
+        lo: Lower bound of d.
+        hi: Upper bound of d.
+        least: Smallest value of d in the points that were looked at.
+        at: Where that is, shape (n, dim).
+    """
+
+    lo: Array
+    hi: Array
+    least: Array
+    at: Array
+
+    @property
+    def sup(self) -> Array:
+        """Bound of |d|."""
+        return np.maximum(-self.lo, self.hi)
+
+
+def ranges(
+    tree: Tree, vertices: Array, p: Quadratic | None, frame: Frame, low: Array | float, high: Array | float
+) -> Ranges:
+    """Enclose values, as narrowly as is needed to see whether low ≤ d ≤ high; beyond, up to a factor of 2 (collective).
+
+    Args:
+        tree: The expression.
+        vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
+        p: The quadratics; None for 0.
+        frame: The domain.
+        low: Of each simplex; −∞ for none.
+        high: Of each simplex; ∞ for none.
+    """
+    number = len(vertices)
+    low, high = (np.broadcast_to(end, number) for end in (low, high))
+
+    def bounds(parts: Parts, rho: Array) -> Array:
+        near = interpolated(tree, parts.vertices)
+        x = np.concatenate([parts.vertices, parts.vertices.mean(axis=1, keepdims=True)], axis=1)
+        x = x.mean(axis=1, keepdims=True) + INSIDE * (x - x.mean(axis=1, keepdims=True))
+        seen, coefficients = values(tree, _named(x)), bernstein(near, parts.vertices)
+        if p is not None:
+            seen = seen - _of_simplices(p, vertices, parts, x)[:, :, 0]
+            coefficients = bernstein(_less(near, p, vertices, parts), parts.vertices)
+        place = np.nan_to_num(seen, nan=np.inf).argmin(axis=1)
+        rows = np.arange(len(place))
+        lo, hi = coefficients.min(axis=1) - BESIDE * rho, coefficients.max(axis=1) + BESIDE * rho
+        return np.column_stack([lo, hi, seen[rows, place], seen.max(axis=1), x[rows, place]])
+
+    def lacking(own: Indices, known: Array) -> Array:
+        lo, hi, least, most = known[:, :4].T
+        below = low[own] - lo - 2 * np.maximum(low[own] - least, 0.0)
+        above = hi - high[own] - 2 * np.maximum(most - high[own], 0.0)
+        return np.asarray(np.maximum(below, above))
+
+    everything = Parts(vertices, np.arange(number), np.ones(number))
+    known = bounds(everything, np.zeros(number))
+    rho = distances(tree, vertices, frame, np.maximum(-lacking(everything.own, known), 0.0) / BESIDE, 2)
+    known[:, 0] -= BESIDE * rho
+    known[:, 1] += BESIDE * rho
+    unclear = ~(lacking(everything.own, known) <= 0)
+
+    def look(parts: Parts, remainder: Remainder) -> Array:
+        found = bounds(Parts(parts.vertices, rows[parts.own], parts.share), remainder.distance(2))
+        if p is None:
+            found[:, 0], found[:, 1] = (
+                np.fmax(found[:, 0], remainder.value.lo),
+                np.fmin(found[:, 1], remainder.value.hi),
+            )
+        return found
+
+    def need(parts: Parts, known: Array) -> Array:
+        size = lacking(rows[parts.own], known)
+        return np.where(size <= 0, 0.0, 1 + np.where(np.isnan(size), np.inf, size))
+
+    rows = np.flatnonzero(unclear)
+    parts, of_parts = _in_parts(tree, vertices[unclear], frame, look, need)
+    of_parts[:, :2] = np.where(np.isnan(of_parts[:, :2]), [-np.inf, np.inf], of_parts[:, :2])
+    own, least = rows[parts.own], of_parts[:, 2]
+    known[rows, 0], known[rows, 1] = np.inf, -np.inf
+    np.minimum.at(known[:, 0], own, of_parts[:, 0])
+    np.maximum.at(known[:, 1], own, of_parts[:, 1])
+    order = np.argsort(-least, kind="stable")  # the least value of each simplex comes last
+    known[own[order], 2], known[own[order], 4:] = least[order], of_parts[order, 4:]
+    return Ranges(known[:, 0], known[:, 1], known[:, 2], known[:, 4:])
+
+
+def _less(near: Quadratic, p: Quadratic, vertices: Array, parts: Parts) -> Quadratic:
+    """The difference of quadratics of parts and those of their simplices."""
+    here = parts.vertices.mean(axis=1, keepdims=True)
+    jet, hessian = _of_simplices(p, vertices, parts, here)[:, 0], p.hessian[parts.own]
+    return Quadratic(near.value - jet[:, 0], near.gradient - jet[:, 1:], near.hessian - hessian)
+
+
+def _in_parts(
+    tree: Tree,
+    vertices: Array,
+    frame: Frame,
+    look: Callable[[Parts, Remainder], Array],
+    need: Callable[[Parts, Array], Array],
+) -> tuple[Parts, Array]:
+    """Cut simplices into parts until the needs of all parts together are at most 1 (collective).
+
+    Args:
+        tree: The expression.
+        vertices: Those of the simplices.
+        frame: The domain.
+        look: Gives what is known of parts, shape (parts, columns).
+        need: Gives from this how much each part needs to be cut.
+    """
+
+    def looked(parts: Parts) -> tuple[Array, Array]:
+        found, cuts = [], []
+        for begin in range(0, max(len(parts.own), 1), CHUNK):
+            some = parts.take(slice(begin, begin + CHUNK))
+            regions = Regions.of_simplices(some.vertices, frame.scale)
+            series, switch = expanded(tree, regions)
+            remainder = Remainder.of(series, regions.half, slice(None), np.ones_like(regions.half))
+            found.append(look(some, remainder))
+            cuts.append(_cuts(some, regions, switch))
+        return np.concatenate(found), np.concatenate(cuts)
+
+    parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
+    known, cuts = looked(parts)
+    left = MOST + MOST_EACH * frame.simplices - frame.comm.allreduce(len(vertices))
+    while True:
+        needs = np.where(parts.share > FINEST, need(parts, known), 0.0)
+        total, number = frame.comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
+        if not total > 1:
+            return parts, known
+        chosen = _worst(needs, 1 / number, left // 2, frame.comm)
+        if not frame.comm.allreduce(np.count_nonzero(chosen)):
+            return parts, known
+        first, second = cuts[chosen, :2].astype(np.int64).T
+        halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
+        left -= frame.comm.allreduce(len(halves.own))
+        parts = parts.take(~chosen).and_(halves)
+        new = looked(halves)
+        known, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((known, cuts), new, strict=True))
+
+
+def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
+    """Mask of the parts that need more than `least`, or of as many of the worst as there is room for (collective)."""
+    for _ in range(RAISES):
+        chosen = needs > least
+        if comm.allreduce(np.count_nonzero(chosen)) <= most:
+            return chosen
+        least *= 4
+    return np.zeros(len(needs), dtype=bool)
+
+
+def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
+    """Where each part is to be cut: the numbers of two vertices, and the share of their edge at the first."""
+    first, second = parts.longest()
+    share, rows = np.full(len(first), 0.5), np.arange(len(first))
+    a = switch.at + np.einsum("in,icn->cn", switch.slope, regions.corners)
+    low, high = a.argmin(axis=0), a.argmax(axis=0)
+    least, most = a[low, rows], a[high, rows]
+    exact = switch.blur <= EXACT * (most - least)
+    margin = np.where(exact, 0.0, SLIVER)
+    for level in (np.where(exact, 0.0, -WIDE * switch.blur), np.where(exact, 0.0, WIDE * switch.blur)):
+        with np.errstate(all="ignore"):
+            place = (level - least) / (most - least)
+        here = switch.undecided & (place > margin) & (place < 1 - margin)
+        first, second, share = (np.where(here, *pair) for pair in ((low, first), (high, second), (place, share)))
+    return np.column_stack([first, second, share])
+
+
+def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
+    """Points of a quadrature in each simplex, shape (n, points, dim), and its weights > 0 with sum 1."""
+    points, weights = _rule(vertices.shape[1], degree)
+    return vertices[:, :1] + points @ (vertices[:, 1:] - vertices[:, :1]), weights
+
+
+@cache
+def _rule(corners: int, degree: int) -> tuple[Array, Array]:
+    few = degree <= {2: -1, 3: 30, 4: 15}[corners]
+    kind = basix.QuadratureType.xiao_gimbutas if few else basix.QuadratureType.gauss_jacobi
+    points, weights = basix.make_quadrature(SIMPLICES[corners], degree, kind)
+    return points, weights / weights.sum()
+
+
+def _values(tree: Tree, x: Array) -> Array:
+    return values(tree, _named(x))
+
+
+def _named(x: Array) -> dict[str, Array]:
+    return dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))
+
+
+def _of_simplices(p: Quadratic, vertices: Array, parts: Parts, x: Array) -> Array:
+    """Values and gradients in points x of parts of the quadratics of their simplices."""
+    return p.of(parts.own).at(x - vertices.mean(axis=1)[parts.own, None])
+
+
+def _place(parts: Parts, uncertainty: Array, vertices: Array) -> Array:
+    """The centroid of the part of each simplex that adds most to the uncertainty."""
+    found, order = vertices.mean(axis=1), np.argsort(uncertainty, kind="stable")
+    found[parts.own[order]] = parts.vertices[order].mean(axis=1)
+    return found
