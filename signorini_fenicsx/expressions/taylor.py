@@ -372,9 +372,8 @@ class _Taylor:
         left, right = arguments if len(arguments) == 2 else (arguments[0], -arguments[0])
         first = self.compare("<=" if name == "min" else ">=", left, right)
         found = self._chosen(first, left, right, at, value, continuous=True)
-        a: Series | None
-        a = left if right.is_zero else right if left.is_zero else None
-        return replace(found, whole=a) if name == "max" else found
+        whole = left if right.is_zero else right if left.is_zero else None
+        return replace(found, whole=whole) if name == "max" else found
 
     def compare(self, sign: str, left: Series, right: Series) -> _Condition:
         """Compare almost everywhere: if left − right certainly varies, both are equal on a set of measure 0."""
