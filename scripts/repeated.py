@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary
+from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution

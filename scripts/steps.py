@@ -16,10 +16,11 @@ from fractions import Fraction
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary, evolve
+from signorini_fenicsx.api import evolve
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Wall
 from signorini_fenicsx.linear.earlier import EarlierSolutions
+from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.evolution import Evolution
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend

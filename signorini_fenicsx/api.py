@@ -99,6 +99,7 @@ from signorini_fenicsx.solving.solver import solve as solve_problem
 
 evolve = taking_old_calls(evolve_problem)
 solve = taking_old_calls(solve_problem)
+Solver.__init__ = taking_old_calls(Solver.__init__)  # type: ignore[method-assign]
 
 __all__ = [
     "Contact",

@@ -45,13 +45,13 @@ def taking_old_calls[**P, R](function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def wrapped(*given: Any, **named: Any) -> Any:
-        place, *rest = given
-        if rest and isinstance(rest[0], Boundary | ElasticBoundary):
-            boundary, *rest = rest
-            data = rest.pop(0) if rest else named.pop("problem")
+        found = [place for place, each in enumerate(given) if isinstance(each, Boundary | ElasticBoundary)]
+        if found:
+            place = found[0]
+            boundary, data = given[place], given[place + 1 : place + 2] or (named.pop("problem", None),)
             kind = IN_DIFFUSION if isinstance(boundary, Boundary) else IN_ELASTICITY
             warnings.warn(f"a problem is given as {kind} now, without a boundary", DeprecationWarning, stacklevel=2)
-            rest = [(boundary, data), *rest]
-        return function(place, *rest, **named)
+            given = (*given[:place], (boundary, *data), *given[place + 2 :])
+        return function(*given, **named)
 
     return wrapped

@@ -16,17 +16,15 @@ from dolfinx.mesh import CellType, GhostMode, create_unit_square
 from mpi4py import MPI
 
 from signorini_fenicsx import api
-from signorini_fenicsx.api import Boundary, Condition, adapt, compare, evolve
+from signorini_fenicsx.api import adapt, certify, compare, evolve
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.laws import Friction, Wall
 from signorini_fenicsx.contact.set_rules import SetRule
-from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.methods.task import Task
@@ -41,7 +39,7 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
 OWN = SetRule(
@@ -306,30 +304,30 @@ def test_arguments_of_the_wrong_kind():
     free, scalar = Boundary(["bottom"]), Problem(f=1.0)
     body, membrane = solve(domain, (held, pressed)), solve(domain, (free, scalar))
     for call, message in [
-        (lambda: certify(body), "solution: must be a Solution, not ElasticSolution; certify_elastic is for an Elastic"),
-        (lambda: certify_elastic(membrane), "solution: must be an ElasticSolution, not Solution; certify is for a"),
-        (lambda: compare(body, None), "solution: must be a Solution or ElasticSolution, not None"),
+        (lambda: certify(domain), "solution: must be a Solution, not Domain"),
+        (lambda: compare(body, None), "solution: must be a Solution, not None"),
         (lambda: Options(algorithm=None), "algorithm: must be a string or Method or SetRule, not None"),
         (lambda: Options(backend=3), "backend: must be a string, not whole number; a function that makes"),
         (lambda: Options(eps=None), "eps: must be a number, not None"),
         (lambda: Options(max_iterations="3"), "max_iterations: must be a number, not string"),
         (lambda: solve(None, (free, scalar)), "domain: must be a Domain, not None"),
-        (lambda: solve(domain, (held, scalar)), "boundary: must be a Boundary, not ElasticBoundary"),
         (lambda: solve(domain, (free, pressed)), "problem: must be a Problem, not ElasticProblem"),
         (lambda: solve(domain, (free, scalar), {"algorithm": "alg1"}), "options: must be an Options, not dict"),
         (lambda: solve(domain.mesh, (held, pressed)), "domain: must be a Domain, not Mesh"),
-        (lambda: solve(domain, (None, pressed)), "boundary: must be an ElasticBoundary, not None"),
+        (lambda: solve(domain, Wall("bottom", beta=1)), "problem: must be one of Diffusion and Elasticity, not Wall"),
+        (lambda: Solver(domain, scalar), "problem: must be one of Diffusion and Elasticity, not Problem"),
+        (lambda: Solver(domain, (free, scalar)).solve(pressed), "problem: must be a Problem, not ElasticProblem"),
         (lambda: solve(domain, (held, scalar)), "problem: must be an ElasticProblem, not Problem"),
         (lambda: solve(domain, (held, pressed), "alg1"), "options: must be an Options, not string"),
-        (lambda: solve(domain, (held, pressed), start=membrane), "start: must be an ElasticSolution, not Sol"),
+        (lambda: solve(domain, (held, pressed), start=membrane), "start: problem is of another physics"),
         (lambda: Boundary(None), r"signorini: must be a list of names, such as \['bottom'\], not None"),
         (lambda: ElasticBoundary(["bottom"], fixed=["right"]), "fixed: must be a dict, not list; an example is"),
         (lambda: ElasticBoundary(["bottom"], fixed={"right": 0}), "fixed: part 'right': must be a string, not whole"),
         (lambda: domain_of(None, {}), "mesh: must be a Mesh, not None"),
         (lambda: domain_of(domain.mesh, ["bottom"]), "parts: must be a dict, not list; an example is"),
-        (lambda: solve_case("hertz"), "case: must be a Case or ElasticCase, not string; load_case reads one"),
+        (lambda: solve_case("hertz"), "case: must be a Case, not string; load_case reads one"),
         (lambda: write_solution(body, 3), "folder: must be a string or Path, not whole number"),
-        (lambda: adapt(domain, lambda domain, start: None), "what solve_on returns: must be a Solution or Elastic"),
+        (lambda: adapt(domain, lambda domain, start: None), "what solve_on returns: must be a Solution, not None"),
         (lambda: adapt(domain, lambda domain, start: body, theta=2), "theta: must be greater than 0 and at most 1"),
         (lambda: next(evolve(domain, (free, scalar), None)), "evolution: must be an Evolution, not None"),
     ]:
@@ -362,14 +360,14 @@ def test_the_collector_is_off_in_all_that_is_collective(folder: Path):
         *_, instant = evolve(domain, (boundary, problem), in_time)
         api.StepBounds().certify(instant)
         elastic = solve(domain, (held, body))
-        certify_elastic(elastic)
+        certify(elastic)
         solution, _ = api.adapt_case(case, max_cells=40)
         certify(solution)
         for each in (solution, elastic):
             write_solution(each, folder)
             load_solution(folder, COMM)
             compare(each, each)
-            for call in (each.summary, each.norms, each.errors, each.contact):
+            for call in (each.summary, each.norms, each.errors):
                 call()
         for call in (solution.flux_through, solution.force, solution.free_boundary, solution.violation, solution.plot):
             call()

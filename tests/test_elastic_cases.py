@@ -143,8 +143,8 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ("u_D", "g_N = {top = [0, 1]}\nu_D", "g_N: no traction is given on part 'top'"),
         ("gap", "gip", "unknown key 'gip' in [problem]"),
         ("young", "yuong", "unknown key 'yuong' in [problem]; known are young, poisson, f"),
-        ('physics = "elasticity"', "", "'young' is of elastic contact, which needs physics = \"elasticity\""),
-        ('h = "1/4"', 'h = "1/4"\n[time]\nend = 1', "[time] is of scalar problems, without physics"),
+        ('physics = "elasticity"', "", "'young' is of elasticity, which needs physics = \"elasticity\""),
+        ('h = "1/4"', 'h = "1/4"\n[time]\nend = 1', "[time] is of problems without physics"),
         ('neumann = ["right"]', 'neumann = ["right", "top"]', "the body can move rigidly"),
     ],
 )
@@ -224,9 +224,7 @@ def test_scalar_options_are_refused(tmp_path: Path):
     assert (done.returncode, "alg1 has no penalty" in done.stderr) == (2, True)
     case = load_case(path)
     assert isinstance(case, ElasticCase)
-    with pytest.raises(InputError, match="this is for scalar problems, not for physics = 'elasticity'"):
-        load_case(path)
-    with pytest.raises(InputError, match="the start, example1, is of another physics"):
+    with pytest.raises(InputError, match="start: example1 is of another physics"):
         solve_case(case, start=solve_case(load_case("example1").with_values({"solve.h": 0.5})))
 
 
@@ -270,8 +268,6 @@ def test_saved_solutions(folder: Path):
     assert (folder / "c" / "pressure.png").exists()
     again = json.loads((folder / "c" / "summary.json").read_text(encoding="utf-8"))
     assert again["friction"]["stick"] == pytest.approx(saved["friction"]["stick"])
-    with pytest.raises(InputError, match="holds an elastic solution; read it by load_solution"):
-        load_solution(folder / "b", COMM)
     if COMM.rank == 0:
         stresses = np.load(folder / "b" / "checkpoint" / "sigma.npy")
         np.save(folder / "b" / "checkpoint" / "sigma.npy", 1.001 * stresses)

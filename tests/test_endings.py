@@ -15,7 +15,7 @@ from commands import run, signorini
 from signorini_fenicsx.base.signals import Interruption, listening
 from signorini_fenicsx.cli.main import main
 from signorini_fenicsx.cli.solution_report import SolutionReport
-from signorini_fenicsx.solving import solver
+from signorini_fenicsx.physics.diffusion import solving
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
 
@@ -91,7 +91,7 @@ def test_a_signal_before_the_loop_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
-    told_to_end(monkeypatch, solver, "project_data", 1, signal.SIGTERM)  # after Gmsh, which sets its own handlers
+    told_to_end(monkeypatch, solving, "project_data", 1, signal.SIGTERM)  # after Gmsh, which sets its own handlers
     assert ended(monkeypatch, *SOLVE) == 1
     assert capsys.readouterr().err.strip() == "failed: interrupted by SIGTERM"
     assert list(tmp_path.iterdir()) == []

@@ -8,9 +8,8 @@ from dolfinx import fem
 from dolfinx.mesh import GhostMode, create_unit_square
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem

@@ -7,12 +7,12 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.forms.norms import l2
+from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution

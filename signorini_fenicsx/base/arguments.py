@@ -7,7 +7,7 @@ from types import NoneType
 from signorini_fenicsx.base.errors import InputError
 
 WORDS = {str: "string", Real: "number", int: "whole number", Mapping: "dict", NoneType: "None"}
-"""What classes are called; others have their own name."""
+"""What classes are called; others have their own name, or that in their `WORD`."""
 
 
 def check_kind(name: str, value: object, *kinds: type, hint: str = "") -> None:
@@ -54,4 +54,4 @@ def names_of(name: str, value: object) -> tuple[str, ...]:
 
 
 def _word(kind: type) -> str:
-    return WORDS.get(kind, kind.__name__)
+    return WORDS.get(kind) or str(vars(kind).get("WORD", kind.__name__))

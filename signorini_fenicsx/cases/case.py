@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import ufl
 from pydantic import (
@@ -69,6 +69,7 @@ class CaseFile(Section):
         name: Short name, used for the default output folder; not a key of the file.
     """
 
+    WORD: ClassVar[str] = "Case"
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry

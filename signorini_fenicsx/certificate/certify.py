@@ -150,7 +150,7 @@ def certify(solution: Solution, *, for_signorini: bool = False, memory: Memory |
         memory: For a step in time, the load that it takes from those before; None for `Data.memory`, which is constant
             on each cell. On each cell both have the same mean.
     """
-    check_kind("solution", solution, Solution, hint="; certify_elastic is for an ElasticSolution")
+    check_kind("solution", solution, Solution)
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini), memory)

@@ -85,7 +85,7 @@ def certify_elastic(solution: ElasticSolution) -> Certificate:
 
     Costs some linear solves for quadratic displacements on the split mesh, and some on a part of it.
     """
-    check_kind("solution", solution, ElasticSolution, hint="; certify is for a Solution")
+    check_kind("solution", solution, ElasticSolution)
     watch = Stopwatch()
     with watch.phase("certificate"):
         certificate = _certificate(solution)

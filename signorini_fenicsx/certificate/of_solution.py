@@ -2,12 +2,14 @@
 
 from typing import Any
 
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.certify import certify as certify_diffusion
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
+@collector_off()
 def certify(solution: Any, *, for_signorini: bool = False) -> Certificate:
     """Bound the energy error of a converged solution, see `certificate.certify` and `certify_elastic` (collective).
 

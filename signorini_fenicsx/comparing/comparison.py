@@ -13,7 +13,7 @@ from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.comparing.differences import Differences, ElasticDifferences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.system import same_domain
 
 
@@ -50,7 +50,7 @@ def compare(one: AnySolution, other: AnySolution) -> Comparison:
         InputError: If their domains or contact boundaries differ, or only one of them is elastic.
     """
     for solution in (one, other):
-        check_kind("solution", solution, Solution, ElasticSolution)
+        check_kind("solution", solution, Solved)
     here, there = (
         f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.contact_parts)) or 'no part'}"
         for solution in (one, other)

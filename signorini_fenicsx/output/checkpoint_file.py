@@ -177,8 +177,9 @@ class Checkpoint:
 
     @property
     def dim(self) -> int:
-        """Dimension, 2 or 3."""
-        return self.headers["points"].shape[1]
+        """Dimension, 2 or 3; 0 if the points have another one."""
+        shape = self.headers["points"].shape
+        return shape[1] if shape[1:] in ((2,), (3,)) else 0
 
 
 def read_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint:
@@ -285,13 +286,12 @@ def _check_layout(found: Checkpoint) -> None:
             raise InputError("is damaged: its case has no such step")
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
-    boundary = found.boundary
-    if isinstance(boundary, Boundary) and boundary.inner:
+    dim = found.dim if "points" in headers else 0
+    if dim and isinstance(found.boundary, Boundary) and found.boundary.inner:
         layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
-    dim = headers["points"].shape[-1] if headers["points"].shape[-1:] in ((2,), (3,)) else 0
     sizes = {"dim": dim, "corners": dim + 1, "space": 3, "regions": len(about.regions), "two": 2}
     for name, (kind, *words) in layout.items():
         shape = headers[name].shape
@@ -308,6 +308,7 @@ def _check_layout(found: Checkpoint) -> None:
             raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
+    boundary = found.boundary
     if about.part_names != list(boundary.signorini if isinstance(boundary, Boundary) else boundary.contact):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     if found.case is not None:

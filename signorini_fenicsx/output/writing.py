@@ -46,6 +46,7 @@ from signorini_fenicsx.output.gather import (
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
@@ -89,7 +90,7 @@ def write_solution(
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    check_kind("solution", solution, Solution, ElasticSolution)
+    check_kind("solution", solution, Solved)
     check_kind("folder", folder, str, Path)
     folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
     on_root(comm, lambda: _make(folder))

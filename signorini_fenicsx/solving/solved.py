@@ -61,6 +61,7 @@ class Solved(ABC):
 
     name: str
     title: str
+    boundary: Any
     options: Options
     spaces: Any
     outcome: Outcome
@@ -69,6 +70,7 @@ class Solved(ABC):
     timings: dict[str, float]
     peak_memory: int
 
+    WORD: ClassVar[str] = "Solution"
     order: ClassVar[int]
     """Order in h of ‖σ − σ_h‖ for a smooth u."""
 

@@ -10,6 +10,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memor
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.system import Remesh, Wish, sorted_on, system_on
 
 
@@ -75,9 +76,11 @@ class Solver:
         wish = Wish(Options.of(options), start, remesh, memory, watch or Stopwatch(), on_step)
         system, comm = self._system, self.spaces.mesh.comm
         with wish.watch.phase("assembly"):
-            boundary, data = sorted_on(self.spaces.domain, problem)
+            boundary, data = sorted_on(self.spaces.domain, problem, system.boundary)
             if not isinstance(boundary, type(system.boundary)):
                 raise InputError("problem: is of another physics than that which the solver was set up for")
+            if isinstance(start, Solved) and not isinstance(start.boundary, type(system.boundary)):
+                raise InputError(f"start: {start.name} is of another physics")
             run = system.prepared((boundary, data), wish)
         outcome = run.outcome()
         with wish.watch.phase("kkt"):

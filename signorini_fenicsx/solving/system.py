@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
@@ -103,20 +103,23 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
     return system
 
 
-def sorted_on(domain: Domain, problem: Any) -> tuple[Any, Any]:
+def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, Any]:
     """The parts of each kind of boundary, and the problem sorted by them (collective).
 
     Args:
         domain: The mesh with its parts.
-        problem: A problem with conditions, or this pair itself.
+        problem: A problem with conditions, or this pair itself; the sorted problem alone if its boundary is given.
+        boundary: The boundary of a problem that is sorted; None if it is not known.
     """
     if isinstance(problem, tuple):
         boundary, data = problem
         return boundary, data
-    if not hasattr(problem, "on"):
+    if hasattr(problem, "on"):
+        boundary, data = problem.on(domain)
+        return boundary, data
+    if boundary is None or not is_dataclass(problem):
         raise InputError(f"problem: must be one of Diffusion and Elasticity, not {type(problem).__name__}")
-    boundary, data = problem.on(domain)
-    return boundary, data
+    return boundary, problem
 
 
 def same_domain(domain: Domain, other: Domain) -> bool:
