@@ -121,7 +121,7 @@ def test_certificate(name: str):
         assert sigma <= certificate.sigma_bound <= certificate.bound <= 1.5 * sigma
         assert certificate.sigma_bound <= 1.12 * sigma
         both, slack = sigma**2 + v**2, 2 * certificate.oscillation * v
-        assert 0.99 * both - slack <= 2 * certificate.gap <= 1.03 * both + slack
+        assert 0.99 * both - slack <= 2 * certificate.gap <= 1.04 * both + slack  # what of u_D is not in P2 is in it
         squares = certificate.indicator.x.array**2
         assert squares.sum() == pytest.approx(2 * certificate.gap + certificate.oscillation**2, rel=1e-10)
         assert certificate.remainder < 1e-6 * sigma  # ROUNDING ‖σ_h‖

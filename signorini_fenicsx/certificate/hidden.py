@@ -34,7 +34,7 @@ from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
-from signorini_fenicsx.expressions.taylor import DEGREE
+from signorini_fenicsx.expressions.series import DEGREE
 
 CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""

@@ -32,9 +32,9 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 type Indices = npt.NDArray[np.int32]
 type Robin = tuple[Spaces, fem.Function]
 
-STEPS, MOST_STEPS = 5, 320
+STEPS, MOST_STEPS = 5, 1280
 """Steps of CG in the first round, and the largest number; each round has twice as many as the one before. κ that jumps
-by 1e6 on bad cells needs hundreds of steps; other problems end in the first rounds."""
+by 1e6 on bad cells needs a thousand steps; other problems end in the first rounds."""
 MANY_STEPS = 40
 """From so many steps in a round the matrix is assembled."""
 ROUNDS = 16

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
-from signorini_fenicsx.expressions.enclosures import Frame
+from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.meshes.domain import Domain, cells_behind
 
 type Names = Sequence[str]

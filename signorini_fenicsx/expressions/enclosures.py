@@ -2,77 +2,33 @@
 
 Let e be within ρ of a polynomial on a simplex, and Q a quadrature with positive weights that is exact for the
 polynomial and its square. Then the mean of d is in Q(d) ± 2ρ, and its root mean square at most Q(d²)^½ + 2ρ; likewise
-for ∇d. `taylor` gives ρ.
-
-*Boxes.* First ρ is taken from boxes that contain many simplices, smaller and smaller ones, until it is small enough.
-*Parts.* The other simplices are cut into parts: along the switch of a condition if one is undecided, else through the
-middle of the longest edge, until the enclosures together are narrow enough. All parts with more than their share of the
-uncertainty are cut at once; if there is no room for so many, the worst of them.
+for ∇d. `taylor` gives ρ, on boxes and parts that `cutting` makes until the enclosures together are narrow enough.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
 import basix
 import numpy as np
-from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.expressions.cutting import CHUNK, Frame, in_parts, look_everywhere
 from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, barycentric_gradients, bernstein, interpolated
+from signorini_fenicsx.expressions.series import DEGREE, Remainder
 from signorini_fenicsx.expressions.simplices import Parts
-from signorini_fenicsx.expressions.taylor import DEGREE, Regions, Remainder, Switch, expanded
 from signorini_fenicsx.expressions.tree import Tree
 
-FIRST, LAST = 2, 18
-"""The largest and the smallest boxes have 2 to the power of minus this times the extent of the domain."""
-ROOM = 0.25
-"""Simplices of up to this share of a box are looked at in boxes, which are enlarged by so much on each side."""
-MOST, MOST_EACH = 20_000, 2
-"""Largest number of parts that are looked at: the first number plus the second per simplex of the mesh."""
-SLIVER = 0.02
-"""Parts are not cut near a vertex: at least this share of an edge away, unless the cut is exact."""
-WIDE = 3.0
-"""A part is cut so many times its blur away from a switch that is not affine."""
-FINEST = 1e-12
-"""Parts with less than this share of their simplex are not cut."""
 CLOSE = 0.3
 """An upper bound of ‖∇d‖² is good enough if it is too large by at most this share of itself."""
-CHUNK = 4096
-"""Regions looked at at once."""
 BESIDE = 4.5
 """If e is within ρ of a quadratic, it is within so many times ρ of `interpolated`, whose Lebesgue constant is 3.5."""
-EXACT = 1e-9
-"""A switch with a blur below this share of its variation counts as affine."""
 SIMPLICES = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
 """By their number of vertices."""
-RAISES = 60
-"""How often the threshold is raised until there is room."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The domain.
-
-    Attributes:
-        box: Its lower and upper corner, shape (2, dim).
-        simplices: Number of simplices of the mesh, on all ranks.
-        comm: Communicator.
-    """
-
-    box: Array
-    simplices: int
-    comm: MPI.Comm
-
-    @property
-    def scale(self) -> float:
-        """Its size."""
-        return float((self.box[1] - self.box[0]).max())
 
 
 def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: int = DEGREE) -> Array:
@@ -91,7 +47,7 @@ def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: 
         found[rows] = np.minimum(found[rows], remainder.distance(degree))
         return np.asarray(found[rows] <= enough[rows])
 
-    _look_everywhere(tree, vertices, frame, look)
+    look_everywhere(tree, vertices, frame, look)
     return found
 
 
@@ -104,49 +60,8 @@ def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Ar
         found[:, rows] = np.where(here[1] < found[1, rows], here, found[:, rows])
         return np.asarray(found[1, rows] <= enough[rows])
 
-    _look_everywhere(tree, vertices, frame, look)
+    look_everywhere(tree, vertices, frame, look)
     return found[0], found[1]
-
-
-def _look_everywhere(tree: Tree, vertices: Array, frame: Frame, look: Callable[[Remainder, Indices], Mask]) -> None:
-    """Look at simplices in smaller and smaller boxes, and last in their own, until `look` says that this is enough.
-
-    The boxes depend on the simplex alone, so that the results do not depend on the number of ranks.
-    """
-    lo, hi = vertices.min(axis=1).T, vertices.max(axis=1).T
-    middle, size, todo = (lo + hi) / 2, (hi - lo).max(axis=0, initial=0.0), np.arange(len(vertices))
-    x = np.moveaxis(vertices, 0, -1).swapaxes(0, 1)
-    first, last = frame.box
-    done = np.zeros(len(vertices), dtype=bool)
-    for level in range(FIRST, LAST):
-        width = frame.scale / 2**level
-        todo = todo[~done[todo] & (size[todo] <= ROOM * width)]
-        if len(todo) == 0:
-            break
-        place = np.floor((middle[:, todo] - first[:, None]) / width).astype(np.int64)
-        key, rows = np.unique(place.T @ (2 ** (level + 1)) ** np.arange(len(place)), return_inverse=True)
-        index = np.stack([key // 2 ** (axis * (level + 1)) % 2 ** (level + 1) for axis in range(len(place))])
-        corner = first[:, None] + (index - ROOM) * width
-        low, high = (np.clip(end, first[:, None], last[:, None]) for end in (corner, corner + (1 + 2 * ROOM) * width))
-        for chunk, own in _chunks(len(key), rows):
-            regions = Regions.of_boxes(low[:, chunk], high[:, chunk])
-            half = np.where(regions.half > 0, regions.half, 1.0)
-            box, some = rows[own] - chunk.start, todo[own]
-            reach = (np.abs(x[:, :, some] - regions.centre[:, None, box]) / half[:, None, box]).max(axis=1)
-            remainder = Remainder.of(expanded(tree, regions)[0], regions.half, box, reach)
-            done[some] = look(remainder, some)
-    left = np.flatnonzero(~done)
-    for some in (left[begin : begin + CHUNK] for begin in range(0, len(left), CHUNK)):
-        regions = Regions.of_simplices(vertices[some], frame.scale)
-        look(Remainder.of(expanded(tree, regions)[0], regions.half, slice(None), np.ones_like(regions.half)), some)
-
-
-def _chunks(number: int, rows: Indices) -> Iterator[tuple[slice, Indices]]:
-    """Some boxes at a time, and the positions of the simplices in them; `rows` has the box of each simplex."""
-    order = np.argsort(rows, kind="stable")
-    for begin in range(0, number, CHUNK):
-        ends = np.searchsorted(rows[order], [begin, begin + CHUNK])
-        yield slice(begin, begin + CHUNK), order[slice(*ends)]
 
 
 @dataclass(frozen=True)
@@ -189,7 +104,7 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
         of_simplex = np.bincount(parts.own, np.where(np.isfinite(width), width, 0.0), number)[parts.own]
         return np.where(np.isfinite(width), weight[parts.own] * width * of_simplex, np.inf)
 
-    parts, known = _in_parts(tree, vertices, frame, look, need)
+    parts, known = in_parts(tree, vertices, frame, look, need)
     share = parts.share[:, None] * np.column_stack([known[:, 0], known[:, 1], known[:, 2] ** 2])
     share[np.isnan(share)] = np.inf
     middle, radius, square = (np.bincount(parts.own, column, number) for column in share.T)
@@ -248,7 +163,7 @@ def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int)
         wanted = weight[parts.own] * parts.share * known[:, 2]
         return np.where(close, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
 
-    parts, known = _in_parts(tree, vertices, frame, look, need)
+    parts, known = in_parts(tree, vertices, frame, look, need)
     share = parts.share[:, None] * known
     share[np.isnan(share)] = np.inf
     norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)
@@ -391,7 +306,7 @@ def ranges(
         return np.where(size <= 0, 0.0, 1 + np.where(np.isnan(size), np.inf, size))
 
     rows = np.flatnonzero(unclear)
-    parts, of_parts = _in_parts(tree, vertices[unclear], frame, look, need)
+    parts, of_parts = in_parts(tree, vertices[unclear], frame, look, need)
     of_parts[:, :2] = np.where(np.isnan(of_parts[:, :2]), [-np.inf, np.inf], of_parts[:, :2])
     own, least = rows[parts.own], of_parts[:, 2]
     known[rows, 0], known[rows, 1] = np.inf, -np.inf
@@ -407,80 +322,6 @@ def _less(near: Quadratic, p: Quadratic, vertices: Array, parts: Parts) -> Quadr
     here = parts.vertices.mean(axis=1, keepdims=True)
     jet, hessian = _of_simplices(p, vertices, parts, here)[:, 0], p.hessian[parts.own]
     return Quadratic(near.value - jet[:, 0], near.gradient - jet[:, 1:], near.hessian - hessian)
-
-
-def _in_parts(
-    tree: Tree,
-    vertices: Array,
-    frame: Frame,
-    look: Callable[[Parts, Remainder], Array],
-    need: Callable[[Parts, Array], Array],
-) -> tuple[Parts, Array]:
-    """Cut simplices into parts until the needs of all parts together are at most 1 (collective).
-
-    Args:
-        tree: The expression.
-        vertices: Those of the simplices.
-        frame: The domain.
-        look: Gives what is known of parts, shape (parts, columns).
-        need: Gives from this how much each part needs to be cut.
-    """
-
-    def looked(parts: Parts) -> tuple[Array, Array]:
-        found, cuts = [], []
-        for begin in range(0, max(len(parts.own), 1), CHUNK):
-            some = parts.take(slice(begin, begin + CHUNK))
-            regions = Regions.of_simplices(some.vertices, frame.scale)
-            series, switch = expanded(tree, regions)
-            remainder = Remainder.of(series, regions.half, slice(None), np.ones_like(regions.half))
-            found.append(look(some, remainder))
-            cuts.append(_cuts(some, regions, switch))
-        return np.concatenate(found), np.concatenate(cuts)
-
-    parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
-    known, cuts = looked(parts)
-    left = MOST + MOST_EACH * frame.simplices - frame.comm.allreduce(len(vertices))
-    while True:
-        needs = np.where(parts.share > FINEST, need(parts, known), 0.0)
-        total, number = frame.comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
-        if not total > 1:
-            return parts, known
-        chosen = _worst(needs, 1 / number, left // 2, frame.comm)
-        if not frame.comm.allreduce(np.count_nonzero(chosen)):
-            return parts, known
-        first, second = cuts[chosen, :2].astype(np.int64).T
-        halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
-        left -= frame.comm.allreduce(len(halves.own))
-        parts = parts.take(~chosen).and_(halves)
-        new = looked(halves)
-        known, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((known, cuts), new, strict=True))
-
-
-def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
-    """Mask of the parts that need more than `least`, or of as many of the worst as there is room for (collective)."""
-    for _ in range(RAISES):
-        chosen = needs > least
-        if comm.allreduce(np.count_nonzero(chosen)) <= most:
-            return chosen
-        least *= 4
-    return np.zeros(len(needs), dtype=bool)
-
-
-def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
-    """Where each part is to be cut: the numbers of two vertices, and the share of their edge at the first."""
-    first, second = parts.longest()
-    share, rows = np.full(len(first), 0.5), np.arange(len(first))
-    a = switch.at + np.einsum("in,icn->cn", switch.slope, regions.corners)
-    low, high = a.argmin(axis=0), a.argmax(axis=0)
-    least, most = a[low, rows], a[high, rows]
-    exact = switch.blur <= EXACT * (most - least)
-    margin = np.where(exact, 0.0, SLIVER)
-    for level in (np.where(exact, 0.0, -WIDE * switch.blur), np.where(exact, 0.0, WIDE * switch.blur)):
-        with np.errstate(all="ignore"):
-            place = (level - least) / (most - least)
-        here = switch.undecided & (place > margin) & (place < 1 - margin)
-        first, second, share = (np.where(here, *pair) for pair in ((low, first), (high, second), (place, share)))
-    return np.column_stack([first, second, share])
 
 
 def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:

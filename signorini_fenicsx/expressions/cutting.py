@@ -1,0 +1,175 @@
+"""Looks at an expression on simplices, first in boxes that contain many of them, then in parts of each.
+
+*Boxes.* They are smaller and smaller ones, until they are small enough for what is asked.
+*Parts.* Simplices are cut into parts: along the switch of a condition if one is undecided, else through the middle of
+the longest edge. All parts with more than their share of the uncertainty are cut at once; if there is no room for so
+many, the worst of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.expressions.series import Remainder
+from signorini_fenicsx.expressions.simplices import Parts
+from signorini_fenicsx.expressions.taylor import Regions, Switch, expanded
+from signorini_fenicsx.expressions.tree import Tree
+
+FIRST, LAST = 2, 18
+"""The largest and the smallest boxes have 2 to the power of minus this times the extent of the domain."""
+ROOM = 0.25
+"""Simplices of up to this share of a box are looked at in boxes, which are enlarged by so much on each side."""
+MOST, MOST_EACH = 20_000, 2
+"""Largest number of parts that are looked at: the first number plus the second per simplex of the mesh."""
+SLIVER = 0.02
+"""Parts are not cut near a vertex: at least this share of an edge away, unless the cut is exact."""
+WIDE = 3.0
+"""A part is cut so many times its blur away from a switch that is not affine."""
+FINEST = 1e-12
+"""Parts with less than this share of their simplex are not cut."""
+CHUNK = 4096
+"""Regions looked at at once."""
+EXACT = 1e-9
+"""A switch with a blur below this share of its variation counts as affine."""
+RAISES = 60
+"""How often the threshold is raised until there is room."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The domain.
+
+    Attributes:
+        box: Its lower and upper corner, shape (2, dim).
+        simplices: Number of simplices of the mesh, on all ranks.
+        comm: Communicator.
+    """
+
+    box: Array
+    simplices: int
+    comm: MPI.Comm
+
+    @property
+    def scale(self) -> float:
+        """Its size."""
+        return float((self.box[1] - self.box[0]).max())
+
+
+def look_everywhere(tree: Tree, vertices: Array, frame: Frame, look: Callable[[Remainder, Indices], Mask]) -> None:
+    """Look at simplices in smaller and smaller boxes, and last in their own, until `look` says that this is enough.
+
+    The boxes depend on the simplex alone, so that the results do not depend on the number of ranks.
+    """
+    lo, hi = vertices.min(axis=1).T, vertices.max(axis=1).T
+    middle, size, todo = (lo + hi) / 2, (hi - lo).max(axis=0, initial=0.0), np.arange(len(vertices))
+    x = np.moveaxis(vertices, 0, -1).swapaxes(0, 1)
+    first, last = frame.box
+    done = np.zeros(len(vertices), dtype=bool)
+    for level in range(FIRST, LAST):
+        width = frame.scale / 2**level
+        todo = todo[~done[todo] & (size[todo] <= ROOM * width)]
+        if len(todo) == 0:
+            break
+        place = np.floor((middle[:, todo] - first[:, None]) / width).astype(np.int64)
+        key, rows = np.unique(place.T @ (2 ** (level + 1)) ** np.arange(len(place)), return_inverse=True)
+        index = np.stack([key // 2 ** (axis * (level + 1)) % 2 ** (level + 1) for axis in range(len(place))])
+        corner = first[:, None] + (index - ROOM) * width
+        low, high = (np.clip(end, first[:, None], last[:, None]) for end in (corner, corner + (1 + 2 * ROOM) * width))
+        for chunk, own in _chunks(len(key), rows):
+            regions = Regions.of_boxes(low[:, chunk], high[:, chunk])
+            half = np.where(regions.half > 0, regions.half, 1.0)
+            box, some = rows[own] - chunk.start, todo[own]
+            reach = (np.abs(x[:, :, some] - regions.centre[:, None, box]) / half[:, None, box]).max(axis=1)
+            remainder = Remainder.of(expanded(tree, regions)[0], regions.half, box, reach)
+            done[some] = look(remainder, some)
+    left = np.flatnonzero(~done)
+    for some in (left[begin : begin + CHUNK] for begin in range(0, len(left), CHUNK)):
+        regions = Regions.of_simplices(vertices[some], frame.scale)
+        look(Remainder.of(expanded(tree, regions)[0], regions.half, slice(None), np.ones_like(regions.half)), some)
+
+
+def _chunks(number: int, rows: Indices) -> Iterator[tuple[slice, Indices]]:
+    """Some boxes at a time, and the positions of the simplices in them; `rows` has the box of each simplex."""
+    order = np.argsort(rows, kind="stable")
+    for begin in range(0, number, CHUNK):
+        ends = np.searchsorted(rows[order], [begin, begin + CHUNK])
+        yield slice(begin, begin + CHUNK), order[slice(*ends)]
+
+
+def in_parts(
+    tree: Tree,
+    vertices: Array,
+    frame: Frame,
+    look: Callable[[Parts, Remainder], Array],
+    need: Callable[[Parts, Array], Array],
+) -> tuple[Parts, Array]:
+    """Cut simplices into parts until the needs of all parts together are at most 1 (collective).
+
+    Args:
+        tree: The expression.
+        vertices: Those of the simplices.
+        frame: The domain.
+        look: Gives what is known of parts, shape (parts, columns).
+        need: Gives from this how much each part needs to be cut.
+    """
+
+    def looked(parts: Parts) -> tuple[Array, Array]:
+        found, cuts = [], []
+        for begin in range(0, max(len(parts.own), 1), CHUNK):
+            some = parts.take(slice(begin, begin + CHUNK))
+            regions = Regions.of_simplices(some.vertices, frame.scale)
+            series, switch = expanded(tree, regions)
+            remainder = Remainder.of(series, regions.half, slice(None), np.ones_like(regions.half))
+            found.append(look(some, remainder))
+            cuts.append(_cuts(some, regions, switch))
+        return np.concatenate(found), np.concatenate(cuts)
+
+    parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
+    known, cuts = looked(parts)
+    left = MOST + MOST_EACH * frame.simplices - frame.comm.allreduce(len(vertices))
+    while True:
+        needs = np.where(parts.share > FINEST, need(parts, known), 0.0)
+        total, number = frame.comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
+        if not total > 1:
+            return parts, known
+        chosen = _worst(needs, 1 / number, left // 2, frame.comm)
+        if not frame.comm.allreduce(np.count_nonzero(chosen)):
+            return parts, known
+        first, second = cuts[chosen, :2].astype(np.int64).T
+        halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
+        left -= frame.comm.allreduce(len(halves.own))
+        parts = parts.take(~chosen).and_(halves)
+        new = looked(halves)
+        known, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((known, cuts), new, strict=True))
+
+
+def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
+    """Mask of the parts that need more than `least`, or of as many of the worst as there is room for (collective)."""
+    for _ in range(RAISES):
+        chosen = needs > least
+        if comm.allreduce(np.count_nonzero(chosen)) <= most:
+            return chosen
+        least *= 4
+    return np.zeros(len(needs), dtype=bool)
+
+
+def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
+    """Where each part is to be cut: the numbers of two vertices, and the share of their edge at the first."""
+    first, second = parts.longest()
+    share, rows = np.full(len(first), 0.5), np.arange(len(first))
+    a = switch.at + np.einsum("in,icn->cn", switch.slope, regions.corners)
+    low, high = a.argmin(axis=0), a.argmax(axis=0)
+    least, most = a[low, rows], a[high, rows]
+    exact = switch.blur <= EXACT * (most - least)
+    margin = np.where(exact, 0.0, SLIVER)
+    for level in (np.where(exact, 0.0, -WIDE * switch.blur), np.where(exact, 0.0, WIDE * switch.blur)):
+        with np.errstate(all="ignore"):
+            place = (level - least) / (most - least)
+        here = switch.undecided & (place > margin) & (place < 1 - margin)
+        first, second, share = (np.where(here, *pair) for pair in ((low, first), (high, second), (place, share)))
+    return np.column_stack([first, second, share])
