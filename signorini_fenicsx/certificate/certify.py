@@ -198,7 +198,7 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
     enclosed = np.sqrt(missed) + left
-    unresolved = resolution.account(enclosed / (bound if 0 < bound < np.inf else 1.0) if enclosed > 0 else 0.0)
+    unresolved = resolution.account(enclosed / bound if bound > 0 else 0.0)
     PETSc.garbage_cleanup(comm)
     return Certificate(
         bound=float(bound),
