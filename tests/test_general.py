@@ -172,8 +172,8 @@ def test_without_dirichlet_part(folder: Path):
 def test_bad_data(folder: Path):
     case = make_case(folder, parts=["bottom"], f="1", h=0.4)
     for key, value, message in [
-        ("kappa", "x - 0.5", "must be positive; its smallest mean over a cell is -0"),
-        ("kappa", [["1", "2"], ["2", "1"]], "must be positive; its smallest eigenvalue is -1"),
+        ("kappa", "x - 0.5", "must be positive; a mean over a cell is -0"),
+        ("kappa", [["1", "2"], ["2", "1"]], "must be positive; a mean over a cell has the eigenvalue -1"),
         ("kappa", [["2", "1"], ["0", "2"]], "is not symmetric"),
         ("kappa", "1/(x - x)", "cannot be evaluated|not finite"),
         ("kappa", {"rock": "1"}, "unknown region 'rock' of the mesh; it has none"),

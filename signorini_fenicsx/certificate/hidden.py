@@ -19,7 +19,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import basix
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
@@ -35,6 +37,7 @@ from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
@@ -85,7 +88,7 @@ def hidden_parts(
     data, missed = resolution.data, _Missed(resolution, metric, degree_near(trace), known)
     if (tree := resolution.tree("u_D", data.u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
-        slope[cells] += missed.of("u_D", tree, cells)[0]
+        slope[cells] += missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))[0]
     if (tree := resolution.tree("psi", data.psi)) is not None:
         cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree)).astype(np.int64)
         slope[cells] += missed.of("psi", tree, cells)[0]
@@ -142,8 +145,15 @@ class _Missed:
     degree: int
     known: float
 
-    def of(self, name: str, tree: Tree, cells: Indices) -> tuple[Array, Array]:
-        """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective)."""
+    def of(self, name: str, tree: Tree, cells: Indices, nodes: Array | None = None) -> tuple[Array, Array]:
+        """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective).
+
+        Args:
+            name: Name of the datum.
+            tree: The datum.
+            cells: Owned cells.
+            nodes: Values in their nodes that are interpolated, NaN where any will do; None for those of the datum.
+        """
         resolution, metric, vertices = self.resolution, self.metric, self.resolution.vertices[cells]
         comm, frame = resolution.spaces.mesh.comm, resolution.spaces.frame
         inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
@@ -160,7 +170,7 @@ class _Missed:
         slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
         value[rough] = np.fmin(value[rough], of_value)
         place[rough] = found.place
-        unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices)
+        unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices, nodes)
         resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
         slope[unknown], value[unknown] = 0.0, 0.0
         missed = np.sqrt(factor) * slope
@@ -173,10 +183,22 @@ class _Missed:
         return missed, value
 
 
-def _jumps(tree: Tree, vertices: Array) -> Mask:
-    """Mask of the simplices in whose nodes the values of a tree are not the limits from inside."""
+def _on_dirichlet(spaces: Spaces, trace: Trace, cells: Indices) -> Array:
+    """The values of v in those nodes of owned cells that are on Γ_D, else NaN; from each side of a cut its own."""
+    space, dim = trace.v.function_space, spaces.mesh.topology.dim
+    fixed = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
+    nodes, ends = space.dofmap.list[cells], np.array(basix.topology(spaces.mesh.basix_cell())[1])
+    found = trace.v.x.array[nodes]  # coefficients of Bernstein
+    found[:, dim + 1 :] = (found[:, dim + 1 :] + found[:, ends].mean(axis=2)) / 2
+    return np.where(np.isin(nodes, fixed), found, np.nan)
+
+
+def _jumps(tree: Tree, vertices: Array, nodes: Array | None) -> Mask:
+    """Mask of the simplices in whose nodes the values of a tree, or these, are not the limits from inside."""
     inside = vertices.mean(axis=1, keepdims=True) - vertices
     at, near, nearer = (in_nodes(tree, vertices + share * inside) for share in (0.0, *BESIDE))
+    if nodes is not None:
+        at = np.where(np.isnan(nodes), nearer, nodes)
     far, close = np.abs(near - at), np.abs(nearer - at)
     return np.asarray(((close > far / 2) & (close > ROUNDING * np.abs(at).max(initial=0.0))).any(axis=1))
 

@@ -186,8 +186,7 @@ class Resolution:
 
     def _enclosed(self, tree: Tree, vertices: Array, seen: Seen, weight: Array) -> tuple[Array, Array]:
         """Root mean square and the ends of the mean of a tree minus p, with the weights of `means` (collective)."""
-        number = self.spaces.mesh.comm.allreduce(len(vertices))
-        limit = 1 / np.sqrt(np.maximum(number, 1) * weight)
+        limit = 1 / np.sqrt(self.spaces.frame.simplices * weight)
         rho = 2 * distances(tree, vertices, self.spaces.frame, limit / 4)
         norm, mean = seen.norm + rho, np.stack([seen.mean - rho, seen.mean + rho])
         hidden = rho > limit / 2
