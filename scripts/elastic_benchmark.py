@@ -30,8 +30,8 @@ from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
-from signorini_fenicsx.solving.elastic import solve_elastic
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_SELF
 GAP, YOUNG, POISSON = 0.02, 1.0, 0.3
@@ -99,7 +99,7 @@ def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
             for poisson in POISSONS:
                 boundary, problem = pressed(dim, poisson)
                 options = Options(predict=False, tuning=Tuning(elastic_direct_up_to={dim: 0}))
-                solution = solve_elastic(domain, boundary, problem, options)
+                solution = solve(domain, (boundary, problem), options)
                 most = max(step.linear_iterations for step in solution.outcome.history)
                 found.append(f"{most:3d} ({solution.timings['solve']:.1f} s)")
                 dofs = solution.outcome.dofs
@@ -125,7 +125,7 @@ def main() -> None:
         for n in sizes:
             domain = block(dim, n)
             coarser_mesh = partial(coarser, dim, n)
-            solution, ours = timed(partial(solve_elastic, domain, boundary, problem, remesh=coarser_mesh))
+            solution, ours = timed(partial(solve, domain, boundary, problem, remesh=coarser_mesh))
             _, known = timed(partial(solved_with, domain, boundary, problem, solution.outcome.conditions))
             other = solve_p2(domain.mesh, YOUNG, POISSON, f, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP)
             norms = solution.norms()

@@ -59,9 +59,10 @@ class KeptRun:
         return str(self.parameters["solve.algorithm"])
 
     def rows(self, name: str) -> list[dict[str, float]]:
-        """A CSV file of numbers, with NaN for empty cells."""
+        """A CSV file of numbers and of True and False, which are 1 and 0, with NaN for empty cells."""
+        known = {"True": "1", "False": "0", "": "nan"}
         with (self.folder / name).open(newline="", encoding="utf-8") as file:
-            return [{key: float(value or "nan") for key, value in row.items()} for row in csv.DictReader(file)]
+            return [{key: float(known.get(value, value)) for key, value in row.items()} for row in csv.DictReader(file)]
 
     def solution(self) -> dict[str, Any]:
         """The arrays of its checkpoint, with its JSON part under `about`."""

@@ -22,7 +22,7 @@ from pathlib import Path
 from fuzzing.judge import BAD, ENDINGS, Ending, Verdict, judged, put_files_of_the_user, snapshot
 from fuzzing.runner import Runner, begin_again, import_everything, numbered
 
-KINDS = ("case", "law", "option", "expression", "mesh", "geo", "checkpoint", "study")
+KINDS = ("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study")
 
 
 def main() -> None:

@@ -21,14 +21,9 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.expressions import (
-    interval_and_gradient,
-    parse_expression,
-    parse_number,
-    read,
-    values_and_gradient,
-)
+from signorini_fenicsx.expressions.evaluation import interval_and_gradient, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 

@@ -10,12 +10,13 @@ from tempfile import TemporaryDirectory
 from mpi4py import MPI
 from PIL import Image
 
-from signorini_fenicsx.api import solve_case, write_solution
 from signorini_fenicsx.base.shipped import case_names
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.cli.evolving import solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.output.writing import write_solution
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
@@ -25,7 +26,7 @@ WIDTH = 900
 
 def draw(name: str) -> None:
     """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of the sets."""
-    case = load_any_case(name)
+    case = load_case(name)
     if case.geometry.shape is not None:
         shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})

@@ -21,7 +21,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.comparing.differences import differences
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
 def bound(solution: Solution, violation: float, *, with_trace: bool) -> float:

@@ -29,7 +29,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, options_of
+from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.points import owned_cells
 from signorini_fenicsx.forms.mixed import flux_product
@@ -38,7 +38,7 @@ from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 CONTRAST = 1e6
@@ -147,9 +147,9 @@ def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
         NumericalFailure: If a solve fails.
     """
     case, coarse, fine, problem = random_pair(seed, jumps, comm)
-    boundary = boundary_of(case)
-    solution = solve(coarse, boundary, problem(coarse), options_of(case))
-    finer = solve(fine, boundary, problem(fine))
+    boundary, _ = case.posed(coarse.mesh.geometry.dim)
+    solution = solve(coarse, (boundary, problem(coarse)), options_of(case))
+    finer = solve(fine, (boundary, problem(fine)))
     words = f"{case.geometry.shape} {case.geometry.mesh} {case.solve.algorithm} Γ_S {boundary.signorini}"
     bound, distance = certify(solution, for_signorini=True).sigma_bound, difference(solution, finer)
     wrong = bound < distance and bound < (1 - 1e-9) * (distance - certify(finer).sigma_bound)

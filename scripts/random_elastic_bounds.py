@@ -29,8 +29,8 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.solving.elastic import solve_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
 
 CELLS = {2: 1500, 3: 3000}
 """The finer mesh has at most so many, by dimension."""
@@ -119,10 +119,10 @@ def measured(seed: int) -> ElasticRow:
     size, mesh = (rng.uniform(0.3, 0.6), "unstructured") if dim == 2 else (1.7, "structured")
     coarse = build_domain(MPI.COMM_SELF, shape, size, mesh=mesh)
     boundary, problem = problem_of(rng, shape)
-    solution = solve_elastic(coarse, boundary, problem)
+    solution = solve(coarse, (boundary, problem))
 
     def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
-        return solve_elastic(domain, boundary, problem, start=start)
+        return solve(domain, (boundary, problem), start=start)
 
     finer, of_finer = adapt(coarse, solve_on, max_cells=CELLS[dim])
     certificate, difference = certify_elastic(solution), energy_difference(solution, finer)

@@ -25,8 +25,8 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.contact.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 AGREE = 1e-6
@@ -96,7 +96,7 @@ def examine(seed: int) -> Result | None:
     """Solve the problem of a seed, and in another way; None if it has no unique solution."""
     domain, boundary, problem, options, words = random_problem(seed)
     try:
-        found = solve(domain, boundary, problem, options)
+        found = solve(domain, (boundary, problem), options)
     except InputError as error:
         if "no part of the boundary" in str(error):
             return None
@@ -114,7 +114,7 @@ def examine(seed: int) -> Result | None:
 def apart(found: Solution, domain: Domain, boundary: Boundary, problem: Problem, way: Options) -> float | None:
     """The relative difference of σ and p from those of another way to solve; None if that way fails."""
     try:
-        expected = solve(domain, boundary, problem, way)
+        expected = solve(domain, (boundary, problem), way)
     except (NumericalFailure, InputError):
         return None
     size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (found.p, found.u))

@@ -24,7 +24,7 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, options_of
+from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -150,12 +150,12 @@ def examine(seed: int) -> Result:
     """Solve the problem of a seed with its algorithm and with the reference."""
     case, domain, problem, words = random_problem(seed)
     try:
-        found = solve(domain, boundary_of(case), problem, options_of(case))
+        found = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(case))
     except NumericalFailure as failure:
         return Result(words, str(failure), np.inf, np.nan)
     reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
     try:
-        expected = solve(domain, boundary_of(case), problem, options_of(reference))
+        expected = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(reference))
     except NumericalFailure:
         difference = np.nan
     else:

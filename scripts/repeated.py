@@ -11,8 +11,11 @@ from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary, Problem, Solution, Solver, solve
+from signorini_fenicsx.api import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving.solver import Solver, solve
 
 
 def problems(number: int, *, new_kappa: bool) -> list[Problem]:
@@ -44,8 +47,8 @@ def main() -> None:
     options = parser.parse_args()
     domain = build_domain(MPI.COMM_WORLD, "square", (6 / options.unknowns) ** 0.5, mesh="unstructured")
     boundary = Boundary(signorini=["bottom", "left"])
-    solver = Solver(domain, boundary)
-    ways = {"separate": lambda problem: solve(domain, boundary, problem), "Solver": solver.solve}
+    solver = Solver(domain, (boundary, None))
+    ways = {"separate": lambda problem: solve(domain, (boundary, problem)), "Solver": solver.solve}
     if MPI.COMM_WORLD.rank == 0:
         print(f"{solver.spaces.crouzeix_raviart.dofmap.index_map.size_global} unknowns; solves per second, min to max")
     for new_kappa in (False, True):

@@ -2,37 +2,25 @@
 
 A problem:
 
-- `domain_of(mesh, parts)` makes a `Domain` of your own mesh; `Boundary` names its parts that are Γ_S and Γ_N;
-- `Problem` holds the data f, κ, u_D, g_N, ψ, q_S;
-- `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator` and `Corners` are laws on Γ_S for `Problem.laws`; with `Law`
-  and `Graph` you write your own;
+- `domain_of(mesh, parts)` makes a `Domain` of your own mesh;
+- `Diffusion` and `Elasticity` hold the data and the conditions on the parts of the boundary: `Dirichlet`, `Neumann`,
+  `Contact` with `Tresca` or `Coulomb`, and the laws `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator` and
+  `Corners`;
 - `load_case` reads a case file, or a shipped case by its name.
 
 Solving it:
 
-- `solve(domain, boundary, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, p, its contact set, norms,
-  values at points, fluxes through parts, `plot`, `write`;
-- `Solver(domain, boundary)` is set up once and solves one problem after another on its mesh, several times faster;
-- `evolve(domain, boundary, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time,
-  one `Instant` after another; `StepBounds` bounds the error of each step;
+- `solve(domain, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, its contact set, norms, values at
+  points, `certify`, `plot`, `write`; `Options` names the algorithm and its parameters;
+- `Solver(domain, problem)` is set up once and solves one problem after another on its mesh, several times faster;
+- `evolve(domain, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time, one
+  `Instant` after another; `StepBounds` bounds the error of each step;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
 - `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.
 
-Elastic contact:
-
-- `ElasticBoundary` and `ElasticProblem` say what is given, `Friction` and `Coulomb` are laws of friction;
-- `solve_elastic` gives an `ElasticSolution`;
-- `certify_elastic` bounds its error; `write_solution`, `compare` and `solve_case` take its solutions and cases, too;
-- `load_any_case` and `load_any_solution` read those of any physics.
-
-Algorithms and backends, and how to replace them:
-
-- `Options` names the algorithm, one of `METHODS`, the backend and their parameters;
-- `SetRule`, `Method` with `Task`, `Outcome` and `Step`: your own algorithm;
-- `Backend` or `FacetBackend` with `Iterate`, `Spaces`, `Data`, `SiteConditions`, `Condition`, `Penalty`: your
-  own discretisation.
+`signorini_fenicsx.extend` has what your own algorithms, discretisations and laws need.
 
 Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`. For examples see
 `help(signorini_fenicsx.api)`; the command line is `signorini`.
@@ -57,6 +45,7 @@ def __getattr__(name: str) -> object:
         api = importlib.import_module("signorini_fenicsx.api")
         if name == "__all__" or name in api.__all__:
             return getattr(api, name)
+        return importlib.import_module("signorini_fenicsx.old_names").old_name(name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -12,7 +12,7 @@ from signorini_fenicsx.forms.elasticity import strain, stress
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, compliance_product, reference, to_matrices
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
 def box(comm: MPI.Comm, n: int, low: list[float], high: list[float]) -> Domain:

@@ -1,5 +1,6 @@
 """Squares that are cut by several lines, and cubes cut by a plane, as mesh files."""
 
+import os
 from pathlib import Path
 
 import meshio
@@ -54,8 +55,11 @@ def _case(
     known = {name: np.array([2 + number, dim - 1]) for number, name in enumerate(parts)} | {"body": np.array([1, dim])}
     data = {"gmsh:physical": physical, "gmsh:geometrical": physical}
     mesh = meshio.Mesh(points, blocks, cell_data=data, field_data=known)
-    meshio.write(file.with_suffix(".msh"), mesh, file_format="gmsh22", binary=False)
+    written = file.with_suffix(f".{os.getpid()}")  # of this rank: others may read the file while it is written
+    meshio.write(written, mesh, file_format="gmsh22", binary=False)
+    written.replace(file.with_suffix(".msh"))
     named = ", ".join(f"{name} = {direction}" for name, direction in sides.items())
     path = file.with_suffix(".toml")
-    path.write_text(f'[geometry]\nfile = "{file.name}.msh"\n' + text.replace("SIDES", f"sides = {{{named}}}"))
+    written.write_text(f'[geometry]\nfile = "{file.name}.msh"\n' + text.replace("SIDES", f"sides = {{{named}}}"))
+    written.replace(path)
     return load_case(str(path))

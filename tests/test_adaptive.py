@@ -89,6 +89,27 @@ def test_refinement_does_not_depend_on_the_ranks():
 
 
 @pytest.mark.parallel([1, 3])
+def test_no_slope_from_rounding():
+    """Bounds that are rounding, and meshes of nearly one size, have no slope."""
+
+    def rows(*pairs: tuple[int, float], relative: float = 1.29) -> list[AdaptRow]:
+        common = {
+            "h": 0.1,
+            "contact_facets": 0,
+            "contact_measure": 0.0,
+            "iterations": 1,
+            "gap": 0.0,
+            "oscillation": 0.0,
+        }
+        named = {"refinement": "adaptive", "mesh": 0, "cells": 1, "relative": relative, "seconds": 0.0, **common}
+        return [AdaptRow(unknowns=unknowns, bound=bound, **named) for unknowns, bound in pairs]
+
+    assert rate(rows((10, 4.0), (20, 4.0), (40, 2.0), (80, 1.0))) == pytest.approx(-1)
+    assert rate(rows((10, 0.3), (20, 0.2), (40, 1e-1), (80, 1e-16))) is None  # −67 before
+    assert rate(rows((10, 0.3), (20, 0.2), (1000, 0.1), (1010, 0.05))) is None
+    assert rate(rows((10, 3e-15), (20, 2e-15), (40, 1e-15), (80, 1e-16), relative=1e-14)) is None
+
+
 def test_dorfler():
     """The smallest set with the wanted share; ties are marked together."""
     rng = np.random.default_rng(COMM.rank)

@@ -16,41 +16,32 @@ from dolfinx.mesh import CellType, GhostMode, create_unit_square
 from mpi4py import MPI
 
 from signorini_fenicsx import api
-from signorini_fenicsx.api import (
-    Boundary,
-    Condition,
-    Data,
-    Domain,
-    ElasticBoundary,
-    ElasticProblem,
-    Evolution,
-    FacetBackend,
-    Friction,
-    Iterate,
-    Method,
-    Options,
-    Outcome,
-    Problem,
-    SetRule,
-    SiteConditions,
-    Solution,
-    Spaces,
-    Task,
-    adapt,
-    certify_elastic,
-    compare,
-    domain_of,
-    evolve,
-    load_any_solution,
-    load_solution,
-    solve,
-    solve_case,
-    solve_elastic,
-)
+from signorini_fenicsx.api import Boundary, Condition, adapt, compare, evolve
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.set_rules import SetRule
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.methods.registry import Method
+from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.evolution import Evolution
+from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 OWN = SetRule(
@@ -102,8 +93,8 @@ def test_kinds_of_data(folder: Path):
         ),
     ]
     domain, boundary = domain_of(mesh, parts, regions), Boundary(["bottom"], ["right"])
-    one, two, three = (solve(domain, boundary, problem) for problem in problems)
-    assert 0 < one.contact()[0] < 8
+    one, two, three = (solve(domain, (boundary, problem)) for problem in problems)
+    assert 0 < one.contact[0] < 8
     for other in (two, three):
         np.testing.assert_allclose(other.sigma.x.array, one.sigma.x.array, atol=1e-11)
         np.testing.assert_allclose(other.p.x.array, one.p.x.array, atol=1e-11)
@@ -123,16 +114,16 @@ def test_functions_of_points_choose_parts_and_ghosts_do_not_matter():
     domain = domain_of(mesh, walls, regions)
     for name in walls:
         np.testing.assert_array_equal(domain.facets[name], parts[name])
-    expected = solve(domain, boundary, problem)
+    expected = solve(domain, (boundary, problem))
     ghosted = create_unit_square(COMM, 8, 8)
     ghosted.topology.create_connectivity(1, 2)
     tags = {name: dolfinx.mesh.locate_entities_boundary(ghosted, 1, where) for name, where in walls.items()}
     cells = {name: dolfinx.mesh.locate_entities(ghosted, 2, where) for name, where in regions.items()}
     for given in (domain_of(ghosted, tags, cells), domain_of(ghosted, walls, regions)):
-        solution = solve(given, boundary, problem)
+        solution = solve(given, (boundary, problem))
         assert (given.mesh is ghosted) == (COMM.size == 1)
         assert solution.norms() == pytest.approx(expected.norms(), rel=1e-10)
-        assert solution.contact() == pytest.approx(expected.contact())
+        assert solution.contact == pytest.approx(expected.contact)
         certify(solution)
     own = (given.mesh.topology.original_cell_index - ghosted.topology.index_map(2).local_range[0]).astype(np.int32)
     if COMM.size == 1:
@@ -172,7 +163,7 @@ def test_own_backend():
     mesh, parts = square()
     x = ufl.SpatialCoordinate(mesh)
     options = Options(algorithm="alg4", eps=1e-3, backend=Counting)
-    solution = solve(domain_of(mesh, parts), Boundary(["bottom"]), Problem(f=40 * (x[0] - 0.6)), options)
+    solution = solve(domain_of(mesh, parts), (Boundary(["bottom"]), Problem(f=40 * (x[0] - 0.6))), options)
     assert Counting.solves == len(solution.outcome.history) + 1  # the start, too
     assert solution.outcome.backend == "counting"
     kind = solution.outcome.conditions.kind
@@ -201,11 +192,11 @@ def test_own_method():
     mesh, parts = square()
     domain, boundary = domain_of(mesh, parts), Boundary(["bottom"])
     options = Options(algorithm=Method("contact everywhere", "", one_step))
-    solution, expected = (solve(domain, boundary, Problem(f=-1.0), given) for given in (options, Options()))
+    solution, expected = (solve(domain, (boundary, Problem(f=-1.0)), given) for given in (options, Options()))
     np.testing.assert_allclose(solution.sigma.x.array, expected.sigma.x.array, atol=1e-12)
     assert solution.summary()["algorithm"] == "own"
     with pytest.raises(NumericalFailure, match="KKT residuals above"):
-        solve(domain, boundary, Problem(f="40*(x - 0.6)"), options)
+        solve(domain, (boundary, Problem(f="40*(x - 0.6)")), options)
 
 
 @pytest.mark.parallel(2)
@@ -214,15 +205,15 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     mesh, parts = square()
     domain, boundary = domain_of(mesh, parts), Boundary(["bottom"], ["right"])
     text, x = "40*(x - 0.6)", ufl.SpatialCoordinate(mesh)
-    solution = solve(domain, boundary, Problem(f=text, kappa=[[2, 0], [0, 1]]), Options(algorithm="alg3", eps=1e-6))
+    solution = solve(domain, (boundary, Problem(f=text, kappa=[[2, 0], [0, 1]])), Options(algorithm="alg3", eps=1e-6))
     write_solution(solution, folder, certificate=certify(solution))
     read = load_solution(folder, COMM)
     assert read.problem == solution.problem
     assert read.options == solution.options
     assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
-    again = solve(domain, boundary, read.problem, start=read)
+    again = solve(domain, (boundary, read.problem), start=read)
     assert len(again.outcome.history) <= len(solution.outcome.history)
-    ufl_given = solve(domain, boundary, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]]), Options(algorithm=OWN))
+    ufl_given = solve(domain, (boundary, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]])), Options(algorithm=OWN))
     write_solution(ufl_given, folder)
     with pytest.raises(InputError, match="f: given in Python, so not in the file; pass the problem to load_solution"):
         load_solution(folder, COMM)
@@ -233,7 +224,7 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
 
     def solve_on(domain: Domain, start: Solution | None) -> Solution:
         f = 40 * (ufl.SpatialCoordinate(domain.mesh)[0] - 0.6)
-        return solve(domain, boundary, Problem(f=f), start=start)
+        return solve(domain, (boundary, Problem(f=f)), start=start)
 
     finest, certificate = adapt(domain, solve_on, max_cells=600)
     assert finest.spaces.Q.dofmap.index_map.size_global > 300
@@ -275,14 +266,14 @@ def test_refusals():
         (domain, bottom, Problem(f=ufl.TestFunction(fem.functionspace(mesh, ("P", 1)))), "f: is UFL with a test or"),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(given, boundary, problem)
+            solve(given, (boundary, problem))
     quads, parts = square(cell_type=CellType.quadrilateral)
     with pytest.raises(InputError, match="must consist of triangles or tetrahedra"):
         domain_of(quads, parts)
     ghosted, parts = square(ghost_mode=GhostMode.shared_facet)
     if COMM.size > 1:
         with pytest.raises(InputError, match=r"f: is UFL on another mesh; write it on `domain.mesh`"):
-            solve(domain_of(ghosted, parts), bottom, Problem(f=ufl.SpatialCoordinate(ghosted)[0]))
+            solve(domain_of(ghosted, parts), (bottom, Problem(f=ufl.SpatialCoordinate(ghosted)[0])))
     for chosen, message in [
         ("bottom", r"parts\['low'\]: must be an array of facet numbers, integers, or a function of points"),
         ([0.5, 1.0], "must be an array of facet numbers"),
@@ -299,7 +290,7 @@ def test_refusals():
     with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
         Boundary("bottom")
     with pytest.raises(InputError, match="start: must be a Solution of a scalar problem, not str"):
-        solve(domain, bottom, f, start="results")
+        solve(domain, (bottom, f), start="results")
     with pytest.raises(InputError, match=r"laws: must be a list of laws, such as \[Friction"):
         Problem(f=1.0, laws=Friction(["bottom"], g=1))
     with pytest.raises(InputError, match="algorithm: unknown name 'alg5'; use one of alg1"):
@@ -311,9 +302,9 @@ def test_refusals():
 def test_arguments_of_the_wrong_kind():
     """One sentence each, for scalar and elastic problems."""
     domain = domain_of(*square())
-    held, pressed = ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
+    held, pressed = ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"], gap=0.1)
     free, scalar = Boundary(["bottom"]), Problem(f=1.0)
-    body, membrane = solve_elastic(domain, held, pressed), solve(domain, free, scalar)
+    body, membrane = solve(domain, (held, pressed)), solve(domain, (free, scalar))
     for call, message in [
         (lambda: certify(body), "solution: must be a Solution, not ElasticSolution; certify_elastic is for an Elastic"),
         (lambda: certify_elastic(membrane), "solution: must be an ElasticSolution, not Solution; certify is for a"),
@@ -322,25 +313,25 @@ def test_arguments_of_the_wrong_kind():
         (lambda: Options(backend=3), "backend: must be a string, not whole number; a function that makes"),
         (lambda: Options(eps=None), "eps: must be a number, not None"),
         (lambda: Options(max_iterations="3"), "max_iterations: must be a number, not string"),
-        (lambda: solve(None, free, scalar), "domain: must be a Domain, not None"),
-        (lambda: solve(domain, held, scalar), "boundary: must be a Boundary, not ElasticBoundary"),
-        (lambda: solve(domain, free, pressed), "problem: must be a Problem, not ElasticProblem"),
-        (lambda: solve(domain, free, scalar, {"algorithm": "alg1"}), "options: must be an Options, not dict"),
-        (lambda: solve_elastic(domain.mesh, held, pressed), "domain: must be a Domain, not Mesh"),
-        (lambda: solve_elastic(domain, None, pressed), "boundary: must be an ElasticBoundary, not None"),
-        (lambda: solve_elastic(domain, held, scalar), "problem: must be an ElasticProblem, not Problem"),
-        (lambda: solve_elastic(domain, held, pressed, "alg1"), "options: must be an Options, not string"),
-        (lambda: solve_elastic(domain, held, pressed, start=membrane), "start: must be an ElasticSolution, not Sol"),
+        (lambda: solve(None, (free, scalar)), "domain: must be a Domain, not None"),
+        (lambda: solve(domain, (held, scalar)), "boundary: must be a Boundary, not ElasticBoundary"),
+        (lambda: solve(domain, (free, pressed)), "problem: must be a Problem, not ElasticProblem"),
+        (lambda: solve(domain, (free, scalar), {"algorithm": "alg1"}), "options: must be an Options, not dict"),
+        (lambda: solve(domain.mesh, (held, pressed)), "domain: must be a Domain, not Mesh"),
+        (lambda: solve(domain, (None, pressed)), "boundary: must be an ElasticBoundary, not None"),
+        (lambda: solve(domain, (held, scalar)), "problem: must be an ElasticProblem, not Problem"),
+        (lambda: solve(domain, (held, pressed), "alg1"), "options: must be an Options, not string"),
+        (lambda: solve(domain, (held, pressed), start=membrane), "start: must be an ElasticSolution, not Sol"),
         (lambda: Boundary(None), r"signorini: must be a list of names, such as \['bottom'\], not None"),
         (lambda: ElasticBoundary(["bottom"], fixed=["right"]), "fixed: must be a dict, not list; an example is"),
         (lambda: ElasticBoundary(["bottom"], fixed={"right": 0}), "fixed: part 'right': must be a string, not whole"),
         (lambda: domain_of(None, {}), "mesh: must be a Mesh, not None"),
         (lambda: domain_of(domain.mesh, ["bottom"]), "parts: must be a dict, not list; an example is"),
-        (lambda: solve_case("hertz"), "case: must be a Case or ElasticCase, not string; load_any_case reads one"),
+        (lambda: solve_case("hertz"), "case: must be a Case or ElasticCase, not string; load_case reads one"),
         (lambda: write_solution(body, 3), "folder: must be a string or Path, not whole number"),
         (lambda: adapt(domain, lambda domain, start: None), "what solve_on returns: must be a Solution or Elastic"),
         (lambda: adapt(domain, lambda domain, start: body, theta=2), "theta: must be greater than 0 and at most 1"),
-        (lambda: next(evolve(domain, free, scalar, None)), "evolution: must be an Evolution, not None"),
+        (lambda: next(evolve(domain, (free, scalar), None)), "evolution: must be an Evolution, not None"),
     ]:
         with pytest.raises(InputError, match=message):
             call()
@@ -368,15 +359,15 @@ def test_the_collector_is_off_in_all_that_is_collective(folder: Path):
     gc.callbacks.append(note)
     try:
         domain = domain_of(mesh, parts)
-        *_, instant = evolve(domain, boundary, problem, in_time)
+        *_, instant = evolve(domain, (boundary, problem), in_time)
         api.StepBounds().certify(instant)
-        elastic = solve_elastic(domain, held, body)
+        elastic = solve(domain, (held, body))
         certify_elastic(elastic)
         solution, _ = api.adapt_case(case, max_cells=40)
         certify(solution)
         for each in (solution, elastic):
             write_solution(each, folder)
-            load_any_solution(folder, COMM)
+            load_solution(folder, COMM)
             compare(each, each)
             for call in (each.summary, each.norms, each.errors, each.contact):
                 call()

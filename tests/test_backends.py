@@ -15,7 +15,7 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
@@ -247,7 +247,7 @@ def test_a_factorisation_takes_over(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
     few, many = Tuning(predict_from=0), Tuning(predict_from=0, condense_up_to=0)
     for tuning, loads, expected in (few, (1, 1), "cf"), (many, (1, 1, 1, 3), "ccff"), (many, (1, 2, 3, 4), "cccc"):
-        solver, problem = Solver(domain, boundary_of(case)), case.data(2)
+        solver, problem = Solver(domain, (case.posed(domain.mesh.geometry.dim)[0], None)), case.data(2)
         found = [solver.solve(replace(problem, f=f"{f}*(x - 0.3*{f})"), Options(tuning=tuning)) for f in loads]
         assert [each.outcome.linear_solver for each in found] == [
             {"c": "cg+mg", "f": "preonly+cholesky+mumps"}[e] for e in expected

@@ -7,7 +7,6 @@ import pytest
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.elastic_case import load_any_case
 
 GOOD = """
 title = "Good"
@@ -47,7 +46,7 @@ def test_examples_are_shipped():
         ]
     )
     for name in case_names():
-        assert load_any_case(name).name == name
+        assert load_case(name).name == name
 
 
 def test_good_case(tmp_path: Path):

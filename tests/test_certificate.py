@@ -17,7 +17,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 ALGORITHMS = ("alg1", "alg2", "vi", "alg3", "alg4", "snes1", "snes2")

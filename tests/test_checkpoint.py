@@ -14,7 +14,7 @@ from signorini_fenicsx.cases.solving import case_of, shared_domain, solve_case
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather_facets, gather_fields
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -47,7 +47,7 @@ def test_read_on_any_number_of_ranks(folder: Path):
             assert case_of(read) == case_of(original)
             assert len(read.outcome.history) == len(original.outcome.history)
             assert read.norms() == pytest.approx(original.norms(), rel=1e-12)
-            assert read.contact() == pytest.approx(original.contact(), rel=1e-12)
+            assert read.contact == pytest.approx(original.contact, rel=1e-12)
             assert max(vars(read.kkt).values()) < 1e-11
             for gather in (gather_fields, gather_facets):
                 mine, theirs = gather(read), gather(original)
@@ -69,7 +69,7 @@ def test_start_from_another_solution(folder: Path):
         case = cold_case.with_values({"solve.algorithm": algorithm, "solve.eps": 1e-10})
         warm = solve_case(case, COMM, domain=cold.spaces.domain, start=start)
         assert len(warm.outcome.history) <= 2 < len(cold.outcome.history)
-        assert warm.contact() == cold.contact()
+        assert warm.contact == cold.contact
         assert warm.norms() == pytest.approx(cold.norms(), rel=1e-8)
     same = solve_case(case_of(start), COMM, domain=shared_domain(start, case_of(start)), start=start)
     assert same.spaces.domain is start.spaces.domain

@@ -21,11 +21,11 @@ from signorini_fenicsx.comparing.method_comparison import compare_methods, dista
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.methods.classical.half_norm import HalfNorm
-from signorini_fenicsx.methods.classical.projection import scattered_values
 from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.physics.diffusion.classical.half_norm import HalfNorm
+from signorini_fenicsx.physics.diffusion.classical.projection import scattered_values
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -58,7 +58,7 @@ def test_mixed_methods_equal_algorithm_1():
         for method in (*MIXED, "vi"):
             solution = solved(case_of(exact), method, exact.spaces.domain)
             assert distance(solution, exact) < 1e-8, method
-            assert solution.contact() == exact.contact(), method
+            assert solution.contact == exact.contact, method
             assert max(vars(solution.kkt).values()) < 1e-8, method
             assert solution.outcome.own_residual is None
 
@@ -73,7 +73,7 @@ def test_primal_methods_solve_one_problem():
         for method in PRIMAL:
             solution = solved(case_of(first), method, first.spaces.domain)
             assert distance(solution, first) < 1e-8, method
-            assert solution.contact() == first.contact(), method
+            assert solution.contact == first.contact, method
             assert solution.outcome.own_residual is not None
             assert solution.outcome.own_residual < 1e-8
             assert solution.converged
@@ -92,7 +92,7 @@ def test_cube(folder: Path):
     first = solved(case, "primal-pdas", exact.spaces.domain)
     for method in PRIMAL:
         assert distance(solved(case, method, exact.spaces.domain), first) < 1e-8, method
-    assert 0 < first.contact()[1] < 2
+    assert 0 < first.contact[1] < 2
 
 
 def test_primal_order_on_an_exact_solution(folder: Path):

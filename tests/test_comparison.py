@@ -17,8 +17,8 @@ from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.comparing.differences import Differences
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
-from signorini_fenicsx.solving.solution import Solution
 
 COMM = MPI.COMM_WORLD
 

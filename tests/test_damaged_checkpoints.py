@@ -14,8 +14,9 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.meshes.geo_words import TEXT
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.checkpoint_file import FOLDER, TEXT
+from signorini_fenicsx.output.checkpoint_file import FOLDER
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.writing import write_solution
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.forms.norms import l2
 
 COMM = MPI.COMM_WORLD
@@ -54,7 +54,7 @@ def test_backends_agree(folder: Path):
         case = case.with_values({"problem.u_D": "sin(3*x)*y + abs(x - 0.7)", "solve.algorithm": algorithm})
         one = solve_case(case, COMM)
         two = solve_case(case.with_values({"solve.backend": "mixed"}), COMM, domain=one.spaces.domain)
-        assert 0 < one.contact()[0] < one.spaces.Lambda.dofmap.index_map.size_global
+        assert 0 < one.contact[0] < one.spaces.Lambda.dofmap.index_map.size_global
         assert [step.changed for step in one.outcome.history] == [step.changed for step in two.outcome.history]
         for a, b in [(one.sigma, two.sigma), (one.u, two.u), (one.p, two.p)]:
             np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-11)

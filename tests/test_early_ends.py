@@ -8,7 +8,7 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.physics.diffusion.residuals import relative
+from signorini_fenicsx.contact.residuals import relative
 
 EARLY = [
     ("snes_atol=1", ["snes1", "snes2"]),

@@ -9,13 +9,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.elastic_case import ElasticCase, load_any_case
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.solving.elastic import solve_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 MULTIGRID, DIRECT = (Tuning(elastic_direct_up_to={2: size, 3: size}) for size in (0, 10**9))
@@ -29,7 +30,7 @@ def pressed(comm: MPI.Comm, dim: int, n: int, nu: float, tuning: Tuning = MULTIG
     boundary = ElasticBoundary([f"{last}0"], neumann=[f"{last}1", "x1"], fixed=fixed)
     load = {f"{last}1": ["0"] * (dim - 1) + ["-0.1"]}
     problem = ElasticProblem("1 + x^2", nu, g_N=load, gap="0.5*(x - 0.1)^2")
-    return solve_elastic(box(comm, n, low, high), boundary, problem, Options(tuning=tuning))
+    return solve(box(comm, n, low, high), (boundary, problem), Options(tuning=tuning))
 
 
 def iterations(solution: ElasticSolution) -> int:
@@ -55,7 +56,7 @@ def test_same_as_factorisation(dim: int, nu: float):
     assert (direct.outcome.linear_solver, iterations(found) > 1) == ("preonly+cholesky+mumps", True)
     sets = [[(step.no_flux, step.zero_trace) for step in one.outcome.history] for one in (direct, found)]
     assert sets[0] == sets[1]
-    assert 0 < found.contact()[0] == direct.contact()[0] < found.spaces.Lambda.dofmap.index_map.size_global * dim
+    assert 0 < found.contact[0] == direct.contact[0] < found.spaces.Lambda.dofmap.index_map.size_global * dim
     assert found.norms() == pytest.approx(direct.norms(), rel=1e-9)
     if COMM.size == 1:
         np.testing.assert_allclose(found.stresses, direct.stresses, atol=1e-8)
@@ -80,13 +81,13 @@ def test_sets_predicted_from_coarser_meshes():
 
     CG stops as soon as the next set is known, and its last solve is that of the loop.
     """
-    case = load_any_case("hertz")
+    case = load_case("hertz")
     assert isinstance(case, ElasticCase)
     cold = solve_case(case, COMM, tuning=Tuning(elastic_predict_from=10**9))
     warm = solve_case(case, COMM, tuning=replace(MULTIGRID, elastic_predict_from=1000))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
-    assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, 1)
+    assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, warm.outcome.rough_steps + 2)
     assert 0 < warm.outcome.rough_steps == warm.summary()["rough_steps"] < len(cold.outcome.history)
     np.testing.assert_array_equal(warm.touching, cold.touching)
     assert warm.norms() == pytest.approx(cold.norms(), rel=1e-9)
@@ -100,7 +101,7 @@ def test_sets_that_do_not_hold_the_body(tuning: Tuning):
     boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"], fixed={"y1": "x"})
     load = {"y1": ["0", "-0.1*exp(-100*(x - 0.6)^2)"]}
     problem = ElasticProblem(1.0, 0.3, g_N=load, gap="abs(x - 0.5)")
-    solution = solve_elastic(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), boundary, problem, Options(tuning=tuning))
+    solution = solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem), Options(tuning=tuning))
     assert [step.zero_trace for step in solution.outcome.history] == [4, 2, 1, 4, 3, 2]
     assert solution.outcome.linear_solver == ("cg+mg" if tuning is MULTIGRID else "preonly+cholesky+mumps")
     assert np.abs(solution.resultants()["sum"]).max() < 1e-12

@@ -8,7 +8,7 @@ from p2_contact import solve_p2, stress, stress_norm
 
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.solving.elastic import solve_elastic
+from signorini_fenicsx.solving.solver import solve
 
 GAP = 0.02
 
@@ -23,10 +23,10 @@ def test_energies_bracket_the_exact_one(dim: int, nu: float):
     problem = ElasticProblem(1.0, nu, f=[str(x) for x in f], g_N={f"{last}1": [str(x) for x in push]}, gap=GAP)
     for n in (2, 4) if dim == 3 else (4, 8):
         domain = box(MPI.COMM_SELF, n, [0.0] * dim, [2.0] + [1.0] * (dim - 1))
-        solution = solve_elastic(domain, boundary, problem)
+        solution = solve(domain, (boundary, problem))
         mesh = domain.mesh
         other = solve_p2(mesh, 1.0, nu, f, {(dim - 1, 1.0): push}, {(0, 0.0): list(range(dim))}, GAP)
-        assert 0 < solution.contact()[0] < solution.touching.size
+        assert 0 < solution.contact[0] < solution.touching.size
         assert other.touching > 0
         norms = solution.norms()
         complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]

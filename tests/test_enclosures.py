@@ -12,8 +12,9 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.enclosures import cell_vertices, enclose, facet_vertices
-from signorini_fenicsx.expressions import read, values, values_and_gradient
+from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
+from signorini_fenicsx.expressions.reader import read
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 

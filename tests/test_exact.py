@@ -13,9 +13,9 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import case_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.mesh_spaces import assembled
-from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -98,7 +98,7 @@ def test_orders_and_bounds(name: str):
         for (error, value), constant in zip(rows[-1][1].items(), EXPECTED[name].constants, strict=True):
             assert value < constant * h ** (2 if error == "super-close u" else 1), error
         if EXPECTED[name].contact is not None:
-            assert solution.contact()[1] == pytest.approx(EXPECTED[name].contact, abs=0.8 * h)
+            assert solution.contact[1] == pytest.approx(EXPECTED[name].contact, abs=0.8 * h)
     for (coarse, larger), (fine, smaller) in itertools.pairwise(rows):
         for error in larger:
             order = np.log(larger[error] / smaller[error]) / np.log(coarse / fine)
@@ -143,5 +143,5 @@ def test_contact_with_a_curved_obstacle(u: str):
     solution = solve_case(load_case("example1").with_values(values | {"problem.u_D": u, "problem.psi": u}))
     errors = solution.errors()
     assert errors is not None
-    assert solution.contact()[1] == pytest.approx(1.0)
+    assert solution.contact[1] == pytest.approx(1.0)
     assert errors["contact_hausdorff"] == pytest.approx(0.0, abs=1e-12)

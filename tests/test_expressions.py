@@ -11,20 +11,16 @@ from fuzz_expressions import check_enclosures, outcome, texts
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
-from signorini_fenicsx.expressions import (
-    exactly,
+from signorini_fenicsx.expressions.evaluation import (
     interval,
     interval_and_gradient,
     linear_terms,
-    parse_expression,
-    parse_number,
-    polynomial_degree,
-    read,
-    substituted,
     values,
     values_and_gradient,
 )
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
+from signorini_fenicsx.expressions.tree import exactly, polynomial_degree, substituted
 
 X = reference_coordinate(2)
 POINT = (0.3, -0.7)

@@ -14,9 +14,8 @@ from broken_input import msh_text, square_msh
 from commands import signorini
 from mpi4py import MPI
 
-from signorini_fenicsx import adapt, certify, certify_elastic, domain_of, load_any_case, solve_case
+from signorini_fenicsx import adapt, certify, domain_of, load_case, solve_case
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.meshes.domain import Domain
@@ -135,7 +134,7 @@ def numbers(tree: object, name: str = "") -> Iterator[tuple[str, float]]:
 @pytest.mark.parametrize("name", CASES)
 def test_results_do_not_depend_on_the_place(name: str):
     """Domain and data are moved by about 1e8 times their size; residuals stay those of exact arithmetic."""
-    case = load_any_case(name)
+    case = load_case(name)
     if CASES[name]:
         case = case.with_values({"solve.h": CASES[name], "solve.predict": False})
     found: list[dict[str, float]] = []
@@ -145,7 +144,7 @@ def test_results_do_not_depend_on_the_place(name: str):
     ):
         solution = solve_case(here, domain=domain)
         assert max(vars(solution.kkt).values()) < 1e-12
-        certificate: Any = (certify if isinstance(here, Case) else certify_elastic)(solution)
+        certificate: Any = certify(solution)
         summary = {key: value for key, value in solution.summary().items() if key not in NOT_COMPARED}
         found.append(dict(numbers(summary)) | {"bound": certificate.bound})
     near, far = found

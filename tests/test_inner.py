@@ -22,7 +22,7 @@ from signorini_fenicsx.meshes.grids import Share, cube_grid, square_grid
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import Solver
 
 COMM = MPI.COMM_WORLD
@@ -108,7 +108,7 @@ def test_a_slit_that_is_closed_over_its_whole_length():
     """There all jumps are 0, but for the rounding of v, which is no reason against a bound."""
     closed = {"problem.f": "-y", "problem.u_D": 0, "problem.g_N": 0, "boundary.neumann": ["left", "right"]}
     solution = solve_case(load_case("crack").with_values({"solve.h": 0.3} | closed))
-    assert solution.contact()[1] == pytest.approx(1)
+    assert solution.contact[1] == pytest.approx(1)
     certificate = certify(solution)
     assert certificate.guaranteed
     assert certificate.relative < 0.2
@@ -200,6 +200,6 @@ def test_solvers_that_are_refused():
     with pytest.raises(InputError, match="alg3 does not take parts inside the domain; these do: alg1, alg2, vi, qp"):
         solve_case(case.with_values({"solve.algorithm": "alg3"}), domain=mesh)
     with pytest.raises(InputError, match="'slit' is inside the domain: it belongs to inner, with a law"):
-        Solver(mesh, Boundary(["top"]))
+        Solver(mesh, (Boundary(["top"]), None))
     with pytest.raises(InputError, match="inner: the mesh is not cut along 'top'"):
-        Solver(mesh, Boundary(["top", "slit"], inner=["top", "slit"]))
+        Solver(mesh, (Boundary(["top", "slit"], inner=["top", "slit"]), None))

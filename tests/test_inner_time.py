@@ -76,4 +76,4 @@ def test_ranks_and_a_restart(folder: Path, monkeypatch: pytest.MonkeyPatch):
     assert last is not None
     row = table(folder / "x" / "steps.csv")[-1]
     assert {name: float(row[name]) for name in last.errors()} == pytest.approx(last.errors(), rel=1e-9, abs=1e-12)
-    assert int(row["contact_facets"]) == last.contact()[0]
+    assert int(row["contact_facets"]) == last.contact[0]

@@ -15,7 +15,6 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.inspection import check, expected
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.cli.main import main
@@ -68,10 +67,10 @@ def test_what_no_list_has_is_named(folder: Path):
         ("hertz", []),
         ("fault", ["bottom", "top"]),
     ]:
-        case = load_any_case(name)
+        case = load_case(name)
         case = case.with_values({"solve.h": 0.5}) if name in ("example1", "hertz") else case
         assert check(case, MPI.COMM_WORLD).left == expected(case, 1).left == left
-    parts = expected(load_any_case(folder / "own.toml"), 1).parts
+    parts = expected(load_case(folder / "own.toml"), 1).parts
     conditions = {"low": "signorini", "high": "dirichlet", "low again": "none of its own"}
     assert {part: about["condition"] for part, about in parts.items()} == conditions
     for command in ("info", "check"):

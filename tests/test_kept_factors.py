@@ -7,24 +7,24 @@ from mpi4py import MPI
 
 from signorini_fenicsx.linear import kept_factors
 from signorini_fenicsx.physics.elasticity import backend as elastic
-from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticBoundary, ElasticProblem
-from signorini_fenicsx.solving.elastic import solve_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
 
-def solved(comm: MPI.Comm, young: float, laws: list[Coulomb]) -> ElasticSolution:
+def solved(comm: MPI.Comm, young: float, laws: list[CoulombLaw]) -> ElasticSolution:
     """A block pressed onto a curved foundation."""
     boundary = ElasticBoundary(["y0"], neumann=["y1", "x1"], fixed={"x0": "n"})
     load = {"y1": ["0", f"{-0.1 * young}"]}
     problem = ElasticProblem(f"{young}*(1 + x^2)", 0.3, g_N=load, gap="0.5*(x - 0.1)^2", laws=laws)
-    return solve_elastic(box(comm, 8, [-1.0, 0.0], [1.0, 1.0]), boundary, problem)
+    return solve(box(comm, 8, [-1.0, 0.0], [1.0, 1.0]), (boundary, problem))
 
 
 @pytest.mark.parallel([1, 2, 3])
-@pytest.mark.parametrize(("young", "laws"), [(1e9, []), (1.0, [Coulomb(["y0"], mu=0.3)])])
-def test_old_factors_solve_for_new_sets(young: float, laws: list[Coulomb], monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(("young", "laws"), [(1e9, []), (1.0, [CoulombLaw(["y0"], mu=0.3)])])
+def test_old_factors_solve_for_new_sets(young: float, laws: list[CoulombLaw], monkeypatch: pytest.MonkeyPatch):
     """Sites are fixed and released by the factors of another set, in any units; Coulomb's steps hardly factorise."""
     factorised = []
     impose = elastic.ConstrainedMatrix.impose

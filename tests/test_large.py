@@ -12,13 +12,12 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.output import checkpoint_writing
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -27,7 +26,7 @@ COMM = MPI.COMM_WORLD
 @pytest.mark.parametrize(("name", "table", "column"), [("example1", "facets", "p"), ("hertz", "contact", "gap")])
 def test_tables_of_the_ranks_are_the_table(folder: Path, name: str, table: str, column: str):
     """With a table per rank they have together the rows of the one table."""
-    case = load_any_case(name).with_values({"solve.h": {"facets": 0.1, "contact": 0.125}[table]})
+    case = load_case(name).with_values({"solve.h": {"facets": 0.1, "contact": 0.125}[table]})
     write_solution(solve_case(case, COMM), folder, fields=False)
     (folder / "by_rank").mkdir(exist_ok=True)
     small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=3))

@@ -86,7 +86,7 @@ def test_data_that_vary(laws: tuple[Law, ...]):
     for _ in range(2):
         fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
     problem = Problem("20*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D="0.1*sin(8*x*y)*x*y", laws=laws)
-    one, other = (solve(domain, Boundary([]), problem) for domain in (coarse, fine))
+    one, other = (solve(domain, (Boundary([]), problem)) for domain in (coarse, fine))
     certificate, distance = certify(one), difference(one, other)
     assert distance < certificate.sigma_bound < 1.2 * distance
     assert certificate.by_quadrature != ()
@@ -97,9 +97,9 @@ def test_signorini_by_either_way():
     """As a law, also with a far upper bound, it is certified like the short form but for how v is kept above ψ."""
     domain, f = build_domain(COMM, "square", 0.1, mesh="unstructured"), "20*(x - 0.6)"
     for psi, q_S in [(0.0, 0.0), ("0.1*x - 0.05", "0.2*x"), ("0.05*sin(9*x) - 0.05", "sin(5*x)")]:
-        short = certify(solve(domain, Boundary(["bottom"]), Problem(f, psi=psi, q_S=q_S)))
+        short = certify(solve(domain, (Boundary(["bottom"]), Problem(f, psi=psi, q_S=q_S))))
         for law in (Signorini(["bottom"], psi, q_S), TwoSided(["bottom"], 100, psi, q_S)):
-            long = certify(solve(domain, Boundary([]), Problem(f, laws=[law])))
+            long = certify(solve(domain, (Boundary([]), Problem(f, laws=[law]))))
             assert long.sigma_bound == pytest.approx(short.sigma_bound, rel=0.02)
             assert long.oscillation == pytest.approx(short.oscillation, rel=0.02)
 
@@ -108,7 +108,7 @@ def test_three_dimensions():
     domain = build_domain(COMM, "cube", 0.5, mesh="structured")
     fine = refine(domain, np.arange(domain.mesh.topology.index_map(3).size_local, dtype=np.int32))
     laws = [Friction(["bottom"], "0.3 + x*y"), TwoSided(["left"], psi_upper=0.05, psi=-0.05), Wall(["top"], 3, "0.2*x")]
-    one, other = (solve(each, Boundary([]), Problem("20*(x - 0.5)", laws=laws)) for each in (domain, fine))
+    one, other = (solve(each, (Boundary([]), Problem("20*(x - 0.5)", laws=laws))) for each in (domain, fine))
     distance = difference(one, other)
     assert distance < certify(one).sigma_bound < 2 * distance
 
@@ -136,7 +136,7 @@ def test_bounds_that_contradict():
         ([TwoSided(["bottom"], 0.1)], 1, "u_D is beyond a bound of u where Γ_D meets Γ_S"),
         ([Signorini(["bottom"], 0.2), TwoSided(["left"], 0.1)], 0, "the bounds of u leave no room where parts of Γ_S"),
     ]:
-        certificate = certify(solve(domain, Boundary([]), Problem(1, u_D=u_D, laws=laws)))
+        certificate = certify(solve(domain, (Boundary([]), Problem(1, u_D=u_D, laws=laws))))
         assert certificate.bound == math.inf
         assert certificate.if_none.startswith(reason)
 
@@ -144,8 +144,8 @@ def test_bounds_that_contradict():
 def test_friction_of_nothing():
     """With g = 0 both slips are one line; v goes by the sign of u, and the bound is that of an open part."""
     domain, f = build_domain(COMM, "square", 0.2, mesh="unstructured"), "20*(x - 0.3)"
-    slipping = solve(domain, Boundary([]), Problem(f, laws=[Friction(["bottom"], 0)]))
-    free = solve(domain, Boundary(["bottom"]), Problem(f, psi=-100))
+    slipping = solve(domain, (Boundary([]), Problem(f, laws=[Friction(["bottom"], 0)])))
+    free = solve(domain, (Boundary(["bottom"]), Problem(f, psi=-100)))
     assert certify(slipping).bound == pytest.approx(certify(free).bound, rel=0.02)
 
 
@@ -153,7 +153,7 @@ def test_rounding_is_no_contradiction():
     """Where u = ψ everywhere, what u_D is below ψ by rounding is nothing."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
     problem = Problem(0, u_D="0.1 + 0.3*x + 0.7*y", psi="0.7*y + 0.3*x + 0.1")
-    assert certify(solve(domain, Boundary(["top"]), problem)).bound < 1e-7
+    assert certify(solve(domain, (Boundary(["top"]), problem))).bound < 1e-7
 
 
 def test_gap():
@@ -195,7 +195,7 @@ def test_what_is_not_proved(folder: Path):
     solution = on_grid("wall", 4)
     assert "Signorini alone" in proof_of(solution, certify(solution).v).reason
     with pytest.raises(InputError, match="lists no part"):
-        solve(solution.spaces.domain, Boundary([]), Problem(1))
+        solve(solution.spaces.domain, (Boundary([]), Problem(1)))
 
 
 def test_penalty_bounds_of_the_command_line(folder: Path):

@@ -12,13 +12,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.fenicsx import LOADED
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.discrete import points
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature, owned_cells
-from signorini_fenicsx.expressions import read
+from signorini_fenicsx.expressions.reader import read
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
@@ -112,7 +112,9 @@ def test_the_normal_in_ufl(folder: Path):
     u = ufl.sin(x[0]) * x[1]
     bounds = []
     for g_N in (ufl.dot(ufl.grad(u), n), ufl.grad(u)[0], "cos(x)*y"):
-        solution = solve(domain, boundary_of(case), Problem(f="sin(x)*y", u_D="sin(x)*y", g_N=g_N, psi="-1"))
+        solution = solve(
+            domain, (case.posed(domain.mesh.geometry.dim)[0], Problem(f="sin(x)*y", u_D="sin(x)*y", g_N=g_N, psi="-1"))
+        )
         bounds.append(certify(solution).bound)
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-12)
     assert math.isclose(bounds[0], bounds[2], rel_tol=1e-6)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.forms.norms import l2
 
 COMM = MPI.COMM_WORLD

@@ -15,10 +15,10 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.comparing.differences import slobodeckij_norm
-from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.output.gather import Fields
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -51,7 +51,7 @@ def test_set_algorithms_equal_newton(pairs: list[tuple[str, float]]):
             one = solve_case(penalised(name, algorithm, eps), COMM, domain=domain)
             two = solve_case(penalised(name, newton, eps), COMM, domain=domain)
             assert distance(one, two) < 1e-11
-            assert one.contact() == two.contact()
+            assert one.contact == two.contact
             assert max(len(one.outcome.history), len(two.outcome.history)) <= 12
 
 
@@ -63,7 +63,7 @@ def test_small_penalty_equals_no_penalty():
         for algorithm in ("alg3", "alg4"):
             solution = solve_case(penalised(name, algorithm, 1e-10), COMM, domain=exact.spaces.domain)
             assert solution.norms() == pytest.approx(exact.norms(), abs=1e-8)
-            assert solution.contact() == exact.contact()
+            assert solution.contact == exact.contact
 
 
 @pytest.mark.parallel([1, 2])

@@ -14,7 +14,6 @@ from matplotlib.image import imread
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import load_any_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
@@ -22,17 +21,11 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output import sample
 from signorini_fenicsx.output.elastic_body import gather_body
-from signorini_fenicsx.output.gather import (
-    Boundary,
-    FacetTable,
-    Fields,
-    gather_boundary,
-    gather_facets,
-    gather_fields,
-)
-from signorini_fenicsx.output.pictures import draw_all, draw_sets, scene_of, style, traces
-from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps
+from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields, gather_boundary, gather_facets, gather_fields
+from signorini_fenicsx.output.pictures import caption, draw_all, overview, scene_of, style, traces
+from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps, moves
 from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
+from signorini_fenicsx.output.pictures.evolution import draw_sets
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -241,7 +234,7 @@ def test_boundary_is_the_same_on_all_ranks():
 def test_foundation_of_a_body():
     """It is where the gap says, y = −x²/2 over a body that has moved, and touches it in the contact set."""
     h = 1 / 8
-    body = gather_body(solve_case(load_any_case("hertz").with_values({"solve.h": h})))
+    body = gather_body(solve_case(load_case("hertz").with_values({"solve.h": h})))
     assert body is not None
     moved = body.fields.points + body.displacement
     surface = foundation_of(body, moved, 1.0, 10.0)[:, :2]
@@ -263,19 +256,52 @@ def test_without_any_load(name: str, h: float, tmp_path: Path):
     assert certificate.bound == 0
     write_solution(solution, tmp_path, certificate=certificate, plot=True, fields=False)
     draw_bounds(tmp_path / "adapt.png", rows, -0.5, name)
-    assert {f"{each}.png" for each in (*PICTURES, "adapt")} <= {path.name for path in tmp_path.iterdir()}
+    assert {f"{each}.png" for each in {*PICTURES, "adapt"} - {"iterations"}} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+    assert not (tmp_path / "iterations.png").exists()
 
 
 def test_rounding_is_not_drawn():
     np.testing.assert_array_equal(without_rounding(np.array([0.1, 1e-9, 2e-15, -1e-16])), [0.1, 1e-9, 0.0, 0.0])
 
 
-def test_no_step_changes_the_first_sets():
-    """Then there is a line of text in the place of a diagram without points."""
+def test_rough_steps_are_hollow():
+    """Rough steps are points of the curves, with hollow markers; if nothing changed there is nothing to draw."""
     axes = Figure().add_subplot()
-    draw_steps(axes, [Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)], "steps")
-    assert not axes.axison
-    assert [text.get_text() for text in axes.texts] == ["none: the first sets are final"]
+    steps = [Step(n, 3, 2, 0, 0, 0, 10.0**-n, 0.0, 5, 0.1, rough=n < 3) for n in range(1, 5)]
+    draw_steps(axes, steps, "steps")
+    sigma, hollow = axes.lines[:2]
+    np.testing.assert_array_equal(sigma.get_xdata(), [0, 1, 2, 3])
+    np.testing.assert_array_equal(hollow.get_xdata(), [0, 1])
+    assert hollow.get_markerfacecolor() == "white"
+    assert "rough" in axes.get_xlabel()
+    assert moves(steps)
+    assert not moves([Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)])
+
+
+def test_only_a_guaranteed_bound_is_called_certified():
+    """Captions of pictures, those of `solution.html` among them, say "not guaranteed" where the certificate does."""
+    solution = solve_case(load_case("example1").with_values({"solve.h": 1 / 4}))
+    certificate, fields = certify(solution), gather_fields(solution)
+    assert fields is not None
+    assert certificate.guaranteed
+    assert "certified energy error $" in caption(solution, fields, certificate)
+    words = caption(solution, fields, replace(certificate, guaranteed=False, relative=1.3))
+    assert "certified" not in words
+    assert words.endswith("not guaranteed")
+    assert "%" not in words  # of a norm that is not above the bound
+    of_penalty = caption(solution, fields, replace(certificate, of_penalty=True))
+    assert "penalty problem" in of_penalty
+
+
+@pytest.mark.parametrize("name", ["example1", "example5", "cube", "sphere"])
+def test_no_panel_without_iteration_errors(name: str):
+    """An overview has one panel less where no step changed the first sets, in the plane and in space."""
+    drawn = scene(name, h=1 / 4)
+    assert moves(drawn.history)
+    without = replace(drawn, history=[replace(drawn.history[0], sigma_change=0.0, u_change=0.0)])
+    assert len(overview(without).axes) == len(overview(drawn).axes) - 1
 
 
 def test_chains():

@@ -34,7 +34,7 @@ def test_prediction_changes_the_number_of_steps_only():
         np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
         for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
-        assert len(warm.outcome.history) <= min(3, len(cold.outcome.history))
+        assert len(warm.outcome.history) - warm.outcome.rough_steps <= min(3, len(cold.outcome.history))
 
 
 @pytest.mark.slow
@@ -48,8 +48,11 @@ def test_rough_solves_predict_on_any_mesh(folder: Path):
         cold = solve_case(case.with_values({"solve.predict": False}), COMM, domain=domain, tuning=ALWAYS)
         warm = solve_case(case, COMM, domain=domain, tuning=ALWAYS)
         assert (cold.outcome.rough_steps, cold.outcome.linear_solver) == (0, "cg+mg")
-        assert 2 <= warm.outcome.rough_steps <= len(cold.outcome.history) + 2
-        assert len(warm.outcome.history) <= min(3, len(cold.outcome.history))
+        steps, rough = warm.outcome.history, warm.outcome.rough_steps
+        assert 1 <= rough <= len(cold.outcome.history) + 1
+        assert [(step.iteration, step.rough) for step in steps] == [(n + 1, n < rough) for n in range(len(steps))]
+        assert all(step.sigma_change > 0 and step.u_change > 0 for step in steps)
+        assert len(steps) - rough <= min(3, len(cold.outcome.history))
         np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
         for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
@@ -64,8 +67,8 @@ def test_few_solves_at_any_size():
         for h in hs[: 4 - COMM.size]:
             case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h})
             solution = solve_case(case, COMM, tuning=tuning)
-            assert solution.outcome.rough_steps >= 1
-            assert solution.outcome.rough_steps + len(solution.outcome.history) <= most
+            assert "prediction" in solution.timings
+            assert len(solution.outcome.history) < most  # the start has no row
             assert 0 < max(step.linear_iterations for step in solution.outcome.history) <= 18
 
 

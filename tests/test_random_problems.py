@@ -8,7 +8,7 @@ import pytest
 from commands import run
 from random_problems import examine, random_problem
 
-from signorini_fenicsx.cases.solving import boundary_of, options_of
+from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.solving.solver import solve
 
 MANY_RUNS = """
@@ -38,7 +38,9 @@ def test_rounding_in_the_facet_system():
     words = "by the saddle point, because the facet system left KKT residuals above 1e-08: "
     assert f"{words}stationarity" in result.ending
     case, domain, problem, _ = random_problem(65)
-    solution = solve(domain, boundary_of(case), replace(problem, obstacle=-0.01), options_of(case))
+    solution = solve(
+        domain, (case.posed(domain.mesh.geometry.dim)[0], replace(problem, obstacle=-0.01)), options_of(case)
+    )
     assert words in solution.outcome.reason
 
 

@@ -18,7 +18,7 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.expressions import parse_expression
+from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -72,7 +72,7 @@ def test_backends_and_methods_agree(folder: Path):
         case = case.with_values({"problem.psi": "0.02*sin(9*x) + 1.9"})
         domain = mesh_case(case, COMM)
         mixed = solve_case(case.with_values({"solve.backend": "mixed"}), COMM, domain=domain)
-        assert 0 < mixed.contact()[0] < mixed.spaces.Lambda.dofmap.index_map.size_global
+        assert 0 < mixed.contact[0] < mixed.spaces.Lambda.dofmap.index_map.size_global
         for direct_up_to in (0, 10**6):
             assert_same(solve_case(case, COMM, domain=domain, tuning=Tuning(direct_up_to=direct_up_to)), mixed, 1e-10)
         names = ("alg2", "alg3", "alg4", "snes1", "snes2", "vi", "qp", "mixed-uzawa-wang")
@@ -99,7 +99,7 @@ def test_bounds_for_other_coefficients(c: str | Callable[[Array], Array], sharp:
     of_c = 10 + x[0] if callable(c) else parse_expression(c, x)
     f = -6 * (ufl.max_value(x[0] - 0.413, 0) - x[1] * ufl.max_value(0.413 - x[0], 0)) + of_c * u
     text = None if callable(c) else f"-6*(max(x - 0.413, 0) - y*max(0.413 - x, 0)) + ({c})*({U})"
-    solution = solve(domain, Boundary(["bottom"]), Problem(f=text or f, c=c, u_D=U, exact=U))
+    solution = solve(domain, (Boundary(["bottom"]), Problem(f=text or f, c=c, u_D=U, exact=U)))
     certificate = certify(solution)
     assert 1 < certificate.sigma_bound / solution.errors()["sigma_L2"] < sharp
     assert certificate.guaranteed == resolved

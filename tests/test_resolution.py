@@ -7,14 +7,16 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Boundary, Problem, solve
+from signorini_fenicsx.api import Boundary
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 DISC = "1e4 if (x-0.515)^2+(y-0.54)^2 < 2.5e-5 else 0"
@@ -110,7 +112,7 @@ def test_data_from_python_are_by_quadrature():
     domain = solve_case(problem(0.2), COMM).spaces.domain
     x = ufl.SpatialCoordinate(domain.mesh)
     given = Problem(f=ufl.sin(x[0]), kappa=1 + x[1] ** 2)
-    certificate = certify(solve(domain, Boundary(["bottom"]), given))
+    certificate = certify(solve(domain, (Boundary(["bottom"]), given)))
     assert certificate.by_quadrature == ("f", "kappa")
     assert not certificate.guaranteed
     assert bound(certificate).endswith("not guaranteed: f, kappa by quadrature")

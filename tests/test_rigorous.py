@@ -20,8 +20,10 @@ from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.solution_report import above
-from signorini_fenicsx.expressions import read, values_and_gradient
+from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.reader import read
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.rigorous import simplices
 from signorini_fenicsx.rigorous.balance import _tree, balanced
 from signorini_fenicsx.rigorous.data import Given
@@ -31,7 +33,6 @@ from signorini_fenicsx.rigorous.proof import check_size, proof_of
 from signorini_fenicsx.rigorous.simplices import EDGES
 from signorini_fenicsx.rigorous.theorem import prove
 from signorini_fenicsx.rigorous.trace import _lifts
-from signorini_fenicsx.solving.solution import Solution
 
 COMM = MPI.COMM_WORLD
 CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}

@@ -10,7 +10,7 @@ from own_mesh import Array, Mask, own_domain
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
+from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
@@ -20,8 +20,8 @@ from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
-from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -112,7 +112,7 @@ def test_rounding_decides_nothing(n: int, diagonal: str, f: str, u_D: str):
     domain = square(COMM, n, diagonal, part=middle_facet(n))
     for algorithm in SET_ALGORITHMS:
         solution = solve_case(problem(f=f, u_D=u_D, algorithm=algorithm), domain=domain)
-        assert solution.contact()[0] == (algorithm in ("alg1", "alg3"))
+        assert solution.contact[0] == (algorithm in ("alg1", "alg3"))
         assert solution.outcome.reason == "the facet sets repeat"
         assert len(solution.outcome.history) == 1
 
@@ -138,7 +138,7 @@ def test_biactive_sets_do_not_depend_on_ranks():
         case = load_case("biactive").with_values({"solve.algorithm": algorithm, "solve.h": 1 / 32})
         together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
         assert together.outcome.reason == alone.outcome.reason == "the facet sets repeat"
-        assert together.contact()[0] == alone.contact()[0]
+        assert together.contact[0] == alone.contact[0]
         assert [step.changed for step in together.outcome.history] == [step.changed for step in alone.outcome.history]
 
 
@@ -157,10 +157,10 @@ def test_units_do_not_matter(algorithm: str, backend: str):
         solver = case.solve.model_copy(update={"eps": 1e-6 * (L / K if algorithm in ("alg3", "snes1") else K / L)})
         case = case.model_copy(update={"solve": solver})  # a case file has no ε of such size
         domain = square(COMM, 7, "right", scale=L)
-        return solve(domain, boundary_of(case), data, options_of(case))
+        return solve(domain, (case.posed(domain.mesh.geometry.dim)[0], data), options_of(case))
 
     expected = scaled(1.0, 1.0, 1.0)
-    assert 0 < expected.contact()[0] < 7
+    assert 0 < expected.contact[0] < 7
     for L, U, K in SCALES:
         found = scaled(L, U, K)
         np.testing.assert_array_equal(found.outcome.conditions.kind, expected.outcome.conditions.kind)
@@ -212,7 +212,7 @@ def test_jump_of_kappa():
     for algorithm, backend in (("alg1", "mixed"), ("alg2", "hybrid"), ("alg2", "mixed"), ("alg3", "hybrid")):
         case = coarse(algorithm, kappa=kappa).with_values({"solve.backend": backend})
         found = solve_case(case, domain=expected.spaces.domain)
-        assert found.contact() == expected.contact()
+        assert found.contact == expected.contact
         assert_same_fields(found, expected, 1e-5 if algorithm == "alg3" else 1e-9)  # εκ = 1e-6
     with pytest.raises(NumericalFailure, match="KKT residuals above 1e-08: complementarity"):
         solve_case(coarse("qp", kappa=kappa), domain=expected.spaces.domain)
@@ -233,7 +233,7 @@ def assert_as_alone(extent: str, *runs: tuple[str, str, str]) -> None:
     for f, u_D, algorithm in runs:
         case = problem(f=f, u_D=u_D, algorithm=algorithm)
         found, expected = solve_case(case, domain=domain), solve_case(case, domain=alone)
-        assert found.contact()[0] == expected.contact()[0]
+        assert found.contact[0] == expected.contact[0]
         assert len(found.outcome.history) == len(expected.outcome.history)
         assert found.norms() == pytest.approx(expected.norms(), rel=1e-10, abs=1e-12)
 
@@ -260,7 +260,7 @@ def test_nothing_to_solve():
     for algorithm in (*SET_ALGORITHMS, "vi"):
         solution = solve_case(problem(f="0", algorithm=algorithm), domain=domain)
         assert max(solution.norms().values()) == 0
-        assert solution.contact()[0] == (0 if algorithm in ("alg2", "alg4") else 4)
+        assert solution.contact[0] == (0 if algorithm in ("alg2", "alg4") else 4)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

@@ -12,13 +12,13 @@ from random_bounds import examine
 
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
+from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.oscillation import water_filled
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -106,7 +106,7 @@ def test_contact_disc():
         u_D=lambda x: hertz(x, np),
         psi=lambda x: 0.3**2 - ((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2) / 2,
     )
-    solution = solve(domain, boundary_of(case), problem, options_of(case))
+    solution = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(case))
     difference = ufl.grad(hertz(ufl.SpatialCoordinate(domain.mesh), ufl)) - solution.sigma
     dx = ufl.Measure("dx", domain=domain.mesh, metadata={"quadrature_degree": 8})
     error = math.sqrt(solution.spaces.integrate(ufl.inner(difference, difference) * dx))

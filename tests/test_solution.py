@@ -11,18 +11,11 @@ from dolfinx import fem, mesh
 from dolfinx.fem.petsc import LinearProblem
 from mpi4py import MPI
 
-from signorini_fenicsx import (
-    Boundary,
-    InputError,
-    Problem,
-    Solution,
-    Step,
-    domain_of,
-    load_solution,
-    solve,
-    write_solution,
-)
-from signorini_fenicsx.solving import solution as module
+from signorini_fenicsx import InputError, Solution, domain_of, load_solution, solve, write_solution
+from signorini_fenicsx.extend import Step
+from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.physics.diffusion import solution as module
+from signorini_fenicsx.physics.diffusion.problem import Problem
 
 COMM = MPI.COMM_WORLD
 WALLS = {
@@ -36,7 +29,7 @@ def solved(f: str = "40*(x - 0.6)", n: int = 8, **data: object) -> Solution:
     """On a square with Γ_S below and Γ_N on the right."""
     square = mesh.create_unit_square(COMM, n, n, ghost_mode=mesh.GhostMode.none)
     boundary = Boundary(["bottom"], ["right"])
-    return solve(domain_of(square, WALLS), boundary, Problem(f=f, psi="0.1*x - 0.05", **data))
+    return solve(domain_of(square, WALLS), (boundary, Problem(f=f, psi="0.1*x - 0.05", **data)))
 
 
 def test_examples():
@@ -87,7 +80,7 @@ def test_fluxes_balance_the_load():
     square = mesh.create_unit_square(COMM, 4, 4)
     middle = {"bottom": WALLS["bottom"], "middle": lambda x: np.isclose(x[0], 0.5)}
     facets = {name: mesh.locate_entities(square, 1, where) for name, where in middle.items()}
-    inner = solve(domain_of(square, facets), Boundary(["bottom"]), Problem(f=1.0))
+    inner = solve(domain_of(square, facets), (Boundary(["bottom"]), Problem(f=1.0)))
     with pytest.raises(InputError, match="part 'middle' has facets inside the domain"):
         inner.flux_through("middle")
 
@@ -141,7 +134,7 @@ def test_it_shows_and_writes_itself(folder: Path):
     assert "overview.png" not in names
     assert load_solution(folder / "new" / "run", COMM).norms() == pytest.approx(solution.norms())
     write_solution(solution, folder / "other" / "run", fields=False)
-    assert load_solution(folder / "other" / "run", COMM).contact() == solution.contact()
+    assert load_solution(folder / "other" / "run", COMM).contact == solution.contact
     with pytest.raises(InputError, match=r"folder .*summary\.json: cannot be made: File exists"):
         write_solution(solution, folder / "other" / "run" / "summary.json")
 
@@ -156,10 +149,10 @@ def test_a_solve_is_safe_from_the_collector():
         enabled.append(gc.isenabled())
 
     gc.enable()
-    solve(domain, boundary, Problem(f="40*(x - 0.6)"), on_step=on_step)
+    solve(domain, (boundary, Problem(f="40*(x - 0.6)")), on_step=on_step)
     assert gc.isenabled()
     assert enabled
     assert not any(enabled)
     with pytest.raises(InputError):
-        solve(domain, boundary, Problem(f="0*"))
+        solve(domain, (boundary, Problem(f="0*")))
     assert gc.isenabled()

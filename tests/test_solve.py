@@ -15,10 +15,11 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.forms.mixed import Fields, mlm_1, mlm_2
+from signorini_fenicsx.expressions.reader import parse_expression
+from signorini_fenicsx.forms.mixed import mlm_1, mlm_2
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.output.gather import Fields
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
@@ -54,7 +55,7 @@ def test_order_on_an_exact_solution(folder: Path, mesh: str, backend: str):
         case = make_case(folder, mesh=mesh, parts=["bottom"], f=F, h=h)
         solution = solve_case(case.with_values({"solve.backend": backend}), COMM)
         found.append((solution.spaces.domain.h, errors(solution)))
-        assert abs(solution.contact()[1] - X0) < 0.6 * h**0.5
+        assert abs(solution.contact[1] - X0) < 0.6 * h**0.5
     for (h0, coarse_errors), (h1, fine_errors) in itertools.pairwise(found):
         for name, bound in {"sigma": 0.11, "u": 0.0065, "p": 0.0125, "div": 0.7}.items():
             order = np.log(coarse_errors[name] / fine_errors[name]) / np.log(h0 / h1)
@@ -71,7 +72,7 @@ def test_algorithms_agree():
             other = solve_case(coarse(name, **values), domain=first.spaces.domain)
             for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
                 np.testing.assert_allclose(a.x.array, b.x.array, atol=1e-11)
-            assert first.contact() == other.contact()
+            assert first.contact == other.contact
             assert len(other.outcome.history) <= 12
 
 
@@ -115,8 +116,8 @@ def test_independent_values(name: str, algorithm: str):
     norms = solution.norms()
     found = [norms[key] for key in ("sigma_L2", "u_L2", "p_L2", "flux_L2")]
     assert found == pytest.approx(INDEPENDENT[name][:4], rel=5e-3)
-    assert solution.contact()[1] == pytest.approx(INDEPENDENT[name][4], abs=2 * solution.spaces.facet_measure.max())
-    assert solution.contact()[1] == pytest.approx(INDEPENDENT[name][4], rel=0.03)
+    assert solution.contact[1] == pytest.approx(INDEPENDENT[name][4], abs=2 * solution.spaces.facet_measure.max())
+    assert solution.contact[1] == pytest.approx(INDEPENDENT[name][4], rel=0.03)
 
 
 @pytest.mark.parametrize("mesh", ["unstructured", "structured"])
@@ -156,7 +157,7 @@ def test_cube(folder: Path):
         first = solve_case(case, COMM)
         second = solve_case(case.with_values({"solve.algorithm": "alg2"}), COMM, domain=first.spaces.domain)
         np.testing.assert_allclose(first.sigma.x.array, second.sigma.x.array, atol=1e-12)
-        assert 0 < first.contact()[1] < 2
+        assert 0 < first.contact[1] < 2
 
 
 @pytest.mark.parallel([1, 2])

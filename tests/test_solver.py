@@ -20,14 +20,13 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving import solver as solver_module
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
@@ -45,7 +44,7 @@ PROBLEMS = [
 
 def setting(folder: Path, h: float = 0.2) -> tuple[Domain, Boundary]:
     case = make_case(folder, parts=["bottom", "left"], f="0", h=h).with_values({"boundary.neumann": ["right"]})
-    return mesh_case(case, COMM), boundary_of(case)
+    return mesh_case(case, COMM), case.posed(2)[0]
 
 
 def assert_same(one: Solution, other: Solution, tolerance: float) -> None:
@@ -62,10 +61,10 @@ def assert_same(one: Solution, other: Solution, tolerance: float) -> None:
 @pytest.mark.parametrize("backend", ["hybrid", "mixed"])
 def test_an_obstacle_that_comes_and_goes(folder: Path, backend: str):
     domain, boundary = setting(folder)
-    solver, options = Solver(domain, boundary), Options(backend=backend, predict=False)
+    solver, options = Solver(domain, (boundary, None)), Options(backend=backend, predict=False)
     for obstacle in (None, -0.02, -0.01, None):
         problem = Problem(f="20*(x - 0.6)", obstacle=obstacle)
-        assert_same(solver.solve(problem, options), solve(domain, boundary, problem, options), 1e-12)
+        assert_same(solver.solve(problem, options), solve(domain, (boundary, problem), options), 1e-12)
 
 
 @pytest.mark.parallel([1, 2, 3])
@@ -73,7 +72,7 @@ def test_an_obstacle_that_comes_and_goes(folder: Path, backend: str):
 def test_results_are_those_of_separate_solves(folder: Path, backend: str):
     """κ, the conditions and all data change from each problem to the next."""
     domain, boundary = setting(folder)
-    solver = Solver(domain, boundary)
+    solver = Solver(domain, (boundary, None))
     options = itertools.cycle(
         [
             Options(backend=backend, predict=False),
@@ -83,25 +82,25 @@ def test_results_are_those_of_separate_solves(folder: Path, backend: str):
     )
     problems = PROBLEMS + PROBLEMS[::-1] if COMM.size == 1 else PROBLEMS[:5]
     for problem, option in zip(problems, options, strict=False):
-        assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-12)
+        assert_same(solver.solve(problem, option), solve(domain, (boundary, problem), option), 1e-12)
 
 
 def test_other_methods_and_multigrid(folder: Path):
     domain, boundary = setting(folder)
-    solver = Solver(domain, boundary)
+    solver = Solver(domain, (boundary, None))
     for problem in PROBLEMS[1:5]:
         for name in ("snes1", "vi", "primal-pdas", "slimane"):
             option = Options(algorithm=name, eps=1e-3)
-            assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-12)
+            assert_same(solver.solve(problem, option), solve(domain, (boundary, problem), option), 1e-12)
         option = Options(tuning=Tuning(direct_up_to=0))
-        assert_same(solver.solve(problem, option), solve(domain, boundary, problem, option), 1e-9)
+        assert_same(solver.solve(problem, option), solve(domain, (boundary, problem), option), 1e-9)
 
 
 @pytest.mark.parallel([1, 2])
 def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """With the same κ as before, here one that jumps, no conditions are imposed on the matrix but σ·n given."""
     domain, boundary = setting(folder)
-    solver, other = Solver(domain, boundary), Solver(domain, boundary)
+    solver, other = Solver(domain, (boundary, None)), Solver(domain, (boundary, None))
     problems = [Problem(f=f"{load}*(x - 0.5)", kappa="100 if x > 0.6 else 1/50", psi=-0.01) for load in range(9, 14)]
     for problem in problems[:2]:
         solver.solve(problem)
@@ -129,8 +128,8 @@ def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parallel(2)
 def test_what_fails_does_not_spoil_what_follows(folder: Path):
     domain, boundary = setting(folder)
-    solver = Solver(domain, boundary)
-    expected = solve(domain, boundary, PROBLEMS[1])
+    solver = Solver(domain, (boundary, None))
+    expected = solve(domain, (boundary, PROBLEMS[1]))
     solver.solve(PROBLEMS[0])
     with pytest.raises(NumericalFailure):
         solver.solve(PROBLEMS[1], Options(max_iterations=1, predict=False))
@@ -139,7 +138,7 @@ def test_what_fails_does_not_spoil_what_follows(folder: Path):
         solver.solve(Problem(f=1, kappa=-1))
     assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
     with pytest.raises(InputError, match="unknown part 'roof'"):
-        Solver(domain, Boundary(signorini=["roof"]))
+        Solver(domain, (Boundary(signorini=["roof"]), None))
 
 
 def test_the_example():
@@ -150,7 +149,7 @@ def test_the_example():
 
 def test_earlier_solutions_stay(folder: Path):
     domain, boundary = setting(folder)
-    solver = Solver(domain, boundary)
+    solver = Solver(domain, (boundary, None))
     first = solver.solve(PROBLEMS[1])
     functions = (first.sigma, first.u, first.p, first.data.f_h, first.data.u_lift)
     fields = [function.x.array.copy() for function in functions]
@@ -163,7 +162,7 @@ def test_earlier_solutions_stay(folder: Path):
 
 def test_no_form_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
     domain, boundary = setting(folder)
-    solver = Solver(domain, boundary)
+    solver = Solver(domain, (boundary, None))
     for problem in (PROBLEMS[1], PROBLEMS[4], PROBLEMS[5]):
         solver.solve(problem, Options(algorithm="alg3", eps=1e-3))
     looked_for: list[Any] = []
@@ -187,7 +186,7 @@ def test_no_form_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
 def test_nothing_grows(folder: Path):
     """Over 200 solves neither the memory nor the communicators, of which MPICH has some thousand: few are left here."""
     domain, boundary = setting(folder, h=0.5)
-    solver = Solver(domain, boundary)
+    solver = Solver(domain, (boundary, None))
     problems = PROBLEMS[:6]  # functions of points are interpolated, where DOLFINx makes cycles for Python's collector
     for problem in (*problems, *problems):
         solver.solve(problem)

@@ -30,10 +30,10 @@ def test_algorithms_agree():
         case = load_case(name).with_values({"solve.h": h, "solve.eps": 1e-8})
         domain = mesh_case(case, COMM)
         first = solve_case(case, domain=domain)
-        assert 0 < first.contact()[0] < first.summary()["signorini_facets"]
+        assert 0 < first.contact[0] < first.summary()["signorini_facets"]
         for algorithm, tolerance in (("alg2", 1e-11), ("alg3", 1e-6), ("alg4", 1e-6), ("snes1", 1e-6), ("vi", 1e-9)):
             other = solve_case(case.with_values({"solve.algorithm": algorithm}), domain=domain)
-            assert other.contact() == pytest.approx(first.contact())
+            assert other.contact == pytest.approx(first.contact)
             for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
                 np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance)
 

@@ -221,7 +221,7 @@ def test_the_last_state(folder: Path):
     run(half, folder / "on", start_from=folder / "half", certify_steps=False)
     again = load_solution(folder / "on", COMM)
     assert again.norms() == pytest.approx(found.norms(), rel=1e-11)
-    assert again.contact()[0] == found.contact()[0]
+    assert again.contact[0] == found.contact[0]
 
 
 def test_refusals_and_case_files():

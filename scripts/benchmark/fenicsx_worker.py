@@ -17,7 +17,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, abort_all_on_exception, p
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import boundary_of, options_of, solve_case
+from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.meshes.domain import Domain, distribute
@@ -27,8 +27,8 @@ from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
-from signorini_fenicsx.solving.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -104,7 +104,7 @@ def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, ob
         timings = solve_known(case, found)
     elif method == "saddle point, fresh":
         options = replace(options_of(case, tuning), backend=FreshMixed)
-        found = solve(domain, boundary_of(case), case.data(domain.mesh.geometry.dim), options)
+        found = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], case.data(domain.mesh.geometry.dim)), options)
         timings = found.timings
     else:
         found = solve_case(case, COMM, domain=None if own_mesh else domain, tuning=tuning)
@@ -116,7 +116,7 @@ def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, ob
         "cells": found.spaces.mesh.topology.index_map(found.spaces.mesh.topology.dim).size_global,
         "unknowns": found.outcome.dofs,
         "solver": found.outcome.linear_solver,
-        "steps": 1 if method == "contact set known" else found.outcome.rough_steps + len(found.outcome.history),
+        "steps": 1 if method == "contact set known" else len(found.outcome.history) + 1,
         "linear_iterations": max(step.linear_iterations for step in found.outcome.history),
         "seconds": seconds,
         "assembly": timings["assembly"],
@@ -125,7 +125,7 @@ def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, ob
         "recovery and rest": seconds - timings["assembly"] - setup - solving,
         "kkt": max(vars(found.kkt).values()),
         "flux_error": errors["sigma_L2"] if errors else None,
-        "contact_measure": found.contact()[1],
+        "contact_measure": found.contact[1],
         "sigma_L2": found.norms()["sigma_L2"],
         "peak_memory": peak_memory(COMM),
     }

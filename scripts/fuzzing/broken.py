@@ -64,12 +64,14 @@ class Broken:
         about: How it was broken, in words.
         refused: Whether only exit status 2 is right.
         earlier: Whether the output folder has an earlier result and files of the user.
+        bounded: Whether a guaranteed bound must be of the size of the solution.
     """
 
     words: list[str]
     about: str
     refused: bool = False
     earlier: bool = False
+    bounded: bool = False
 
 
 @dataclass(frozen=True)

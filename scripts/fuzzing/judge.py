@@ -19,6 +19,8 @@ CRASHES = re.compile(
 PLAIN = ("uzawa", "psor", "primal-pdas", "primal-penalty", "slimane")
 """Methods that are judged by their own residuals, not by those of (9)."""
 TOLERANCE = 1e-6
+LOOSE = 30.0
+"""A guaranteed bound above so many times ‖σ_h‖ is of no use on any mesh."""
 MEMORY = 1.5e9
 """Bytes of memory; no input here needs more."""
 BAD = ("traceback", "signal", "status", "hang", "memory", "orphan", "wordy", "outside", "lost", "accepted", "untrue")
@@ -104,6 +106,8 @@ def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Pa
     solves = broken.words[0] in ("solve", "adapt", "export") and OUTPUT in broken.words
     if code == 0 and solves and not _has_solved(root / "work" / OUTPUT):
         blame("untrue", "status 0 without a solution that can be trusted")
+    if code == 0 and broken.bounded and not _has_bound(root / "work" / OUTPUT):
+        blame("untrue", "a guaranteed bound far above the solution")
     return verdict
 
 
@@ -188,3 +192,10 @@ def _has_solved(out: Path) -> bool:
         return all(math.isfinite(number) for number in numbers) and max(residuals, default=0) <= TOLERANCE
     except (OSError, ValueError, KeyError, TypeError):
         return False
+
+
+def _has_bound(out: Path) -> bool:
+    """Whether the bound of a results folder, if it is guaranteed, is not far above the solution."""
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    about = summary.get("certificate", {})
+    return not about.get("guaranteed") or about["relative"] <= LOOSE or summary["norms"]["energy"] < TOLERANCE

@@ -7,6 +7,7 @@ from broken_input import msh_text, square_msh
 from fuzzing.broken import Generator, Valid
 from fuzzing.cases import case_file
 from fuzzing.checkpoints import checkpoint
+from fuzzing.elastic import few_facets
 from fuzzing.expressions import expression
 from fuzzing.geometries import geometry
 from fuzzing.judge import Ending
@@ -19,6 +20,7 @@ from fuzzing.studies import study
 GENERATORS: dict[str, Generator] = {
     "case": case_file,
     "law": law_file,
+    "elastic": few_facets,
     "option": option,
     "expression": expression,
     "mesh": mesh_file,

@@ -40,5 +40,18 @@ def check_names(name: str, value: object) -> None:
         raise InputError(f"{name}: must be a list of names, such as ['bottom'], not {_word(type(value))}")
 
 
+def names_of(name: str, value: object) -> tuple[str, ...]:
+    """Names that were given as one or as a list.
+
+    Raises:
+        InputError: If they are neither.
+    """
+    if isinstance(value, str):
+        return (value,)
+    check_names(name, value)
+    assert isinstance(value, Iterable)
+    return tuple(value)
+
+
 def _word(kind: type) -> str:
     return WORDS.get(kind, kind.__name__)

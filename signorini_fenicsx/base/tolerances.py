@@ -18,3 +18,5 @@ STEP = 1e-10
 """A projection iteration stops at a step of this size. The error that remains may be up to 100 times larger."""
 KKT = 1e-8
 """A result with a larger KKT residual is not a solution, and the run has failed."""
+EXACT_CONTACT = 1e-12
+"""An exact gap of less than this, relative to the largest |u| on Γ_S, is contact."""

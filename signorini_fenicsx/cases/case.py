@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -28,12 +29,16 @@ from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, 
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import Side
+from signorini_fenicsx.meshes.domain import Boundary as Posed
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import BACKENDS
+
+MODELS = {"elasticity": "signorini_fenicsx.cases.elastic_case.ElasticCase"}
+"""The cases of other physics than diffusion, by what a file has for `physics`."""
 
 
 class Exact(Section):
@@ -72,6 +77,14 @@ class CaseFile(Section):
     @property
     def parts(self) -> Parts:
         """The section `[boundary]`."""
+        raise NotImplementedError
+
+    def posed(self, dim: int) -> tuple[Any, Any]:
+        """The parts of each kind of boundary, and the problem sorted by them, as `Solver` takes both.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
         raise NotImplementedError
 
     @property
@@ -241,6 +254,11 @@ class Case(CaseFile):
         """The end of a problem in time; None for others."""
         return None if self.time is None else self.time.end
 
+    def posed(self, dim: int) -> tuple[Posed, Problem]:
+        """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
+        parts = self.boundary
+        return Posed([*parts.signorini, *self.law_parts], parts.neumann, parts.inner), self.data(dim)
+
     def data(self, dim: int) -> Problem:
         """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
 
@@ -270,16 +288,47 @@ def reference_coordinate(dim: int) -> ufl.SpatialCoordinate:
     return ufl.SpatialCoordinate(ufl.Mesh(coordinate_element(dim)))
 
 
-def load_case(name_or_path: str | Path) -> Case:
-    """Read a case by name (`example1`) or path (`my/case.toml`).
+def load_case(name_or_path: str | Path) -> Any:
+    """Read a case of any physics by name (`example1`) or path (`my/case.toml`).
+
+    Returns:
+        A `Case`, or the case of another physics.
 
     Raises:
         InputError: If there is no such case, or it is malformed; the message names file, key and reason.
     """
     tree, path = read_case_file(name_or_path)
-    if "physics" in tree:
-        raise InputError(f"{path}: this is for scalar problems, not for physics = {tree['physics']!r}")
-    return validated(Case, tree, path.stem, str(path))
+    if "physics" not in tree:
+        try:
+            return validated(Case, tree, path.stem, str(path))
+        except InputError as error:
+            raise InputError(f"{error}{_of_other_physics(tree)}") from None
+    if tree["physics"] not in MODELS:
+        known = " or ".join(f'"{name}"' for name in MODELS)
+        raise InputError(f"{path}: physics: unknown {tree['physics']!r}; use {known}, or leave it out")
+    model = _model_of(tree["physics"])
+    for key in tree:
+        if key in Case.model_fields and key not in model.model_fields:
+            raise InputError(f"{path}: [{key}] is of problems without physics; {tree['physics']} has none")
+    return validated(model, tree, path.stem, str(path))
+
+
+def _model_of(physics: str) -> type[CaseFile]:
+    module, _, name = MODELS[physics].rpartition(".")
+    model: type[CaseFile] = getattr(import_module(module), name)
+    return model
+
+
+def _of_other_physics(tree: dict[str, Any]) -> str:
+    """What to say of a key in a file without `physics` that only the cases of another one have; "" if there is none."""
+    for physics in MODELS:
+        for section in ("problem", "boundary"):
+            models = [model.model_fields[section].annotation for model in (_model_of(physics), Case)]
+            theirs, ours = (set(getattr(model, "model_fields", {})) for model in models)
+            given = tree.get(section)
+            if isinstance(given, dict) and (found := [key for key in given if key in theirs - ours]):
+                return f"; '{found[0]}' is of {physics}, which needs physics = \"{physics}\""
+    return ""
 
 
 def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:

@@ -15,7 +15,8 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "") 
         root: The model of the file, or of a section of it.
         section: Name of this section.
     """
-    first = error.errors(include_url=False)[0]
+    errors = error.errors(include_url=False)
+    first = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])  # a key that is misspelt
     above = [section] if section else []
     *sections, last = above + [str(step) for step in first["loc"]] or [""]
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])

@@ -1,19 +1,16 @@
 """Case files of elastic contact, `physics = "elasticity"`."""
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, CaseFile, load_case, read_case_file, validated
+from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.parts import Parts, Section
 from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
-from signorini_fenicsx.solving.elastic import RULES
-
-ELASTICITY = "elasticity"
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
+from signorini_fenicsx.physics.elasticity.solving import RULES
 
 
 class ElasticParts(Parts):
@@ -61,7 +58,7 @@ class FrictionTexts(Section):
 
     def law(self) -> ElasticLaw:
         """The law."""
-        return Friction(self.parts, self.g) if self.g is not None else Coulomb(self.parts, self.mu or "0")
+        return Friction(self.parts, self.g) if self.g is not None else CoulombLaw(self.parts, self.mu or "0")
 
 
 class ElasticTexts(Section):
@@ -137,6 +134,10 @@ class ElasticCase(CaseFile):
                 raise ValueError(f"[solve] {key}: elastic contact has no such key")
         return self
 
+    def posed(self, dim: int) -> tuple[ElasticBoundary, ElasticProblem]:
+        """The parts and the data, see `CaseFile.posed`."""
+        return self.boundary.read(), self.data()
+
     def data(self) -> ElasticProblem:
         """The data as they are given."""
         values: dict[str, Any] = {key: getattr(self.problem, key) for key in type(self.problem).model_fields}
@@ -144,17 +145,3 @@ class ElasticCase(CaseFile):
 
 
 type AnyCase = Case | ElasticCase
-
-
-def load_any_case(name_or_path: str | Path) -> AnyCase:
-    """Read a case of any physics, by name or path.
-
-    Raises:
-        InputError: If there is no such case, or it is malformed; the message names file, key and reason.
-    """
-    tree, path = read_case_file(name_or_path)
-    if "physics" not in tree:
-        return load_case(name_or_path)
-    if tree["physics"] != ELASTICITY:
-        raise InputError(f'{path}: physics: unknown {tree["physics"]!r}; use "{ELASTICITY}", or leave it out')
-    return validated(ElasticCase, tree, path.stem, str(path))

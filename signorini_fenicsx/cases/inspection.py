@@ -12,7 +12,7 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
-from signorini_fenicsx.cases.solving import boundary_of
+from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, left_over, neighbours
@@ -22,12 +22,9 @@ from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.physics.diffusion.data import project_data
-from signorini_fenicsx.physics.diffusion.evolution import Steps
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
-from signorini_fenicsx.physics.elasticity.data import elastic_data
-from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
-from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
-from signorini_fenicsx.solving.solver import check_solvability
+from signorini_fenicsx.physics.diffusion.evolution import Evolution, Steps
+from signorini_fenicsx.physics.diffusion.solving import check_solvability
+from signorini_fenicsx.solving.system import Wish, system_on
 
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
@@ -171,17 +168,13 @@ def check(case: AnyCase, comm: MPI.Comm) -> Checked:
     with doing("mesh"):
         domain = mesh_case(case, comm)
     with doing("assembly"):
-        contact = "signorini"
-        spaces: MeshSpaces
-        if isinstance(case, ElasticCase):
-            problem = case.data()
-            boundary_of_body = case.boundary.read().touching_on(problem.rough)
-            contact, spaces = "contact", build_elastic_spaces(domain, boundary_of_body, problem.rough)
-            check_rigid_motions(spaces, elastic_data(spaces, problem))
+        posed = case.posed(domain.mesh.geometry.dim)
+        system = system_on(domain, *posed)
+        spaces, contact = system.spaces, next(iter(system.boundary.named))
+        if isinstance(case, Case) and case.time is not None:
+            _check_steps(case, case.time.evolution(), spaces)
         else:
-            boundary = boundary_of(case)
-            spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
-            _check_data(case, spaces)
+            system.prepared(posed, Wish(options_of(case)))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -202,18 +195,13 @@ def _left(case: AnyCase, spaces: MeshSpaces) -> list[str]:
     return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 
-def _check_data(case: Case, spaces: Spaces) -> None:
-    """Project the data, those of all steps in time, as a run does (collective).
+def _check_steps(case: Case, evolution: Evolution, spaces: Any) -> None:
+    """Project the data of all steps in time, as a run does (collective).
 
     Raises:
         InputError: If a datum is not what it has to be, or there is not one solution.
     """
-    problem = case.data(spaces.mesh.geometry.dim)
-    if case.time is None:
-        check_solvability(spaces, project_data(spaces, problem))
-        return
-    evolution, known = case.time.evolution(), Known(spaces.mesh.comm)
-    steps = Steps(spaces, problem, evolution)
+    known, steps = Known(spaces.mesh.comm), Steps(spaces, case.data(spaces.mesh.geometry.dim), evolution)
     steps.start()
     for step in range(1, evolution.steps + 1):
         try:

@@ -17,8 +17,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.points import in_facets
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 FEW = 3
 """Facets of the face from which the outflow is continued, in a straight line, to a point beside them."""

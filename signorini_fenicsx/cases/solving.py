@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import overload
+from typing import Any
 
 from mpi4py import MPI
 
@@ -12,56 +12,31 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.contact.history import OnStep
-from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
-from signorini_fenicsx.solving.elastic import solve_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.evolving import Instant, Past, evolve
+from signorini_fenicsx.physics.diffusion.evolving import Instant, Past, evolve
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
 
 type AnySolution = Solution | ElasticSolution
 
 
-@overload
-def solve_case(
-    case: Case,
-    comm: MPI.Comm = ...,
-    *,
-    domain: Domain | Solver | None = ...,
-    start: Solution | None = ...,
-    tuning: Tuning | None = ...,
-    on_step: OnStep = ...,
-) -> Solution: ...
-
-
-@overload
-def solve_case(
-    case: AnyCase,
-    comm: MPI.Comm = ...,
-    *,
-    domain: Domain | Solver | None = ...,
-    start: AnySolution | None = ...,
-    tuning: Tuning | None = ...,
-    on_step: OnStep = ...,
-) -> AnySolution: ...
-
-
 @collector_off()
 def solve_case(
-    case: AnyCase,
+    case: CaseFile,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | Solver | None = None,
-    start: AnySolution | None = None,
+    start: Solved | None = None,
     tuning: Tuning | None = None,
     on_step: OnStep = lambda step: None,
-) -> AnySolution:
+) -> Any:
     """Solve a case of any physics (collective).
 
     Args:
@@ -77,34 +52,20 @@ def solve_case(
         InputError: If the case cannot be discretised as asked.
         NumericalFailure: If the sets do not settle or a KKT residual is too large; its `solution` is the last state.
     """
-    check_kind("case", case, Case, ElasticCase, hint="; load_any_case reads one")
+    check_kind("case", case, CaseFile, hint="; load_case reads one")
     refuse_time(case)
     watch = Stopwatch()
     with watch.phase("mesh"):
         place = domain or mesh_case(case, comm)
     mesh = place.spaces.domain if isinstance(place, Solver) else place
     remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh.mesh.comm))
-    options = options_of(case, tuning)
-    if isinstance(case, ElasticCase):
-        return solve_elastic(
-            mesh,
-            case.boundary.read(),
-            case.data(),
-            options,
-            start=_of_kind(ElasticSolution, start),
-            remesh=remesh,
-            name=case.name,
-            title=case.title,
-            source=case,
-            watch=watch,
-            on_step=on_step,
-        )
     with watch.phase("assembly"):
-        solver = place if isinstance(place, Solver) else Solver(place, boundary_of(case))
+        posed = case.posed(mesh.mesh.geometry.dim)
+        solver = place if isinstance(place, Solver) else Solver(place, posed)
     return solver.solve(
-        case.data(mesh.mesh.geometry.dim),
-        options,
-        start=_of_kind(Solution, start),
+        posed,
+        options_of(case, tuning),
+        start=start,
         remesh=remesh,
         name=case.name,
         title=case.title,
@@ -114,7 +75,7 @@ def solve_case(
     )
 
 
-def _remade(case: AnyCase, comm: MPI.Comm, factor: float) -> Domain:
+def _remade(case: CaseFile, comm: MPI.Comm, factor: float) -> Domain:
     """A mesh of a case whose h is larger by a factor (collective)."""
     return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
 
@@ -125,7 +86,7 @@ def evolve_case(
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
-    start: AnySolution | None = None,
+    start: Any = None,
     past: Callable[[Solver], Past] | None = None,
     tuning: Tuning | None = None,
     on_step: OnStep = lambda step: None,
@@ -141,11 +102,10 @@ def evolve_case(
     place = domain or mesh_case(case, comm)
     return evolve(
         place,
-        boundary_of(case),
-        case.data(place.mesh.geometry.dim),
+        case.posed(place.mesh.geometry.dim),
         case.time.evolution(),
         options_of(case, tuning),
-        start=_of_kind(Solution, start),
+        start=start,
         past=past,
         name=case.name,
         title=case.title,
@@ -154,58 +114,21 @@ def evolve_case(
     )
 
 
-def refuse_time(case: AnyCase) -> None:
+def refuse_time(case: CaseFile) -> None:
     """Refuse a case in time.
 
     Raises:
         InputError: If it is one.
     """
-    if isinstance(case, Case) and case.time is not None:
+    if case.last_time is not None:
         raise InputError(
             f"{case.name}: is a problem in time, by its section [time]; only `signorini solve` takes those"
         )
 
 
-def _of_kind[S: (Solution, ElasticSolution)](kind: type[S], start: AnySolution | None) -> S | None:
-    """The start, if it is of this kind.
-
-    Raises:
-        InputError: If it is of another physics.
-    """
-    if start is None or isinstance(start, kind):
-        return start
-    raise InputError(f"the start, {start.name}, is of another physics; take one of the same")
-
-
-@overload
-def adapt_case(
-    case: Case,
-    comm: MPI.Comm = ...,
-    *,
-    target: float | None = ...,
-    max_cells: int = ...,
-    theta: float = ...,
-    on_row: Callable[[AdaptRow], None] = ...,
-    on_step: OnStep = ...,
-) -> tuple[Solution, Certificate]: ...
-
-
-@overload
-def adapt_case(
-    case: AnyCase,
-    comm: MPI.Comm = ...,
-    *,
-    target: float | None = ...,
-    max_cells: int = ...,
-    theta: float = ...,
-    on_row: Callable[[AdaptRow], None] = ...,
-    on_step: OnStep = ...,
-) -> tuple[AnySolution, Certificate]: ...
-
-
 @collector_off()
 def adapt_case(
-    case: AnyCase,
+    case: CaseFile,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     target: float | None = None,
@@ -213,7 +136,7 @@ def adapt_case(
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
     on_step: OnStep = lambda step: None,
-) -> tuple[AnySolution, Certificate]:
+) -> tuple[Any, Certificate]:
     """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
 
     Raises:
@@ -221,16 +144,10 @@ def adapt_case(
         NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
 
-    def solve_on(domain: Domain, start: AnySolution | None) -> AnySolution:
+    def solve_on(domain: Domain, start: Solved | None) -> Any:
         return solve_case(case, domain=domain, start=start, on_step=on_step)
 
     return adapt(mesh_case(case, comm), solve_on, target=target, max_cells=max_cells, theta=theta, on_row=on_row)
-
-
-def boundary_of(case: Case) -> Boundary:
-    """Γ_S and Γ_N of a case, and its inner parts."""
-    parts = case.boundary
-    return Boundary([*parts.signorini, *case.law_parts], parts.neumann, parts.inner)
 
 
 def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:
@@ -250,7 +167,7 @@ def case_of(solution: Solution) -> Case:
     return solution.source
 
 
-def shared_domain(start: AnySolution, case: AnyCase) -> Domain | None:
+def shared_domain(start: Solved, case: CaseFile) -> Domain | None:
     """The mesh of an earlier solution, if the case has the same; None for files, which may have changed since."""
     if not isinstance(start.source, CaseFile):
         return None

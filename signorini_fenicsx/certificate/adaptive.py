@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -12,16 +13,20 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.certificate.of_solution import certificate_of
+from signorini_fenicsx.certificate.of_solution import certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.solver import solve
 
-type SolveOn[S: Solution | ElasticSolution] = Callable[[Domain, S | None], S]
+type SolveOn[S: Solved] = Callable[[Domain, S | None], S]
 
 FIRST_MESH = 8.0
 """By default h of the first mesh is at most the diameter of the domain divided by this."""
+ROUNDING = 1e-10
+"""A bound below this share of ‖σ_h‖, or of the largest bound of the run, is rounding."""
+LONGER = 1.5
+"""A slope needs meshes whose unknowns differ by this factor."""
 DEFAULT_THETA = 0.5
 DEFAULT_MAX_CELLS = 10**6
 
@@ -62,9 +67,9 @@ class AdaptRow:
 
 
 @collector_off()
-def adapt[S: Solution | ElasticSolution](
+def adapt[S: Solved](
     domain: Domain,
-    solve_on: SolveOn[S],
+    problem: SolveOn[S] | Any,
     *,
     target: float | None = None,
     max_cells: int = DEFAULT_MAX_CELLS,
@@ -77,8 +82,8 @@ def adapt[S: Solution | ElasticSolution](
 
     Args:
         domain: The first mesh.
-        solve_on: Solves the problem on a mesh of the domain, starting from the solution on the mesh before or from None
-            (collective).
+        problem: A `Diffusion` or `Elasticity`; or a function that solves the problem on a mesh of the domain, starting
+            from the solution on the mesh before or from None (collective).
         target: Relative bound at which to stop; with None only the number of cells ends the refinement.
         max_cells: Meshes with more cells are not used.
         theta: The refined cells have this share of Σ η_T²; 1 refines uniformly.
@@ -99,13 +104,14 @@ def adapt[S: Solution | ElasticSolution](
     if domain.cells > max_cells:
         cells = f"{domain.cells} cells, more than the {max_cells} allowed"
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
+    solve_on = problem if callable(problem) else lambda mesh, start: solve(mesh, problem, start=start)
     start: S | None = None
     mesh = 0
     while True:
         solution = solve_on(domain, start)
-        check_kind("what solve_on returns", solution, Solution, ElasticSolution)
+        check_kind("what solve_on returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None
-        certificate = certificate_of(solution)
+        certificate = certify(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
         if target is not None and certificate.relative <= target:
@@ -122,20 +128,15 @@ def adapt[S: Solution | ElasticSolution](
         collect_garbage(comm)
 
 
-def _row(
-    refinement: str, mesh: int, solution: Solution | ElasticSolution, certificate: Certificate, seconds: float
-) -> AdaptRow:
-    facets, measure = solution.contact()
-    if isinstance(solution, Solution) and solution.data.obstacle is not None:
-        on_obstacle = solution.on_obstacle()
-        facets, measure = int(on_obstacle["contact_cells"]), on_obstacle["contact_measure"]
+def _row(refinement: str, mesh: int, solution: Solved, certificate: Certificate, seconds: float) -> AdaptRow:
+    sites, measure = solution.sites_in_contact()
     return AdaptRow(
         refinement=refinement,
         mesh=mesh,
         cells=solution.spaces.domain.cells,
         unknowns=solution.outcome.dofs,
         h=solution.spaces.domain.h,
-        contact_facets=facets,
+        contact_facets=sites,
         contact_measure=measure,
         iterations=len(solution.outcome.history),
         bound=certificate.bound,
@@ -147,9 +148,13 @@ def _row(
 
 
 def rate(rows: Sequence[AdaptRow]) -> float | None:
-    """Least-squares slope of the bound against the unknowns on logarithmic axes, from the finer half of the meshes."""
-    fine = [row for row in rows[len(rows) // 2 :] if 0 < row.bound < np.inf]
-    if len(fine) < 2:
+    """Least-squares slope of the bound against the unknowns on logarithmic axes, from the finer half of the meshes.
+
+    None if these are too few or of nearly one size; bounds that are rounding do not count.
+    """
+    least = ROUNDING * max((row.bound for row in rows if row.bound < np.inf), default=0.0)
+    fine = [row for row in rows[len(rows) // 2 :] if row.relative > ROUNDING and least < row.bound < np.inf]
+    if len(fine) < 2 or fine[-1].unknowns < LONGER * fine[0].unknowns:
         return None
     unknowns, bound = np.log([row.unknowns for row in fine]), np.log([row.bound for row in fine])
     return float(np.polyfit(unknowns, bound, 1)[0])

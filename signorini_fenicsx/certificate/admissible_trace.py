@@ -39,8 +39,8 @@ from signorini_fenicsx.discrete.points import (
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jets import cut_off, larger
 from signorini_fenicsx.physics.diffusion.nodes import facet_nodes, largest_around
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.solution import Solution
 
 type Indices = npt.NDArray[np.int32]
 

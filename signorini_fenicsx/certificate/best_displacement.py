@@ -1,49 +1,48 @@
 """The conforming displacement nearest to a stress: polynomials on the split mesh that stay off the foundation.
 
-It minimises the gap of `forms/elasticity.py` for given y, which is a problem of its own with one condition per node of
-Γ_C: contact or free. So the loop over the sets solves it, as it solves the problem itself. With friction, |v_t| is
-bounded by its coefficients in Bernstein's basis, and each of these is a site with three states.
+It minimises the gap of `forms/elasticity.py` for given y over the displacements whose coefficients in Bernstein's basis
+stay off: at each node of Γ_C there is a condition for each facet. With friction, |v_t| is bounded by its coefficients,
+and there is one more term for each. `interior_point` finds the minimum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from functools import cached_property
 
 import basix.ufl
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.certificate.boundary_nodes import (
-    boundary_nodes,
-    direction_of_contact,
-    excess,
-    facet_coefficients,
-)
-from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
-from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.field_change import FieldChange
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress
+from signorini_fenicsx.certificate.interior_point import minimise
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.forms.elasticity import strain, strain_energy
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.linear.kept_factors import KeptFactors
+from signorini_fenicsx.forms.elasticity import strain, strain_energy, stress_product
 from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, facet_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_rule
-from signorini_fenicsx.physics.elasticity.friction import friction_chains
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
+FREE = 1e-12
+"""A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""
+SHIFT = 1e-13
+"""Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
+PUSHES = 20
+"""Rounds in which nodes are pushed off foundations by what rounding leaves."""
+
 
 class BestDisplacement:
-    """A backend whose sites are the nodes of Γ_C, then those with friction.
+    """The gap as a function of v's coefficients, in the frames of the nodes; see `interior_point.Terms`.
 
     Attributes:
         split: The split mesh, or the part of it on which the displacement is.
@@ -53,16 +52,11 @@ class BestDisplacement:
         dx: The measure that goes with them.
     """
 
-    name = "conforming"
-    noun = ("node", "nodes")
-    inexact: Inexact | None = None
-    precise: Callable[[], Backend[Iterate]] | None = None
-
     def __init__(
         self,
         spaces: ElasticSpaces,
         data: ElasticData,
-        stresses: Array,
+        y: AdmissibleStress,
         split: SplitMesh,
         degree: int,
         v: fem.Function | None = None,
@@ -72,7 +66,7 @@ class BestDisplacement:
         Args:
             spaces: The spaces.
             data: The data.
-            stresses: y on all cells, as in `SplitMesh.values`.
+            y: The stress.
             split: The split mesh, or a part of it.
             degree: Of the polynomials.
             v: For a part, the displacement on the whole mesh that the one on the part has to continue.
@@ -80,74 +74,23 @@ class BestDisplacement:
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self.spaces, self._data, self.split, self.sigma = spaces, data, split, split.stress(stresses)
+        self.spaces, self._data, self._y, self.split = spaces, data, y, split
         self.comm, mesh, dim = spaces.mesh.comm, split.mesh, spaces.dim
+        self.sigma = split.stress(y.stresses)
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
         self.space = fenicsx.function_space(mesh, element)
+        self._numbers = self.space.dofmap.index_map
         self.contact = facet_coefficients(split, self.space, spaces.contact)
         self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
-        entities = np.column_stack([self.contact.cells, np.full(len(self.contact.cells), dim)])
-        domain = entities[np.argsort(entities[:, 0])].astype(np.int32).ravel()
-        ds = ufl.Measure("ds", domain=mesh, subdomain_data=[(1, domain)])(1)
-        u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        n = ufl.FacetNormal(mesh)
-        pull = ufl.inner(self.sigma, strain(w)) * self.dx - ufl.dot(self.sigma * n, w) * ds
-        load = fem.assemble_vector(fenicsx.form(pull))
-        load.scatter_reverse(la.InsertMode.add)
-        natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
-        natural.assemble()
-
-        known = None if v is None else self._continued(v)
-        self.nodes = boundary_nodes(spaces, data, split, self.space, known)
-        self._size = self.space.dofmap.index_map.size_local
-        turn = self._turn(natural)
-        self._operator = ConstrainedMatrix(natural.ptap(turn), PETSc.Mat.Option.SPD)
-        self._lift, self._x = self._operator.matrix.createVecs()
-        lift = self.nodes.values.copy()
-        touching = np.flatnonzero(self.nodes.touching)
-        lift[touching, self.nodes.given[touching]] = self.nodes.bound[touching]
-        self._lift.array_w[:] = lift[: self._size].ravel()
-        self._load = self._lift.duplicate()
-        self._operator.natural.mult(self._lift, self._load)
-        turned = np.einsum("nij,ni->nj", self.nodes.frames, load.array.reshape(-1, dim))
-        self._load.array_w[:] = turned[: self._size].ravel() - self._load.array_r
-        self._given = np.flatnonzero(np.arange(dim) < self.nodes.given[: self._size, None]).astype(np.int32)
-        self._touching = np.flatnonzero(self.nodes.touching[: self._size])
-        self._rubbing, column, bound = self._friction()
-        self._sites = np.concatenate(
-            [self._touching * dim + self.nodes.given[self._touching], self._rubbing * dim + column]
-        ).astype(np.int32)
-        self.sites, self.dofs = len(self._sites), self._operator.matrix.getSize()[0]
-        self.chains = Chains.at_corner(len(self._touching))
-        if data.friction is not None:
-            rows = np.split(np.arange(self.sites), [len(self._touching)])
-            self.chains = joined([(rows[0], self.chains), (rows[1], friction_chains(bound))], self.sites)
-        self._diagonal = float(self._operator.natural.getDiagonal().norm(PETSc.NormType.INFINITY))
-        self._solver = direct_solver(self._operator.matrix, "cholesky", "facet_")
-        self._factors = KeptFactors(self._solver, self._operator.natural, self._sites, dim)
+        self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
+        self._collect_terms()
+        self._assemble()
 
     @cached_property
     def rough(self) -> tuple[Indices, Indices]:
         """The facets with friction: where they are in `contact`, and in `ElasticSpaces.rough`."""
         here, everywhere = self.contact.rows, self.spaces.rough_rows
         return np.flatnonzero(np.isin(here, everywhere)), np.flatnonzero(np.isin(everywhere, here))
-
-    def _friction(self) -> tuple[Indices, Indices, Array]:
-        """Owned nodes with friction, which of their directions is the tangent, and ∫ g B for the B of each node."""
-        size, dim = self._size, self.spaces.dim
-        sums = la.vector(self.space.dofmap.index_map)
-        np.add.at(sums.array, self.contact.nodes[self.rough[0]], self._rubbing_weights())
-        sums.scatter_reverse(la.InsertMode.add)
-        column = self.nodes.given[:size] + self.nodes.touching[:size]
-        rubbing = np.flatnonzero((sums.array[:size] > 0) & (column < dim))
-        return rubbing, column[rubbing], sums.array[rubbing]
-
-    def _rubbing_weights(self) -> Array:
-        """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
-        if self._data.friction is None:
-            return np.zeros((0, self.contact.nodes.shape[1]))
-        measure = self.contact.facets.measure[self.rough[0]]
-        return np.einsum("n,na,ak->nk", measure, self._data.friction.bound[self.rough[1]], self._moments())
 
     def _continued(self, v: fem.Function) -> fem.Function:
         """The displacement on the whole split mesh as one of this space."""
@@ -157,127 +100,192 @@ class BestDisplacement:
         found.x.scatter_forward()
         return found
 
+    def _collect_terms(self) -> None:
+        """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective)."""
+        contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
+        gap, weights = contact.of(self.spaces.mesh, self._data.gap), self._rubbing_weights()
+        rubs = weights > 0
+        normals = np.broadcast_to(contact.facets.normals[:, None], (*gap.shape, dim)).reshape(-1, dim)
+        tangents = np.broadcast_to(self.spaces.tangents[here][:, None], (*rubs.shape, dim))[rubs]
+        nodes = np.concatenate([contact.nodes.ravel(), contact.nodes[rough][rubs]])
+        axes = np.einsum("kij,ki->kj", self._given.frames[nodes], np.concatenate([normals, tangents]))
+        bound = np.append(gap.ravel(), np.zeros(len(tangents))) - (axes * self._given.values[nodes]).sum(axis=1)
+        axes[self._given.given[nodes]] = 0.0
+        high = np.append(np.full(gap.size, np.inf), weights[rubs])
+        self._gap, free = gap, (axes**2).sum(axis=1) > FREE
+        self._term_nodes, self._axes, self.bound, self.high = nodes[free], axes[free], bound[free], high[free]
+        self.low = np.where(np.isinf(self.high), 0.0, -self.high)
+        forces = self._in_coefficients(self._y.pressure[contact.rows], contact.facets.measure)
+        rubbing = -self._in_coefficients(self._y.shear[here], contact.facets.measure[rough])
+        self._forces = np.append(forces.ravel(), rubbing[rubs])[free]
+
+        pull = fem.assemble_vector(fenicsx.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
+        add_at(pull, contact.nodes, forces[:, :, None] * contact.facets.normals[:, None])
+        add_at(pull, contact.nodes[rough], rubbing[:, :, None] * self.spaces.tangents[here][:, None])
+        pull.scatter_reverse(la.InsertMode.add)
+        self._pull, self._apart = pull, float((forces * gap).sum())
+
+    def _assemble(self) -> None:
+        """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
+        dim, size = self.spaces.dim, self._numbers.size_local
+        u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
+        natural.assemble()
+        self._natural = natural.ptap(self._turn(natural))
+        self._lift = self._given.values[:size].ravel()
+        load = np.einsum("nij,ni->nj", self._given.frames[:size], self._pull.array.reshape(-1, dim)[:size]).ravel()
+        image = self.times(self._lift)
+        energy = fem.assemble_scalar(fenicsx.form(stress_product(self.sigma, self.sigma, *self.moduli, self.dx)))
+        sums = [energy / 2 + self._apart, self._lift @ (image / 2 - load)]
+        parts = self.comm.allreduce(np.array(sums))
+        self.constant, self.scale = float(parts.sum()), float(np.abs(parts).sum())
+        essential = np.flatnonzero(self._given.given[:size]).astype(np.int32)
+        self.load = load - image
+        self.load[essential] = 0.0
+        diagonal = self._natural.getDiagonal()
+        self._natural.zeroRowsColumns(essential + self._natural.getOwnershipRange()[0])
+        self._matrix = self._natural.duplicate(copy=True)
+        for option in (PETSc.Mat.Option.KEEP_NONZERO_PATTERN, PETSc.Mat.Option.SPD):
+            self._matrix.setOption(option, True)
+        stiffness = la.vector(self._numbers, dim)
+        stiffness.array[: size * dim] = diagonal.array_r
+        stiffness.scatter_forward()
+        self.unit = stiffness.array.reshape(-1, dim)[self._term_nodes].max(axis=1, initial=0.0)
+        self._shift = (1 + SHIFT) * self._natural.getDiagonal()
+        self._solver = direct_solver(self._matrix, "cholesky", "facet_")
+        self._touched = np.flatnonzero(self._summed(np.ones(len(self.bound))))
+
     def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
         """From coefficients in the frames of the nodes to those in coordinates."""
-        dim, frames = self.spaces.dim, self.nodes.frames[: self._size]
+        dim, frames = self.spaces.dim, self._given.frames[: self._numbers.size_local]
         turn = PETSc.Mat().create(self.comm)
         turn.setSizes(natural.getSizes(), bsize=dim)
         turn.setType("aij")
-        begin = natural.getOwnershipRange()[0]
-        number = begin + np.arange(self._size * dim, dtype=PETSc.IntType).reshape(-1, dim)
-        shape = frames.shape
-        rows, columns = np.broadcast_to(number[:, :, None], shape), np.broadcast_to(number[:, None, :], shape)
-        turn.setPreallocationCOO(rows.ravel(), columns.ravel())
+        rows, columns = self._places(np.arange(len(frames)), natural)
+        turn.setPreallocationCOO(rows, columns)
         turn.setValuesCOO(frames.ravel(), PETSc.InsertMode.INSERT_VALUES)
         return turn
 
-    def solver(self) -> str:
-        """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
-
-    def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve as `Backend.solve` says (collective).
-
-        Raises:
-            LinearSolveFailure: If the linear solver fails.
-        """
-        held = conditions.kind == Condition.ZERO_TRACE
-        b, reaction = self._load.copy(), self._load.duplicate()
-        if conditions.has_values:
-            b.array_w[self._sites] -= np.where(conditions.kind == Condition.NO_FLUX, conditions.value, 0.0)
-        if not self._factors.solve(b.array_r, self._x, held):
-            essential = np.concatenate([self._given, self._sites[held]])
-            none = np.empty(0, dtype=np.int32)
-            self._operator.impose(essential, none, none)
-            b.array_w[essential] = 0.0
-            self._solver.solve(b, self._x)
-            self._factors.keep(essential, held)
-        self._operator.natural.mult(self._x, reaction)
-        reaction.aypx(-1.0, self._load)
-        p, flux = conditions.clean(-self._x.array_r[self._sites], reaction.array_r[self._sites], 1.0)
-        u = self._conforming(self._x.array_r + self._lift.array_r)
-        iterations = self._solver.ksp.getIterationNumber()
-        return Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=self.sigma, u=u)
-
-    def _conforming(self, turned: Array) -> fem.Function:
+    def _places(self, nodes: Indices, matrix: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray]:
+        """Rows and columns of the blocks of owned nodes."""
         dim = self.spaces.dim
-        v = fem.Function(self.space, name="v")
-        v.x.array[: len(turned)] = np.einsum(
-            "nij,nj->ni", self.nodes.frames[: self._size], turned.reshape(-1, dim)
-        ).ravel()
-        v.x.scatter_forward()
-        return v
+        number = matrix.getOwnershipRange()[0] + dim * nodes[:, None] + np.arange(dim)
+        shape = len(nodes), dim, dim
+        pairs = np.broadcast_to(number[:, :, None], shape), np.broadcast_to(number[:, None, :], shape)
+        return pairs[0].ravel().astype(PETSc.IntType), pairs[1].ravel().astype(PETSc.IntType)
 
-    def admissible(self, v: fem.Function) -> bool:
-        """Push v back where it passes the foundation; whether it then stays off it everywhere (collective)."""
-        back, helps = excess(self.spaces, self._data, self.nodes, self.contact, v)
-        v.x.array.reshape(-1, self.spaces.dim)[:] -= back[:, None] * direction_of_contact(self.nodes)
-        return helps
+    def times(self, x: Array) -> Array:
+        """Kx (collective)."""
+        known, image = self._natural.createVecs()
+        known.array_w[:] = x
+        self._natural.mult(known, image)
+        return np.array(image.array_r)
+
+    def along(self, x: Array) -> Array:
+        """a·x of each term (collective)."""
+        everywhere = la.vector(self._numbers, self.spaces.dim)
+        everywhere.array[: len(x)] = x
+        everywhere.scatter_forward()
+        return (self._axes * everywhere.array.reshape(-1, self.spaces.dim)[self._term_nodes]).sum(axis=1)
+
+    def spread(self, forces: Array) -> Array:
+        """Σ τa (collective)."""
+        return self._summed(forces[:, None] * self._axes)
+
+    def _summed(self, values: Array) -> Array:
+        """Sums over the terms of each owned node, from values of shape (terms, …) (collective)."""
+        size = math.prod(values.shape[1:])
+        sums = la.vector(self._numbers, size)
+        add_at(sums, self._term_nodes, values)
+        sums.scatter_reverse(la.InsertMode.add)
+        found: Array = sums.array[: size * self._numbers.size_local]
+        return found
+
+    def factorise(self, stiffness: Array) -> None:
+        """Get ready to solve with K + Σ d aaᵀ (collective)."""
+        dim = self.spaces.dim
+        blocks = self._summed(stiffness[:, None, None] * self._axes[:, :, None] * self._axes[:, None, :])
+        self._natural.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._matrix.setDiagonal(self._shift)
+        places = self._places(self._touched, self._matrix)
+        values = blocks.reshape(-1, dim * dim)[self._touched]
+        self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in (*places, values.ravel())), addv=True)
+        self._matrix.assemble()
+
+    def solve(self, load: Array) -> Array:
+        """Solve with the matrix that was factorised last (collective)."""
+        x, b = self._matrix.createVecs()
+        b.array_w[:] = load
+        self._solver.solve(b, x)
+        return np.array(x.array_r)
+
+    def minimum(self) -> tuple[fem.Function, str]:
+        """The best v, and why it is not admissible; empty if it is (collective)."""
+        x = minimise(self, self._forces)
+        feet = np.isinf(self.high)
+        lengths = (self._axes**2).sum(axis=1)
+        for _ in range(PUSHES):
+            past = np.where(feet, np.maximum(self.along(x) - self.bound, 0.0), 0.0)
+            if not self.comm.allreduce(bool((past > 0).any()), MPI.LOR):
+                break
+            x = x - self.spread(past / lengths)
+        turned = la.vector(self._numbers, self.spaces.dim)
+        turned.array[: len(x)] = x + self._lift
+        turned.scatter_forward()
+        v = fem.Function(self.space, name="v")
+        coefficients = turned.array.reshape(-1, self.spaces.dim)
+        v.x.array[:] = np.einsum("nij,nj->ni", self._given.frames, coefficients).ravel()
+        return v, self._past_foundation(v)
+
+    def _past_foundation(self, v: fem.Function) -> str:
+        """Where and how far v passes the foundation, in words; empty if it does not, up to rounding (collective)."""
+        contact, coefficients = self.contact, v.x.array.reshape(-1, self.spaces.dim)
+        past = np.einsum("nki,ni->nk", coefficients[contact.nodes], contact.facets.normals) - self._gap
+        largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self._gap)])
+        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        worst = float(past.max(initial=0.0)), ""
+        if worst[0] > ROUNDING * largest.max():
+            facet, place = np.unravel_index(int(past.argmax()), past.shape)
+            worst = worst[0], self._told(int(facet), int(place))
+        past_by, where = max(self.comm.allgather(worst))
+        if not where:
+            return ""
+        return f"what is given of u passes the foundation by {past_by:.2g} {where}"
+
+    def _told(self, facet: int, place: int) -> str:
+        """Where a coefficient of a facet is, and along which normal it counts."""
+        x, n = self.contact.places()[facet, place], self.contact.facets.normals[facet]
+        where, along = (", ".join(f"{entry:.4g}" for entry in each) for each in (x, n))
+        return f"at ({where}), along the normal ({along}) of the facet of the mesh"
 
     def moments_on_contact(self, v: fem.Function) -> Array:
         """∫ v φ_a over the facets `contact`, shape (facets, d, d)."""
         coefficients = v.x.array.reshape(-1, self.spaces.dim)[self.contact.nodes]
-        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self._moments(), coefficients)
+        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self._moments, coefficients)
 
+    @cached_property
     def _moments(self) -> Array:
         """∫ φ_a B over the facet of measure 1 for the B of each of its nodes, shape (d, nodes)."""
         points, weights = facet_rule(self.spaces.dim, self.contact.degree)
         hats = np.column_stack([1 - points.sum(axis=1), points])
         return np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, self.contact.basis(points))
 
+    def _in_coefficients(self, values: Array, measure: Array) -> Array:
+        """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
+        found: Array = measure[:, None] * (values @ self._moments)
+        return found
+
+    def _rubbing_weights(self) -> Array:
+        """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
+        rough, here = self.rough
+        bound = np.zeros((0, self.spaces.dim)) if self._data.friction is None else self._data.friction.bound[here]
+        return self._in_coefficients(bound, self.contact.facets.measure[rough])
+
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t| over the facets with friction: |v_t| is at most the mean of its |coefficients|."""
         nodes, tangents = self.contact.nodes[self.rough[0]], self.spaces.tangents[self.rough[1]]
         along = np.einsum("nki,ni->nk", v.x.array.reshape(-1, self.spaces.dim)[nodes], tangents)
         return (self._rubbing_weights() * np.abs(along)).sum(axis=1)
-
-    def near(self, touching: Mask) -> SiteConditions:
-        """Contact at the nodes all of whose facets, or all but their ends, are in contact; nothing slips (collective).
-
-        Args:
-            touching: Vertices of the facets of Γ_C in contact, shape (facets, d).
-        """
-        sums = la.vector(self.space.dofmap.index_map, 2)
-        inside = touching[self.contact.rows].all(axis=1).astype(np.float64)
-        values = np.stack([inside, np.ones_like(inside)], axis=1)[:, None]
-        np.add.at(sums.array.reshape(-1, 2), self.contact.nodes, values)
-        sums.scatter_reverse(la.InsertMode.add)
-        share = sums.array.reshape(-1, 2)[self._touching]
-        kind = np.where(share[:, 0] >= share[:, 1] - 0.5, Condition.ZERO_TRACE, Condition.NO_FLUX)
-        sticking = np.full(len(self._rubbing), Condition.ZERO_TRACE)
-        conditions = SiteConditions(np.concatenate([kind, sticking]).astype(np.int8))
-        return self.chains.conditions(self.chains.segments(conditions))
-
-    def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
-        """Refused: there is no clip without a penalty.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("there is no penalty here")
-
-    def scales(self, iterate: Iterate) -> tuple[Array, Array]:
-        """The largest coefficient, and that times the largest of the matrix, see `Backend.scales`."""
-        largest = max(self.comm.allgather(float(np.abs(iterate.u.x.array).max(initial=0.0))))
-        return np.full(self.sites, largest), np.full(self.sites, largest * self._diagonal)
-
-    @cached_property
-    def change(self) -> FieldChange:
-        """Norms of what changed, see `Backend.change`."""
-        return FieldChange(self.split.stresses, self.space)
-
-    def places(self) -> Array:
-        """Where the nodes are, rounded; coefficients of Bernstein's basis have the places of Lagrange's."""
-        lagrange = fenicsx.function_space(self.space.mesh, ("P", self.contact.degree))
-        places = lagrange.tabulate_dof_coordinates()
-        mine = np.empty((self._size + self.space.dofmap.index_map.num_ghosts, 3))
-        mine[self.space.dofmap.list] = places[lagrange.dofmap.list]
-        nodes = np.concatenate([self._touching, self._rubbing])
-        return np.column_stack([mine[nodes], np.arange(self.sites) >= len(self._touching)])
-
-    def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """As they are."""
-        return iterate, conditions
 
 
 def moduli_on_split(

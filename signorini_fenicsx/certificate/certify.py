@@ -64,8 +64,8 @@ from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, facet_type, owned_cells
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.solution import Solution
 
 QUADRATIC = 2
 """Degree of |κ∇v − y|² where v is quadratic and κ a number."""
@@ -122,6 +122,11 @@ class Certificate:
     def of(self) -> str:
         """To which solution the error is, in words; empty if it is that of the problem."""
         return " to the exact solution of the penalty problem" if self.of_penalty else ""
+
+    @property
+    def smaller_than_flux(self) -> bool:
+        """Whether the bound is below ‖σ_h‖; otherwise its share of ‖σ_h‖ says nothing: σ may be 0."""
+        return self.relative < 1
 
     def numbers(self) -> dict[str, float]:
         """The bounds and their parts."""

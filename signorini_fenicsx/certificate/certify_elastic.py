@@ -34,21 +34,25 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
+from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress, admissible_stress
 from signorini_fenicsx.certificate.best_displacement import BestDisplacement
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.elastic_oscillation import load_oscillation
-from signorini_fenicsx.contact.loop import Parameters, iterate_sets
-from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.forms.elasticity import stress_gap
+from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, facet_moments
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
-UPDATES = 30
-"""Set updates of v at most; each v is admissible."""
-SHARE, HIGHER = 0.05, {2: 4, 3: 3}
-"""Cells with more than this share of the gap get, with their neighbours, a v of this degree, by dimension."""
+TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
+UNBALANCED = "the linear solver leaves too much of the balance of the stress"
+HIGHER = {2: 4, 3: 3}
+"""Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
+SHARE = 0.05
+"""The share of each of these cells is larger than this,"""
+HALF, FEW = 0.5, {2: 200, 3: 20}
+"""or it is one of those that have half of the gap, if these are not more than so many, by dimension."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +64,19 @@ class ElasticCertificate(Certificate):
     """
 
     of_last_bound: bool = False
-    if_none: str = "what is given of u passes the foundation"
     if_by_quadrature = "not in the discrete spaces"
 
     @property
     def of(self) -> str:
         """To which solution the error is, in words; empty if it is that of the problem."""
-        return " to the exact solution with the last bound of the friction" if self.of_last_bound else ""
+        return f" to {TRESCA}" if self.of_last_bound else ""
 
     def summary(self) -> dict[str, Any]:
-        """All but the fields, ready for JSON."""
-        return super().summary() | ({"of_last_bound": True} if self.of_last_bound else {})
+        """All but the fields, ready for JSON; what is not of the problem itself is guaranteed only with its name."""
+        if not self.of_last_bound:
+            return super().summary()
+        named = {"guaranteed": False, "of_last_bound": True}
+        return super().summary() | named | ({"guaranteed_for": TRESCA} if self.guaranteed else {})
 
 
 @collector_off()
@@ -89,21 +95,23 @@ def certify_elastic(solution: ElasticSolution) -> Certificate:
 def _certificate(solution: ElasticSolution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    v, of_cells, feasible = _displacement(solution, spaces.split, degree=2)
+    y = admissible_stress(solution)
+    v, of_cells, past = _displacement(solution, y, spaces.split, degree=2)
     with_most = _with_most(spaces, of_cells)
     if comm.allreduce(len(with_most)) > 0:
         part = spaces.split.part(with_most)
-        _, better, possible = _displacement(solution, part, degree=HIGHER[spaces.dim], v=v)
+        _, better, past_there = _displacement(solution, y, part, degree=HIGHER[spaces.dim], v=v)
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
-        if possible and gain > 0:
+        if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
-    oscillation = load_oscillation(solution)
+    oscillation = load_oscillation(spaces, data, y.stresses)
     sums = comm.allreduce(np.array([of_cells.sum() / 2, (oscillation**2).sum()]))
     gap, osc = max(float(sums[0]), 0.0), float(np.sqrt(sums[1]))
     energy = solution.norms()["energy"]
-    remainder = solution.kkt.tractions * energy
-    bound = np.sqrt(2 * gap) + osc + remainder if feasible else np.inf
-    sigma_bound = np.sqrt(2 * gap + osc**2) + remainder if feasible else np.inf
+    if_none = past or ("" if np.isfinite(y.distance) else UNBALANCED)
+    bound, sigma_bound = (
+        np.inf if if_none else of + y.distance for of in (np.sqrt(2 * gap) + osc, np.sqrt(2 * gap + osc**2))
+    )
     indicator = fem.Function(spaces.Q, name="indicator")
     indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
     missing = _not_in_the_spaces(data)
@@ -112,55 +120,47 @@ def _certificate(solution: ElasticSolution) -> Certificate:
         sigma_bound=float(sigma_bound),
         gap=gap,
         oscillation=osc,
-        remainder=remainder,
+        remainder=y.distance,
         relative=float(bound / energy) if energy > 0 else (0.0 if bound == 0 else np.inf),
-        guaranteed=feasible and not missing,
+        guaranteed=not if_none and not missing,
         by_quadrature=missing,
         unresolved=(),
         coarse=np.zeros(len(spaces.order), dtype=bool),
         indicator=indicator,
         v=v,
+        if_none=if_none,
         of_last_bound=data.friction is not None and data.friction.by_pressure,
     )
 
 
-def _tractions(solution: ElasticSolution) -> tuple[Array, Array]:
-    """−σ_nn and σ_t at the vertices on Γ_C, without what the linear solver leaves where they are given."""
-    dim, conditions = solution.spaces.dim, solution.outcome.conditions
-    found = np.concatenate([solution.pressure.ravel(), solution.shear.ravel()])
-    _, found = conditions.clean(solution.outcome.iterate.p, found, 1.0)
-    pressure, shear = np.split(found, [len(solution.spaces.sites)])
-    return pressure.reshape(-1, dim), shear.reshape(-1, dim)
-
-
 def _displacement(
-    solution: ElasticSolution, split: SplitMesh, degree: int, v: fem.Function | None = None
-) -> tuple[fem.Function, Array, bool]:
+    solution: ElasticSolution, y: AdmissibleStress, split: SplitMesh, degree: int, v: fem.Function | None = None
+) -> tuple[fem.Function, Array, str]:
     """The best displacement on the split mesh or a part of it (collective).
 
     Returns:
-        It, what it makes of 2 gap on each owned cell, and whether it is admissible.
+        It, what it makes of 2 gap on each owned cell, and where it passes the foundation; empty if it does not.
     """
     spaces = solution.spaces
-    problem = BestDisplacement(spaces, solution.data, solution.stresses, split, degree, v)
-    start = problem.near(solution.touching)
-    outcome = iterate_sets(problem, ALGORITHM_1, Parameters(max_iterations=UPDATES), start=start)
-    v = outcome.iterate.u
-    feasible = problem.admissible(v)
+    problem = BestDisplacement(spaces, solution.data, y, split, degree, v)
+    v, past = problem.minimum()
     weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
-    mismatch = fem.assemble_vector(
-        fenicsx.form(stress_gap(v, problem.sigma, *problem.moduli, weight, problem.dx))
-    ).array
+    gaps = stress_gap(v, problem.sigma, *problem.moduli, weight, problem.dx)
+    mismatch = fem.assemble_vector(fenicsx.form(gaps)).array
     found = np.zeros(len(spaces.order))
     np.add.at(found, split.subcells // (spaces.dim + 1), mismatch[: len(split.subcells)])
-    np.add.at(found, problem.contact.facets.cells, 2 * _on_contact(solution, problem, v))
-    return v, found, feasible
+    np.add.at(found, problem.contact.facets.cells, 2 * _on_contact(solution, y, problem, v))
+    return v, found, past
 
 
 def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     """Owned cells with a large share of the gap, and those that share a vertex with one (collective)."""
+    comm, squares = spaces.mesh.comm, np.maximum(of_cells, 0.0)
+    large = np.flatnonzero(squares > SHARE * comm.allreduce(squares.sum()))
+    half = dorfler(np.sqrt(squares), HALF, comm)
+    if comm.allreduce(len(half)) <= FEW[spaces.dim]:
+        large = np.union1d(large, half)
     nodes = spaces.mesh.geometry.dofmaps[0][: len(of_cells)]
-    large = of_cells > SHARE * spaces.mesh.comm.allreduce(of_cells.sum())
     near = la.vector(spaces.mesh.geometry.index_map())
     near.array[nodes[large]] = 1.0
     near.scatter_reverse(la.InsertMode.add)
@@ -168,18 +168,17 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     return np.flatnonzero((near.array[nodes] > 0).any(axis=1))
 
 
-def _on_contact(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function) -> Array:
+def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function) -> Array:
     """∫ (−σ_nn)(g − v_n) over the facets of Γ_C, with friction and ∫ g|v_t| + σ_t v_t, or a bit more (collective)."""
     spaces, data, contact = solution.spaces, solution.data, problem.contact
-    pressure, shear = _tractions(solution)
     moments = problem.moments_on_contact(v)
     apart = facet_moments(spaces, "gap", data.gap, contact.facets, "on Γ_C")
     apart = apart - np.einsum("nai,ni->na", moments, contact.facets.normals)
-    found = np.einsum("na,na->n", pressure[contact.rows], apart)
+    found = np.einsum("na,na->n", y.pressure[contact.rows], apart)
     if data.friction is not None:
         rough, here = problem.rough
         along = np.einsum("nai,ni->na", moments[rough], spaces.tangents[here])
-        found[rough] += problem.rubbed(v) + np.einsum("na,na->n", shear[here], along)
+        found[rough] += problem.rubbed(v) + np.einsum("na,na->n", y.shear[here], along)
     return found
 
 

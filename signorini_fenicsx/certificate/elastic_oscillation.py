@@ -1,86 +1,135 @@
-"""What the loads do within cells and facets, which the stresses of an elastic solution do not balance."""
+"""What the loads do within cells and facets, which the stresses of an elastic solution do not balance.
+
+On each cell f − f_h and, on Γ_N, g_N − Π₁g_N are orthogonal to linear fields. Their projections to quadratic fields on
+each subcell and to cubic ones on each facet are balanced by local stresses, whose norms are computed. What is left
+after that is orthogonal to linear fields as well, and the constants of `korn` bound it.
+"""
 
 from __future__ import annotations
 
 import basix
 import numpy as np
+import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.korn import korn_constants, trace_constants
+from signorini_fenicsx.certificate.local_stresses import INSIDE, ON_FACETS, local_stresses
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     SIMPLEX,
     Cells,
     SplitQuadrature,
+    facet_normals,
+    split_vertices,
 )
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
 from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 
 
-def load_oscillation(solution: ElasticSolution) -> Array:
-    """(C_T ‖f − f_h‖_T + Σ t_T ‖g_N − Π₁g_N‖_e)/√min(2μ, 2μ + dλ) of the owned cells (collective)."""
-    spaces, data = solution.spaces, solution.data
-    found = _of_force(solution)
-    facets = spaces.neumann
-    edges = Cells(spaces.vertices[facets.cells]).derivative
-    constants = trace_constants(edges, facets.measure)
-    np.add.at(found, facets.cells, constants * np.sqrt(_of_tractions(spaces, data)))
-    for cells in blocks_of_cells(spaces):
-        inverse, theta = data.moduli(data.points(spaces, cells))
-        soft = np.minimum(1.0, 1 / np.maximum(1 - spaces.dim * theta, 1e-300)).min(axis=1) / inverse.max(axis=1)
-        found[cells] /= np.sqrt(soft)
-    return found
+def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
+    """How large (f − f_h, w)_T + ⟨g_N − Π₁g_N, w⟩ may be beside |w|_T, for the owned cells (collective).
 
-
-def _of_force(solution: ElasticSolution) -> Array:
-    """C_T ‖f − f_h‖_T (collective)."""
-    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
+    Args:
+        spaces: The spaces.
+        data: The data.
+        stresses: Values of σ_h, as in `SplitMesh.values`.
+    """
+    dim, facets = spaces.dim, spaces.neumann
     found = np.zeros(len(spaces.order))
-    if data.f.polynomial == 0:
-        return found
-    rule = SplitQuadrature.of_degree(dim, _degree_of_square(data, data.f))
+    traction, rest = _tractions(spaces, data)
+    constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
+    np.add.at(found, facets.cells, constants * rest)
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
-        volume = cells.measure / (dim + 1)
-        inward = cells.hat_gradients / volume[:, None, None, None]
-        divergence = np.einsum("nsvij,nsvj->nsi", solution.stresses[numbers], inward)
-        points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
-        load = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
-        load = np.take_along_axis(load, spaces.order[numbers][:, :, None, None], axis=1)
-        left = np.einsum("q,nsqi->n", rule.weights, (load + divergence[:, :, None]) ** 2) * volume
-        found[numbers] = korn_constants(cells.derivative) * np.sqrt(left)
+        inverse, theta = data.moduli(data.points(spaces, numbers))
+        inside, missed = _force(spaces, data, stresses, numbers)
+        here = np.flatnonzero(np.isin(facets.cells, numbers))
+        on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
+        on_facets[facets.cells[here] - numbers[:1], facets.local[here]] = traction[here]
+        inverse, theta = inverse.max(axis=1), theta.min(axis=1)
+        soft = np.minimum(1.0, 1 / np.maximum(1 - dim * theta, 1e-300)) / inverse
+        found[numbers] += korn_constants(cells.derivative) * missed
+        found[numbers] /= np.sqrt(soft)
+        if len(numbers) > 0 and (inside.any() or on_facets.any()):
+            found[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, inverse, theta)
     return found
 
 
-def _of_tractions(spaces: ElasticSpaces, data: ElasticData) -> Array:
-    """‖g_N − Π₁g_N‖²_e over the facets `neumann`, in the directions in which u is not given (collective)."""
+def _force(
+    spaces: ElasticSpaces, data: ElasticData, stresses: Array, numbers: npt.NDArray[np.int32]
+) -> tuple[Array, Array]:
+    """The part of f − f_h quadratic on subcells, in their lattices, and the L² norm of the rest (collective)."""
+    dim, places = spaces.dim, lattice(spaces.dim + 1, INSIDE)
+    if data.f.polynomial == 0:
+        return np.zeros((len(numbers), dim + 1, len(places), dim)), np.zeros(len(numbers))
+    rule = SplitQuadrature.of_degree(dim, _degree_of_square(data, data.f))
+    points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
+    values = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
+    basis = lagrange(rule.local, INSIDE)
+    quadratic = np.einsum("nsqi,aq->nsai", values, _fit(basis, rule.weights))
+    rest = values - np.einsum("qa,nsai->nsqi", basis, quadratic)
+    cells = Cells(spaces.vertices[numbers])
+    volume = cells.measure / (dim + 1)
+    inward = -facet_normals(split_vertices(cells.vertices).reshape(-1, dim + 1, dim)) / dim
+    inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
+    balanced = -np.einsum("nsvij,nsvj->nsi", stresses[numbers], inward)
+    cell, subcell, vertex = spaces.as_dolfinx(numbers)
+    there = np.zeros((*vertex.shape[:2], len(places), dim + 1), dtype=np.int64)  # the lattice in DOLFINx's order
+    np.put_along_axis(there, vertex[:, :, None], np.broadcast_to(places, there.shape), axis=3)
+    found = quadratic[cell, subcell, numbers_in(there, INSIDE)] - balanced[:, :, None]
+    return found, np.sqrt(np.einsum("q,nsqi->n", rule.weights, rest**2) * volume)
+
+
+def _tractions(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Array]:
+    """g_N − Π₁g_N on the facets `neumann`, in the directions in which u is not given (collective).
+
+    Returns:
+        Its cubic part in the lattices of the facets, shape (facets, points, d), and the L² norm of the rest.
+    """
     facets, dim = spaces.neumann, spaces.dim
-    products = np.zeros((len(facets.facets), dim, dim))
+    places = lattice(dim, ON_FACETS)
+    cubic, rest = np.zeros((len(facets.facets), len(places), dim)), np.zeros(len(facets.facets))
     for name, datum in data.g_N.items():
         if datum.polynomial is not None and datum.polynomial <= 1:
             continue
         part = spaces.part(name) if name else facets
+        here = np.searchsorted(facets.facets, part.facets)
         points, weights = basix.make_quadrature(SIMPLEX[dim - 1], _degree_of_square(data, datum))
         hats, weights = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
-        linear = hats @ np.linalg.solve((weights * hats.T) @ hats, weights * hats.T)
-        values = datum.values(in_facets(spaces.mesh, part.facets, points))
-        left = values - np.einsum("qp,npi->nqi", linear, values)
-        products[np.searchsorted(facets.facets, part.facets)] = np.einsum(
-            "n,q,nqi,nqj->nij", part.measure, weights, left, left
-        )
-    squares: Array = np.einsum("nii->n", products)
-    for part, k, letter in spaces.fixed[dim:]:
-        here = np.searchsorted(facets.facets, part.facets)
-        given = part.normals if letter == NORMAL else np.broadcast_to(np.eye(dim)[k], part.normals.shape)
-        squares[here] -= np.einsum("ni,nij,nj->n", given, products[here], given)
-    return np.maximum(squares, 0.0)
+        values = _without_given(spaces, part, datum.values(in_facets(spaces.mesh, part.facets, points)))
+        basis = lagrange(hats, ON_FACETS)
+        linear, fitted = (np.einsum("aq,nqi->nai", _fit(each, weights), values) for each in (hats, basis))
+        rest[here] = np.sqrt(part.measure * np.einsum("q,nqi->n", weights, (values - basis @ fitted) ** 2))
+        fitted -= lattice(dim, ON_FACETS) / ON_FACETS @ linear
+        there = np.zeros((len(here), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
+        np.put_along_axis(there, part.ranking[:, None], np.broadcast_to(places, there.shape), axis=2)
+        cubic[here] = np.take_along_axis(fitted, numbers_in(there, ON_FACETS)[:, :, None], axis=1)
+    return cubic, rest
+
+
+def _fit(basis: Array, weights: Array) -> Array:
+    """The matrix from values in points to the coefficients of their best approximation, shape (basis, points)."""
+    weighted = weights[:, None] * basis
+    found: Array = np.linalg.solve(basis.T @ weighted, weighted.T)
+    return found
+
+
+def _without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) -> Array:
+    """Tractions on a part without their components along which u is given there, shape (facets, points, d)."""
+    values = values.copy()
+    for fixed, k, letter in spaces.fixed[spaces.dim :]:
+        mine = np.flatnonzero(np.isin(part.facets, fixed.facets))
+        axes = np.broadcast_to(np.eye(spaces.dim)[k], (len(mine), spaces.dim))
+        axes = part.normals[mine] if letter == NORMAL else axes
+        values[mine] -= np.einsum("nqj,nj,ni->nqi", values[mine], axes, axes)
+    return values
 
 
 def _degree_of_square(data: ElasticData, datum: Datum | VectorDatum) -> int:
     """Degree of a quadrature that is exact for the square of a datum, if there is one."""
     degree = data.quadrature.degree if datum.polynomial is None else min(2 * datum.polynomial, MOST)
-    return max(degree, data.quadrature.degree)
+    return max(degree, data.quadrature.degree, 2 * ON_FACETS)

@@ -50,8 +50,8 @@ from signorini_fenicsx.physics.diffusion.nodes import (
     quadratic_on_sides,
     set_means,
 )
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.solution import Solution
 
 HINDRANCES = (
     "the bounds of u leave no room where parts of Γ_S meet",

@@ -1,13 +1,23 @@
-"""The bound of any solution, scalar or elastic."""
+"""The bound of a solution of any physics."""
 
-from signorini_fenicsx.certificate.certify import Certificate, certify
+from typing import Any
+
+from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certify import certify as certify_diffusion
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
-def certificate_of(solution: Solution | ElasticSolution, *, for_signorini: bool = False) -> Certificate:
-    """Bound the energy error of a converged solution, see `certify` and `certify_elastic` (collective)."""
+def certify(solution: Any, *, for_signorini: bool = False) -> Certificate:
+    """Bound the energy error of a converged solution, see `certificate.certify` and `certify_elastic` (collective).
+
+    Args:
+        solution: The solution.
+        for_signorini: Of a method with a penalty, bound the error to the solution of the problem without.
+
+    Raises:
+        InputError: If the solution has not converged, or is none that can be bounded.
+    """
     if isinstance(solution, ElasticSolution):
         return certify_elastic(solution)
-    return certify(solution, for_signorini=for_signorini)
+    return certify_diffusion(solution, for_signorini=for_signorini)

@@ -12,8 +12,8 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.laws import Goal, LawPoints
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.points import facet_type
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.solution import Solution
 
 RIGID = 1e4
 """A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""

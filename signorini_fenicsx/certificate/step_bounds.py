@@ -20,8 +20,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, owned_cells
-from signorini_fenicsx.solving.evolving import Instant
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.evolving import Instant
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 type InPoints = Callable[[CellPoints], Array]
 """Values of a function in points of cells."""

@@ -71,10 +71,10 @@ def check(
 
 def cases() -> None:
     """List the shipped cases: name, shape or mesh file, title."""
-    from signorini_fenicsx.cases.elastic_case import load_any_case
+    from signorini_fenicsx.cases.case import load_case
 
     report = Report()
-    shipped = [load_any_case(name) for name in case_names()]
+    shipped = [load_case(name) for name in case_names()]
     names, domains = max(len(case.name) for case in shipped), max(len(case.geometry.name) for case in shipped)
     for case in shipped:
         report.line(f"{case.name:<{names}}  {case.geometry.name:<{domains}}  {case.title}")

@@ -28,10 +28,10 @@ def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: o
     Raises:
         InputError: If there is no such case, or it is not valid with these values.
     """
-    from signorini_fenicsx.cases.elastic_case import load_any_case
+    from signorini_fenicsx.cases.case import load_case
 
     values = overrides(settings, **options)
-    return on_root(comm, lambda: load_any_case(name).with_values(values))
+    return on_root(comm, lambda: load_case(name).with_values(values))
 
 
 def results_place(output: Path | None, name: str) -> Path:

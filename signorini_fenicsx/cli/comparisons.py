@@ -41,14 +41,14 @@ def compare(
     """
     from signorini_fenicsx.cli.comparison_report import ComparisonReport
     from signorini_fenicsx.comparing.comparison import compare as compare_solutions
-    from signorini_fenicsx.output.checkpoint import load_any_solution
+    from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_summary
 
     comm, report = MPI.COMM_WORLD, ComparisonReport(quiet=quiet, as_json=as_json)
     if output is not None and os.path.realpath(output) in map(os.path.realpath, (first, second)):
         raise InputError(f"--output {output}: is one of the runs, which the comparison would replace; choose another")
-    one = load_any_solution(first, comm)  # a name keeps it alive in an exception; freeing it then would deadlock MPI
-    other = load_any_solution(second, comm)
+    one = load_solution(first, comm)  # a name keeps it alive in an exception; freeing it then would deadlock MPI
+    other = load_solution(second, comm)
     comparison = compare_solutions(one, other)
     report.comparison(comparison, first, second)
     summary = {"runs": [str(first), str(second)]} | comparison.summary()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
-    from signorini_fenicsx.solving.evolving import Instant
+    from signorini_fenicsx.physics.diffusion.evolving import Instant
 
 
 MOST_BEFORE = 2
@@ -94,13 +94,13 @@ def solve_in_time(
         NumericalFailure: If a step cannot be solved.
     """
     from signorini_fenicsx.certificate.step_bounds import StepBounds
-    from signorini_fenicsx.output.checkpoint import load_any_solution
+    from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.evolution import write_evolution
     from signorini_fenicsx.output.steps import StepFolder
 
     report = EvolutionReport(quiet=quiet, as_json=as_json)
     with ResultsFolder(comm, results_place(output, case.name), saves_state=False) as folder:
-        start = None if start_from is None else load_any_solution(start_from, comm)
+        start = None if start_from is None else load_solution(start_from, comm)
         steps = StepFolder(comm, folder.target)
         done = steps.begin(case, start_from, restart=restart)
         report.heading(case, comm)

@@ -14,7 +14,7 @@ from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.report import named
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
@@ -43,17 +43,19 @@ class SolutionReport(CaseReport):
 
     def step(self, row: Step) -> None:
         """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
+        if row.iteration == 21:
+            self.line(f"{'…':>4} from here on only 30, 40, …, 100, 200, …; all are in history.csv")
         if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
         penalty = (row.robin, row.clipped) if self._penalised else ()
         counts = "".join(f"{number:9d}" for number in (row.no_flux, row.zero_trace, *penalty, row.changed))
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
-        self.line(f"{row.iteration:4d}{counts} {changes}")
+        self.line(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
 
     def solution(self, result: AnySolution, certificate: Certificate, proof: Proof | None = None) -> None:
         """Print the summary of a finished run (collective)."""
         summary = result.summary()
-        rough = f", {summary['rough_steps']} rough set updates before" if summary["rough_steps"] else ""
+        rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
         elastic = isinstance(result, ElasticSolution)
         if elastic:
             facets, touching = f"{summary['contact_facets']} Γ_C", f"{summary['touching_vertices']} facet vertices"
@@ -69,11 +71,14 @@ class SolutionReport(CaseReport):
             **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
         }
+        if "least_gap" in summary:
+            least = f"negative, down to {summary['least_gap']:.4g}"
+            lines["gap"] = f"{least}: there the foundation reaches into the body at rest, and is taken to press it back"
         if "friction" in summary:
             states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
             lines["friction"] = f"facet vertices: {', '.join(states)}"
         if "coulomb" in summary:
-            lines["Coulomb"] = _fixed_point(summary["coulomb"]["changes"])
+            lines["CoulombLaw"] = _fixed_point(summary["coulomb"]["changes"])
         for part, segments in summary.get("segments", {}).items():
             counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
             lines[f"on {part}"] = f"facets on each segment: {counts}"
@@ -87,6 +92,8 @@ class SolutionReport(CaseReport):
         if summary.get("details"):
             lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
         lines["certified"] = bound(certificate)
+        if (error := summary.get("errors", {}).get("energy", 0.0)) > 0 and math.isfinite(certificate.bound):
+            lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
         if proof is not None and proof.proven is not None:
             lines["proved"] = proved(proof.proven, proof.seconds)
         lines["seconds"] = named(summary["timings"], ".2f")
@@ -136,10 +143,8 @@ def _forces(resultants: dict[str, list[float]], dim: int) -> str:
 def bounds_in_words(certificate: Certificate) -> str:
     """The bounds of a certificate and what they are made of."""
     parts = ", ".join(f"{words} {getattr(certificate, name):.1e}" for name, words in PARTS.items())
-    return (
-        f"≤ {certificate.bound:.4e}, {100 * certificate.relative:.3g} % of ‖σ_h‖; "
-        f"of σ_h alone ≤ {certificate.sigma_bound:.4e} ({parts})"
-    )
+    share = f"{100 * certificate.relative:.3g} % of ‖σ_h‖" if certificate.smaller_than_flux else "not below ‖σ_h‖"
+    return f"≤ {certificate.bound:.4e}, {share}; of σ_h alone ≤ {certificate.sigma_bound:.4e} ({parts})"
 
 
 def _reservation(certificate: Certificate) -> str:

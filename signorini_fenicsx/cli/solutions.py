@@ -80,9 +80,9 @@ def solve(
       signorini solve membrane --certify-steps --plot
     """
     from signorini_fenicsx.cases.solving import shared_domain, solve_case
-    from signorini_fenicsx.certificate.of_solution import certificate_of
+    from signorini_fenicsx.certificate.of_solution import certify
     from signorini_fenicsx.cli.solution_report import SolutionReport
-    from signorini_fenicsx.output.checkpoint import load_any_solution
+    from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
@@ -107,10 +107,10 @@ def solve(
         report.heading(problem, comm)
         report.columns(problem)
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
-            start = None if start_from is None else load_any_solution(start_from, comm)
+            start = None if start_from is None else load_solution(start_from, comm)
             domain = None if start is None else shared_domain(start, problem)
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
-        certificate = certificate_of(solution, for_signorini=for_signorini or rigorous)
+        certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
         write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
         folder.publish()
@@ -145,7 +145,7 @@ def _refuse_if_elastic(about: "CaseFile | Solved", options: Mapping[str, object]
         InputError: If one is given for elastic contact.
     """
     from signorini_fenicsx.cases.elastic_case import ElasticCase
-    from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+    from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
     for name, value in options.items():
         if value and isinstance(about, ElasticCase | ElasticSolution):
@@ -154,8 +154,8 @@ def _refuse_if_elastic(about: "CaseFile | Solved", options: Mapping[str, object]
 
 def _proof(solution: "AnySolution", certificate: "Certificate") -> "Proof":
     """The proof of a bound, whose library takes a second to load (collective)."""
+    from signorini_fenicsx.physics.diffusion.solution import Solution
     from signorini_fenicsx.rigorous.proof import proof_of
-    from signorini_fenicsx.solving.solution import Solution
 
     assert isinstance(solution, Solution)
     return proof_of(solution, certificate.v)
@@ -268,11 +268,11 @@ def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[flo
 
 def _on_first_mesh(name: str, values: dict[str, object]) -> "AnyCase":
     """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
-    from signorini_fenicsx.cases.elastic_case import load_any_case
+    from signorini_fenicsx.cases.case import load_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
     from signorini_fenicsx.meshes.shapes import shape_of
 
-    case = load_any_case(name)
+    case = load_case(name)
     shape = case.with_values(values).geometry.shape
     first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
     return case.with_values(first | values)
@@ -295,14 +295,14 @@ def export(
       mpirun -n 2 signorini export results/example2 --plot
       signorini export results/membrane --output results/membrane-end --plot
     """
-    from signorini_fenicsx.certificate.of_solution import certificate_of
+    from signorini_fenicsx.certificate.of_solution import certify
     from signorini_fenicsx.cli.case_report import CaseReport
-    from signorini_fenicsx.output.checkpoint import load_any_solution
+    from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
-    from signorini_fenicsx.solving.solution import Solution
+    from signorini_fenicsx.physics.diffusion.solution import Solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
-    solution = load_any_solution(results, comm)
+    solution = load_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
     own = os.path.realpath(output or results) == os.path.realpath(results)
     is_step = isinstance(solution, Solution) and solution.step is not None
@@ -311,7 +311,7 @@ def export(
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
         certified = solution.converged and not is_step  # the bound of a step needs the steps before
-        certificate = certificate_of(solution, for_signorini=for_signorini) if certified else None
+        certificate = certify(solution, for_signorini=for_signorini) if certified else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=own)
         report.results(folder.target)

@@ -12,9 +12,9 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.comparing.differences import Differences, ElasticDifferences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import same_domain
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.system import same_domain
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def compare(one: AnySolution, other: AnySolution) -> Comparison:
     norms = differences(coarse, fine)
     sizes = _sizes(fine)
     return Comparison(
-        contact=(one.contact()[1], other.contact()[1]),
+        contact=(one.contact.measure, other.contact.measure),
         jaccard=jaccard(coarse.contact_set(), fine.contact_set()),
         hausdorff=hausdorff(one.contact_set(), other.contact_set()),
         norms=norms,

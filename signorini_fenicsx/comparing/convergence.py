@@ -13,10 +13,9 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.elastic_case import AnyCase
-from signorini_fenicsx.cases.solving import AnySolution, boundary_of, solve_case
+from signorini_fenicsx.cases.solving import AnySolution, solve_case
 from signorini_fenicsx.comparing.differences import Differences, differences
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.solving.solver import Solver
@@ -115,7 +114,7 @@ def convergence_study(
     if vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
-    solver = Solver(mesh_case(case, comm), boundary_of(case)) if vary is Vary.EPS and isinstance(case, Case) else None
+    solver = _solver(case, comm) if vary is Vary.EPS else None
     if solver is not None:  # the table has the steps of the algorithm itself, which a prediction would save
         case = case.with_values({"solve.predict": False})
     cases = [case.with_values(level_values(vary, level)) for level in levels]
@@ -136,6 +135,12 @@ def convergence_study(
         on_row(row)
         collect_garbage(comm)
     return rows
+
+
+def _solver(case: AnyCase, comm: MPI.Comm) -> Solver:
+    """A solver for the case on its mesh (collective)."""
+    domain = mesh_case(case, comm)
+    return Solver(domain, case.posed(domain.mesh.geometry.dim))
 
 
 def level_values(vary: Vary, level: int) -> dict[str, float]:

@@ -18,8 +18,8 @@ from signorini_fenicsx.certificate.best_displacement import moduli_on_split
 from signorini_fenicsx.forms.elasticity import stress_product
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled, squares_degree
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from signorini_fenicsx.comparing.differences import measure
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled, squares_degree
 from signorini_fenicsx.methods.registry import METHODS
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,17 @@ class Inexact(Protocol):
         """
         ...
 
+    def reached(self, conditions: SiteConditions) -> Iterate | None:
+        """The iterate that the last `solve_until` has reached (collective).
+
+        Args:
+            conditions: Its conditions.
+
+        Returns:
+            The iterate as `Backend.solve` gives it; None if it would cost more than the solve.
+        """
+        ...
+
     def solve_near(
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:

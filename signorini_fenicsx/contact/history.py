@@ -35,6 +35,7 @@ class Step:
         linear_iterations: Iterations of the linear solver under these conditions. A set that repeats is not solved
             again; its row shows the iterations of its only solve.
         seconds: Wall time of the iteration.
+        rough: Whether its solve stopped as soon as it asked for other sets, as those of a prediction do.
     """
 
     iteration: int
@@ -47,6 +48,7 @@ class Step:
     u_change: float
     linear_iterations: int
     seconds: float
+    rough: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Outcome:
     Attributes:
         iterate: Last solution.
         conditions: Conditions on the Γ_S facets of this rank under which it was computed.
-        history: One step per iteration.
+        history: One step per iteration, those of a prediction on the same mesh first.
         reason: Why it ended, in words.
         converged: Whether the sets repeated; in a `Solution`, whether its residuals are small as well.
         backend: Name of the discrete system that was solved; SNES always uses the mixed one, SNESVI the hybrid one.
@@ -65,7 +67,6 @@ class Outcome:
         own_residual: Largest residual, scale-free, of the discrete problem that the method solves, if that is neither
             (9) nor a penalty formulation of it. It is judged instead of the KKT residuals.
         details: Further numbers that the method chose or found, such as ρ.
-        rough_steps: Earlier solves that were stopped early, to predict the sets.
         kkt: KKT residuals, if the method has computed them.
     """
 
@@ -79,8 +80,12 @@ class Outcome:
     linear_solver: str
     own_residual: float | None = None
     details: dict[str, float] = field(default_factory=dict)
-    rough_steps: int = 0
     kkt: Residuals | None = None
+
+    @property
+    def rough_steps(self) -> int:
+        """The number of rough steps."""
+        return sum(step.rough for step in self.history)
 
     @classmethod
     def interrupted(cls, by: LoopInterruption, backend: str, dofs: int = 0, linear_solver: str = "interrupted") -> Self:
@@ -105,18 +110,21 @@ class Outcome:
 class History:
     """Builds the history: one step per iteration, whose conditions are compared with those before."""
 
-    def __init__(self, comm: MPI.Comm, conditions: SiteConditions, on_step: OnStep):
-        """Begin with the start, which is not a step itself.
+    def __init__(self, comm: MPI.Comm, on_step: OnStep):
+        """Begin without steps.
 
         Args:
             comm: Communicator.
-            conditions: Conditions of the start.
             on_step: Called on all ranks with each step.
         """
         self.steps: list[Step] = []
-        self._comm = comm
-        self._last_conditions, self._on_step = conditions, on_step
+        self._comm, self._on_step = comm, on_step
+        self._last_conditions: SiteConditions | None = None
         self._began = time.perf_counter()
+
+    def start_from(self, conditions: SiteConditions) -> None:
+        """Take conditions for those before the next step; their solve, the start, is no step itself."""
+        self._last_conditions = conditions
 
     def append(
         self,
@@ -125,21 +133,24 @@ class History:
         *,
         linear_iterations: int = 1,
         clipped: int = 0,
+        rough: bool = False,
     ) -> None:
         """Record an iteration: its conditions, and the norms of its changes of σ and u (collective)."""
         counts = conditions.counts(self._comm)
+        changed = 0 if self._last_conditions is None else conditions.changes([self._last_conditions], self._comm)[0]
         now = time.perf_counter()
         step = Step(
             iteration=len(self.steps) + 1,
             no_flux=counts[Condition.NO_FLUX],
             zero_trace=counts[Condition.ZERO_TRACE],
             robin=counts[Condition.ROBIN],
-            changed=int(conditions.changes([self._last_conditions], self._comm)[0]),
+            changed=int(changed),
             clipped=clipped,
             sigma_change=change[0],
             u_change=change[1],
             linear_iterations=linear_iterations,
             seconds=now - self._began,
+            rough=rough,
         )
         self.steps.append(step)
         self._last_conditions, self._began = conditions, now

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from signorini_fenicsx.base.arguments import check_names
+from signorini_fenicsx.base.arguments import names_of
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 
@@ -53,31 +53,43 @@ class Graph:
 
 
 @dataclass(frozen=True)
-class Law:
+class OnParts:
+    """What holds on some parts of the boundary.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+    """
+
+    parts: Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Make a list of one name."""
+        object.__setattr__(self, "parts", names_of("parts", self.parts))
+
+
+@dataclass(frozen=True)
+class Law(OnParts):
     """A law on some parts of the boundary. Its fields but `parts` are data.
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         segments: Names of the segments of its graph, in the order of ascending u.
         weights: For data whose mean is weighted by others: their names, each with that of its weight.
     """
 
-    parts: Sequence[str]
     segments: ClassVar[Sequence[str]] = ()
     weights: ClassVar[Mapping[str, str]] = {}
 
-    def __post_init__(self) -> None:
-        """Refuse a string in the place of a list."""
-        check_names("parts", self.parts)
-        object.__setattr__(self, "parts", tuple(self.parts))
-
     def data(self) -> dict[str, Given]:
         """The data by their names."""
-        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
+        return {name: getattr(self, name) for name in self._data_names()}
+
+    def _data_names(self) -> list[str]:
+        return [field.name for field in fields(self) if field.name != "parts"]
 
     def with_data(self, change: Callable[[str, Any], Any]) -> Self:
         """The law with each of its data changed by a function of its name, with the law's in front, and value."""
-        given = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parts"}
+        given = {name: getattr(self, name) for name in self._data_names()}
         new = {
             name: value if value == VERTICAL else change(f"{self.name}.{name}", value) for name, value in given.items()
         }
@@ -105,11 +117,56 @@ class Law:
 
 
 @dataclass(frozen=True)
+class Dirichlet(Law):
+    """u is given. Seen as a law, it has a vertical graph.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        value: The trace u, continuous; a displacement has one for each component.
+        components: Of a displacement only these are given: letters of "xyz", or "n" for the normal one; None for all.
+    """
+
+    value: Given = 0.0
+    components: str | None = None
+    segments = ("given",)
+
+    def _data_names(self) -> list[str]:
+        return ["value"]
+
+    def graph(self, values: Values) -> Graph:
+        """A vertical line."""
+        point = values["value"], np.zeros_like(values["value"])
+        return Graph(point, [point], np.inf, np.inf)
+
+    def level_of(self, segment: int) -> str | None:
+        """The value."""
+        return "value"
+
+
+@dataclass(frozen=True)
+class Neumann(Law):
+    """The flux κ∇u·n, or the traction σn, is given. Seen as a law, it has a horizontal graph.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        value: The flux; a traction has a value for each component.
+    """
+
+    value: Given = 0.0
+    segments = ("given",)
+
+    def graph(self, values: Values) -> Graph:
+        """A horizontal line."""
+        point = np.zeros_like(values["value"]), values["value"]
+        return Graph(point, [point])
+
+
+@dataclass(frozen=True)
 class Signorini(Law):
     """u ≥ ψ and κ∇u·n ≥ q_S, one of them equal.
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         psi: ψ, continuous.
         q_S: q_S.
     """
@@ -133,7 +190,7 @@ class Friction(Law):
     """|κ∇u·n| ≤ g; u = 0 where it is less, κ∇u·n = −g where u > 0, g where u < 0 (Tresca).
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         g: g ≥ 0.
     """
 
@@ -155,7 +212,7 @@ class TwoSided(Law):
     """ψ ≤ u ≤ ψ_upper; κ∇u·n = q_S where u is in between, ≥ q_S where u = ψ, ≤ q_S where u = ψ_upper.
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         psi_upper: ψ_upper ≥ ψ, continuous.
         psi: ψ, continuous.
         q_S: q_S.
@@ -185,7 +242,7 @@ class Wall(Law):
     """κ∇u·n = β [level − u]_+: a thick wall that lets through what flows inwards only.
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         beta: β ≥ 0.
         level: Level outside.
     """
@@ -214,7 +271,7 @@ class Regulator(Law):
     """κ∇u·n = −k (u − a), cut off at g_low and g_high: a regulator of temperature.
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         k: k > 0.
         g_low: Least κ∇u·n.
         g_high: Largest κ∇u·n.
@@ -249,7 +306,7 @@ class Corners(Law):
     """A graph by its corners.
 
     Attributes:
-        parts: Names of boundary parts.
+        parts: Name of a part, or a list of names.
         corners: Pairs of u and κ∇u·n, u ascending and κ∇u·n descending.
         before: How steeply κ∇u·n falls before the first corner, a number ≥ 0; "vertical" if u cannot be less.
         beyond: The same beyond the last corner.

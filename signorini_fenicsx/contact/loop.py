@@ -59,6 +59,7 @@ def iterate_sets[I: Pairs](
     *,
     start: SiteConditions | None = None,
     before: I | None = None,
+    history: History | None = None,
     on_step: OnStep = lambda step: None,
 ) -> Outcome:
     """Run an algorithm until the sets repeat (collective).
@@ -73,19 +74,23 @@ def iterate_sets[I: Pairs](
         rule: The algorithm.
         parameters: Of the rule and the loop.
         start: Conditions to start from, instead of the algorithm's own start.
-        before: An earlier iterate, to which the first change refers; None for that of the start.
-        on_step: Called on all ranks after each iteration.
+        before: The iterate before these conditions. Then their solve is the first step; otherwise it is the start, and
+            none.
+        history: The steps before, which goes on; None if there are none.
+        on_step: Called on all ranks after each iteration, if there is no history.
 
     Raises:
         LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
     """
     site, sites = backend.noun
     law = rule.law(backend.chains, parameters.eps)
-    solved_with = start or law.conditions(rule.first(law))
+    conditions = solved_with = start or law.conditions(rule.first(law))
     iterate = backend.solve(solved_with)
-    before = before or iterate
-    history = History(backend.comm, solved_with, on_step)
-    conditions = _wanted(backend, rule, law, parameters, iterate, start)
+    history = history or History(backend.comm, on_step)
+    most = len(history.steps) + parameters.max_iterations
+    if before is None:
+        history.start_from(solved_with)
+        before, conditions = iterate, _wanted(backend, rule, law, parameters, iterate, start)
     safeguard = _Safeguard(backend, law, clips=rule.clip is not None)
 
     def end(reason: str, *, converged: bool) -> Outcome:
@@ -120,7 +125,7 @@ def iterate_sets[I: Pairs](
         changing = safeguard.look(conditions, wanted, len(history.steps))
         if changing == 0:
             return end(f"the {site} sets repeat", converged=True)
-        if len(history.steps) == parameters.max_iterations:
+        if len(history.steps) == most:
             ended = counted(parameters.max_iterations, "iteration")
             return end(f"{changing} {sites} still change after {ended}", converged=False)
         conditions = safeguard.allowed(conditions, wanted)

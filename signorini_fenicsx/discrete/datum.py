@@ -6,12 +6,14 @@ which compiles it once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeGuard
 
+import dolfinx.mesh
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_arguments, extract_coefficients, extract_constants, extract_type
@@ -25,9 +27,9 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.of_points import interpolated
-from signorini_fenicsx.discrete.points import Points, in_cells, owned_cells
+from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, owned_cells
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, to_ufl, values, values_and_gradient
-from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.expressions.given import Given, parsed
 
 DEGREES = 8, 30
 """Least and largest degree of a quadrature of data."""
@@ -173,6 +175,70 @@ class _ByRegion(Datum):
         for inside, datum in self.parts:
             found[inside[points.cells]] = datum.jet(points.among(inside), gradient=True)[:, :, 1:]
         return found
+
+
+@dataclass(frozen=True)
+class _OnParts(Datum):
+    """A value on each of some parts of the boundary, and 0 elsewhere; it has values in points of facets alone.
+
+    Attributes:
+        parts: Which facets of this rank, ascending, and the value there; of several values of a facet the last counts.
+    """
+
+    parts: list[tuple[npt.NDArray[np.int32], Datum]]
+
+    @property
+    def degree(self) -> int:
+        """The largest degree on a part."""
+        return max(datum.degree for _, datum in self.parts)
+
+    @property
+    def polynomial(self) -> int | None:
+        """The largest degree on a part, or None."""
+        return largest_degree(datum for _, datum in self.parts)
+
+    @property
+    def number(self) -> None:
+        """None: it is not one number."""
+        return
+
+    def _values(self, points: Points) -> Array:
+        found = np.zeros(points.shape)
+        for inside, there, datum in self._on(points):
+            found[inside] = datum.values(there)
+        return found
+
+    def _gradients(self, points: Points) -> Array:
+        found = np.zeros((*points.shape, points.mesh.geometry.dim))
+        for inside, there, datum in self._on(points):
+            found[inside] = datum.jet(there, gradient=True)[:, :, 1:]
+        return found
+
+    def _on(self, points: Points) -> Iterator[tuple[Mask, FacetPoints, Datum]]:
+        assert isinstance(points, FacetPoints)
+        for facets, datum in self.parts:
+            inside = np.isin(points.facets, facets)
+            yield inside, points.take(inside), datum
+
+
+def datum_on_parts(spaces: MeshSpaces, name: str, given: Given | Mapping[str, Given]) -> Datum:
+    """A datum on the boundary that may have a value on each part, and by "" one elsewhere (collective).
+
+    Raises:
+        InputError: If a text cannot be read, or a value has the wrong shape; if a part is unknown.
+    """
+    names = "xyz"[: spaces.mesh.geometry.dim]
+    if not isinstance(given, Mapping):
+        return datum_of(spaces, name, parsed(given, names, f"[problem] {name}"))
+    parts = []
+    for part, value in sorted(given.items()):  # "" is the first
+        key, facets = f"{name}.{part}".rstrip("."), spaces.domain.facets
+        if part and part not in facets:
+            raise InputError(f"[problem] {key}: unknown part; there are {', '.join(facets)}")
+        everywhere = dolfinx.mesh.exterior_facet_indices(spaces.mesh.topology)
+        datum = datum_of(spaces, key, parsed(value, names, f"[problem] {key}"))
+        parts.append((facets[part] if part else everywhere, datum))
+    return _OnParts(parts[0][1].ufl, parts)
 
 
 def largest_degree(data: Iterable[Datum]) -> int | None:

@@ -80,6 +80,11 @@ class MeshSpaces:
         """The mesh."""
         return self.domain.mesh
 
+    @property
+    def facets_of_mesh(self) -> int:
+        """Number of facets of the mesh, over all ranks."""
+        return self.mesh.topology.index_map(self.mesh.topology.dim - 1).size_global
+
     @cached_property
     def outer_rows(self) -> npt.NDArray[np.intp]:
         """The rows of `facets` that are on the boundary of the domain, not inside it."""

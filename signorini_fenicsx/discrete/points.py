@@ -235,7 +235,10 @@ class FacetPoints(Points):
 
     def among(self, cells: Mask) -> Self:
         """The facets of some of the cells; `cells` is a mask."""
-        chosen = cells[self.cells]
+        return self.take(cells[self.cells])
+
+    def take(self, chosen: Mask) -> Self:
+        """Some of the facets, by a mask."""
         return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
     def across(self, rows: npt.NDArray[np.intp], facets: Entities) -> tuple[FacetPoints, npt.NDArray[np.intp]]:

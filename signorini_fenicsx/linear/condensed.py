@@ -81,6 +81,9 @@ class Condensed:
         p = self._free + self._compliance @ flux
         return conditions.clean(p[self._mine], (flux / self._measure)[self._mine], self._conductance)
 
+    def reached(self, _conditions: SiteConditions) -> None:
+        """None: it would take a solve on the whole domain."""
+
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
         """None: no solve on a part is cheaper."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 from weakref import WeakKeyDictionary
 
 import basix.ufl
@@ -137,11 +138,17 @@ class Boundary:
     signorini: Sequence[str]
     neumann: Sequence[str] = ()
     inner: Sequence[str] = ()
+    physics: ClassVar[str] = "diffusion"
 
     def __post_init__(self) -> None:
         """Refuse a string instead of a list."""
-        for key in ("signorini", "neumann", "inner"):
-            check_names(key, getattr(self, key))
+        for key, parts in self.named.items():
+            check_names(key, parts)
+
+    @property
+    def named(self) -> dict[str, Sequence[str]]:
+        """The parts of each kind."""
+        return {"signorini": self.signorini, "neumann": self.neumann, "inner": self.inner}
 
 
 @dataclass(frozen=True)

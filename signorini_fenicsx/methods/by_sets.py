@@ -4,12 +4,10 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.contact.backend import Backend, Iterate
-from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
@@ -25,50 +23,53 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
     """
     with task.watch.phase("assembly"):
         backend = task.backend(task.spaces, task.data)
-    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=_floating(task))
-    outcome = _from_best_start(backend, rule, parameters, task)
+    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=task.floating())
+    history = History(backend.comm, task.on_step)
+    outcome = _from_best_start(backend, rule, parameters, task, history)
     if backend.precise is None or not outcome.converged:
         return outcome
-    return _made_precise(outcome, backend.precise, rule, parameters, task)
+    return _made_precise(outcome, backend.precise, rule, parameters, task, history)
 
 
-def _from_best_start(backend: Backend[Iterate], rule: SetRule, parameters: Parameters, task: Task) -> Outcome:
+def _from_best_start(
+    backend: Backend[Iterate], rule: SetRule, parameters: Parameters, task: Task, history: History
+) -> Outcome:
     """The loop from predicted sets, or from a cold start if there are none or they fail (collective)."""
     prediction = Prediction(rule, parameters.rho, parameters.eps, task.coarser, task.tuning)
     spaces = task.spaces
-    predicted, steps = None, 0
+    predicted: SiteConditions | None = None
+    before: Iterate | None = None
     with contextlib.suppress(LinearSolveFailure):
         with task.watch.phase("prediction"):
             earlier, inexact, worth_it = task.start, backend.inexact, task.predict and prediction.is_worth_it(spaces)
-            if earlier is None and task.predict and task.data.obstacle is not None:
+            if earlier is None and task.predict and task.in_cells:
                 earlier = prediction.over_obstacle(spaces)
             elif earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces)
             if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
                 first = prediction.start(spaces, backend.chains, earlier)
-                predicted, steps = prediction.settle(inexact, spaces, backend.chains, first)
+                history.start_from(first)
+                predicted, before = prediction.settle(backend, inexact, spaces, first, history)
             elif earlier is not None:
                 predicted = prediction.transferred(earlier, spaces, prediction.law(backend.chains))
         if predicted is not None:
-            outcome = iterate_sets(backend, rule, parameters, start=predicted, on_step=task.on_step)
+            outcome = iterate_sets(backend, rule, parameters, start=predicted, before=before, history=history)
             if outcome.converged:
-                return replace(outcome, rough_steps=steps)
+                return outcome
     start = contact_without_dirichlet(spaces, backend.chains)
-    cold = iterate_sets(backend, rule, parameters, start=start, on_step=task.on_step)
+    cold = iterate_sets(backend, rule, parameters, start=start, history=history)
     if predicted is None:
         return cold
     return replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
 
 
-def _floating(task: Task) -> Array | None:
-    if task.data.holds(task.spaces):
-        return None
-    cells = task.spaces.cell_measures if task.data.obstacle is not None else np.empty(0)
-    return np.append(task.spaces.facet_measure, cells)
-
-
 def _made_precise(
-    outcome: Outcome, precise: Callable[[], Backend[Iterate]], rule: SetRule, parameters: Parameters, task: Task
+    outcome: Outcome,
+    precise: Callable[[], Backend[Iterate]],
+    rule: SetRule,
+    parameters: Parameters,
+    task: Task,
+    history: History,
 ) -> Outcome:
     """The outcome with its KKT residuals; if these are too large, a precise backend goes on (collective)."""
     with task.watch.phase("kkt"):
@@ -76,7 +77,6 @@ def _made_precise(
     if (violation := kkt.violation()) is None:
         return replace(outcome, kkt=kkt)
     start = outcome.conditions.and_cells(outcome.iterate.contact)
-    again = iterate_sets(precise(), rule, parameters, start=start, on_step=task.on_step)
-    steps = [replace(step, iteration=len(outcome.history) + step.iteration) for step in again.history]
+    again = iterate_sets(precise(), rule, parameters, start=start, history=history)
     remark = f"by the saddle point, because the facet system left {violation}"
-    return replace(again, history=outcome.history + steps, reason=f"{again.reason}, {remark}")
+    return replace(again, reason=f"{again.reason}, {remark}")

@@ -5,6 +5,7 @@ A prediction changes only the number of steps. The result is the same, because t
 
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
@@ -14,15 +15,14 @@ from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact
+from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.history import History, reached
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.methods.task import Coarser
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
@@ -59,11 +59,11 @@ class Prediction:
         present = Present(segment, NOTHING, NOTHING)
         return law.conditions(self.rule.following(law, p, flux, self.rho, present))
 
-    def is_worth_it(self, spaces: Spaces) -> bool:
+    def is_worth_it(self, spaces: MeshSpaces) -> bool:
         """Whether the problem is so large that a prediction saves more than it costs."""
-        return spaces.V.dofmap.index_map.size_global >= self.tuning.predict_from
+        return spaces.facets_of_mesh >= self.tuning.predict_from
 
-    def over_obstacle(self, spaces: Spaces, factor: float = 1.0) -> Segments | None:
+    def over_obstacle(self, spaces: MeshSpaces, factor: float = 1.0) -> Segments | None:
         """The segments on a mesh that is coarser by 2, from those on one that is coarser still (collective).
 
         From a cold start the edge of the contact with an obstacle moves by one cell per step, so that the number of
@@ -76,13 +76,13 @@ class Prediction:
         Returns:
             The set. None if the present mesh is small, or there is no coarser mesh or no solution on it.
         """
-        if self.coarser is None or spaces.V.dofmap.index_map.size_global < self.tuning.predict_obstacle_from:
+        if self.coarser is None or spaces.facets_of_mesh < self.tuning.predict_obstacle_from:
             return None
         factor *= OBSTACLE_COARSENING
         with contextlib.suppress(InputError, NumericalFailure):
-            coarse, data = self.coarser(factor)
+            coarse, backend_of = self.coarser(factor)
             start = self.over_obstacle(coarse, factor)
-            backend = HybridBackend(coarse, data, tuning=self.tuning, prefix="coarse_")
+            backend = backend_of(False)
             law, conditions = self.law(backend.chains), self.start(coarse, backend.chains, start)
             for _ in range(MOST_STEPS):
                 pairs = backend.solve(conditions)
@@ -94,7 +94,7 @@ class Prediction:
             return Segments.of_sites(coarse, law.segments(conditions), obstacle=True)
         return None
 
-    def from_coarser_mesh(self, present: Spaces, factor: float = 1.0) -> Segments | None:
+    def from_coarser_mesh(self, present: MeshSpaces, factor: float = 1.0) -> Segments | None:
         """The segments on a coarser mesh, from those on one that is coarser still (collective).
 
         Args:
@@ -107,61 +107,70 @@ class Prediction:
         """
         if self.coarser is None or present.mesh.topology.dim == 3:
             return None
-        if present.V.dofmap.index_map.size_global < self.tuning.coarsen_from:
+        if present.facets_of_mesh < self.tuning.coarsen_from:
             return None
         factor *= self.tuning.coarsening
         with contextlib.suppress(InputError, NumericalFailure):
-            spaces, data = self.coarser(factor)
+            spaces, backend_of = self.coarser(factor)
             start = self.from_coarser_mesh(spaces, factor)
-            backend = HybridBackend(spaces, data, tuning=self.tuning, multigrid=True, prefix="coarse_")
+            backend = backend_of(True)
             if backend.inexact is None:  # the user's options chose a direct solver
                 return None
             first = self.start(spaces, backend.chains, start)
-            conditions, _ = self.settle(backend.inexact, spaces, backend.chains, first)
+            conditions, _ = self.settle(backend, backend.inexact, spaces, first)
             PETSc.garbage_cleanup(spaces.mesh.comm)  # in parallel PETSc frees objects only here
             return Segments(spaces, self.law(backend.chains).segments(conditions))
         return None
 
     def settle(
-        self, backend: Inexact, spaces: MeshSpaces, chains: Chains, conditions: SiteConditions
-    ) -> tuple[SiteConditions, int]:
+        self,
+        backend: Backend[Iterate],
+        inexact: Inexact,
+        spaces: MeshSpaces,
+        conditions: SiteConditions,
+        history: History | None = None,
+    ) -> tuple[SiteConditions, Iterate | None]:
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
         Ends early if a step changes at least as many sites as two steps before.
 
         Args:
-            backend: Solves from its last solution.
+            backend: The backend.
+            inexact: Its solves, each from the last solution.
             spaces: Its spaces.
-            chains: The law of each facet.
             conditions: Those to start from.
+            history: Gets a rough step for each solve that was stopped early, except the start; None for no steps.
 
         Returns:
-            The last conditions, and the number of solves that were stopped early. If the sets repeated, the backend
-            holds the solution under these conditions.
+            The last conditions, and the last iterate that was stopped early if the history has it. If the sets
+            repeated, the backend holds the solution under these conditions.
 
         Raises:
             LinearSolveFailure: If the linear solver breaks down.
         """
-        comm, law = spaces.mesh.comm, self.law(chains)
+        comm, law = spaces.mesh.comm, self.law(backend.chains)
         changed: list[int] = []
+        iterate: Iterate | None = None
         while len(changed) < 3 or changed[-1] < changed[-3]:
             watch = _Watch(self, law, conditions, comm)
-            wanted = self.wanted(law, watch.segment, *backend.solve_until(conditions, watch))
+            wanted = self.wanted(law, watch.segment, *inexact.solve_until(conditions, watch))
             changed.append(int(wanted.changes([conditions], comm)[0]))
             progress.detail("set update", len(changed))
             if changed[-1] == 0:
-                return conditions, len(changed) - 1
-            conditions = self._settled_nearby(backend, spaces, law, conditions, wanted)
-        return conditions, len(changed)
+                break
+            if history is not None:
+                iterate = _recorded(history, backend, inexact.reached(conditions), conditions, iterate)
+            conditions = self._settled_nearby(inexact, spaces, law, conditions, wanted)
+        return conditions, iterate
 
-    def start(self, spaces: Spaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
+    def start(self, spaces: MeshSpaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
         """Those of another mesh, or the algorithm's own start (collective)."""
         law = self.law(chains)
         if earlier is not None:
             return self.transferred(earlier, spaces, law)
         return contact_without_dirichlet(spaces, chains) or law.conditions(self.rule.first(law))
 
-    def transferred(self, earlier: Segments, spaces: Spaces, law: Chains) -> SiteConditions:
+    def transferred(self, earlier: Segments, spaces: MeshSpaces, law: Chains) -> SiteConditions:
         """Conditions for the segments of another mesh of the domain (collective).
 
         A facet is on the segment of the other mesh's facet at its midpoint, and a cell on that of the cell there.
@@ -209,7 +218,22 @@ class _Watch:
         return changing > 0 and self._steady >= tuning.patience
 
 
-def contact_without_dirichlet(spaces: Spaces, chains: Chains) -> SiteConditions | None:
+def _recorded(
+    history: History,
+    backend: Backend[Iterate],
+    iterate: Iterate | None,
+    conditions: SiteConditions,
+    before: Iterate | None,
+) -> Iterate | None:
+    """Add a rough step for an iterate, unless it is the first, which is the start (collective); return it."""
+    if iterate is not None and before is not None:
+        with reached(partial(backend.in_mixed_spaces, iterate, conditions), history.steps):
+            change = backend.change(iterate, before)
+            history.append(conditions, change, linear_iterations=iterate.linear_iterations, rough=True)
+    return iterate
+
+
+def contact_without_dirichlet(spaces: MeshSpaces, chains: Chains) -> SiteConditions | None:
     """Contact everywhere if there is no Γ_D: an algorithm's own start may be a Neumann problem. None otherwise.
 
     For other laws it is the steepest segment.

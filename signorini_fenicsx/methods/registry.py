@@ -5,9 +5,9 @@ An entry here gives a new method a name. It can also run without one: `solve` ta
 | method                    | in                            | formulation                              |
 |---------------------------|-------------------------------|------------------------------------------|
 | alg1 … alg4               | `set_rules`, run by `by_sets` | (MLM-I)_h, (MLM-II)_h, (MPε-I)_h, (MPε-II)_h |
-| snes1, snes2              | `newton`                      | (MPε-I)_h, (MPε-II)_h                    |
-| vi                        | `bound_constrained`           | (MLM-I)_h, p ≥ 0 as a bound              |
-| the ten classical methods | `classical`                   | see there                                |
+| snes1, snes2              | `physics/diffusion/newton`    | (MPε-I)_h, (MPε-II)_h                    |
+| vi                        | `…/bound_constrained`         | (MLM-I)_h, p ≥ 0 as a bound              |
+| the ten classical methods | `…/classical`                 | see there                                |
 """
 
 from collections.abc import Callable, Mapping
@@ -20,11 +20,8 @@ from signorini_fenicsx.contact.conditions import Condition, Penalty
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import Law, Signorini, TwoSided
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
-from signorini_fenicsx.methods.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.methods.by_sets import solve_by_sets
-from signorini_fenicsx.methods.newton import solve_by_newton
 from signorini_fenicsx.methods.task import Task
-from signorini_fenicsx.physics.diffusion.data import Data
 
 MANY = 100_000
 """Iterations allowed for methods with cheap iterations."""
@@ -88,13 +85,12 @@ class Method:
             obstacle=exact,
         )
 
-    def most_iterations(self, data: Data) -> int:
-        """Iterations allowed unless the options say otherwise.
+    def most_iterations(self, corners: int, *, in_cells: bool = False) -> int:
+        """Iterations allowed unless the options say otherwise, for laws with so many corners.
 
-        A site moves by one segment of its law in a step. With an obstacle a cold start takes about 1/h steps.
+        A site moves by one segment of its law in a step. Where cells are sites a cold start takes about 1/h steps.
         """
-        most = self.max_iterations + data.laws.chains.corners - 1
-        return most if data.obstacle is None else FOR_OBSTACLE * most
+        return (self.max_iterations + corners - 1) * (FOR_OBSTACLE if in_cells else 1)
 
     @property
     def has_eps(self) -> bool:
@@ -111,15 +107,21 @@ PENALTY = "Hu, Wang, Zhou: ESAIM M2AN (2024)"
 GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (1984)"
 
 
-def _classical(title: str, reference: str, where: str, **options: Any) -> Method:
-    """A classical method. Its module is imported when it runs, because SciPy and PIQP are slow to import."""
-    module, _, name = where.partition(".")
+def _of_diffusion(where: str, *first: object) -> Callable[[Task], Outcome]:
+    """A method for diffusion alone, called with these arguments and the task. Its module is imported when it runs."""
+    module, _, name = where.rpartition(".")
 
     def run(task: Task) -> Outcome:
-        outcome: Outcome = getattr(import_module(f"signorini_fenicsx.methods.classical.{module}"), name)(task)
+        function = getattr(import_module(f"signorini_fenicsx.physics.diffusion.{module}"), name)
+        outcome: Outcome = function(*first, task)
         return outcome
 
-    return Method(title, reference, run, needs_dirichlet=True, **options)
+    return run
+
+
+def _classical(title: str, reference: str, where: str, **options: Any) -> Method:
+    """A classical method; SciPy and PIQP, which some of them need, are slow to import."""
+    return Method(title, reference, _of_diffusion(f"classical.{where}"), needs_dirichlet=True, **options)
 
 
 METHODS: Mapping[str, Method] = {
@@ -128,13 +130,22 @@ METHODS: Mapping[str, Method] = {
     "alg3": Method.of_rule("Algorithm 3 for (MPε-I)_h", PENALTY, ALGORITHM_3),
     "alg4": Method.of_rule("Algorithm 4 for (MPε-II)_h", PENALTY, ALGORITHM_4),
     "snes1": Method(
-        "PETSc SNES for (MPε-I)_h", PENALTY, partial(solve_by_newton, Penalty.TRACE), Condition.ROBIN, Penalty.TRACE
+        "PETSc SNES for (MPε-I)_h",
+        PENALTY,
+        _of_diffusion("newton.solve_by_newton", Penalty.TRACE),
+        Condition.ROBIN,
+        Penalty.TRACE,
     ),
-    "snes2": Method("PETSc SNES for (MPε-II)_h", PENALTY, partial(solve_by_newton, Penalty.FLUX), penalty=Penalty.FLUX),
+    "snes2": Method(
+        "PETSc SNES for (MPε-II)_h",
+        PENALTY,
+        _of_diffusion("newton.solve_by_newton", Penalty.FLUX),
+        penalty=Penalty.FLUX,
+    ),
     "vi": Method(
         "PETSc SNESVI for (MLM-I)_h",
         "Benson, Munson: Optim. Methods Softw. (2006)",
-        solve_bound_constrained,
+        _of_diffusion("bound_constrained.solve_bound_constrained"),
         laws=(Signorini, TwoSided),
         takes_inner=True,
     ),

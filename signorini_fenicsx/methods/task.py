@@ -1,33 +1,32 @@
-"""The input of every method."""
+"""What a method gets: a discrete problem of any physics and the parameters of the method."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
-import numpy as np
-from dolfinx import fem
-
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import BackendFactory, Iterate
-from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.backend import Backend, BackendFactory, Iterate
+from signorini_fenicsx.contact.conditions import Penalty
 from signorini_fenicsx.contact.history import OnStep
+from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.residuals import KKTResiduals, kkt_residuals
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
-type Coarser = Callable[[float], tuple[Spaces, Data]]
-"""Maps a factor > 1 to the same problem on a mesh that is coarser by this factor (collective). Raises InputError if
-there is no such mesh."""
+type Coarser = Callable[[float], tuple[MeshSpaces, Callable[[bool], Backend[Iterate]]]]
+"""Maps a factor > 1 to the same problem on a mesh that is coarser by this factor: its spaces, and what makes its
+backend, with multigrid or not (collective). Raises InputError if there is no such mesh."""
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(ABC):
     """A discrete problem and the parameters of its method.
 
     Attributes:
-        spaces: The discrete spaces.
-        data: The data and their means over cells and facets.
+        spaces: The discrete spaces of the physics.
+        data: The data on them.
         rho: ρ or step length; None for the default of the method.
         eps: ε of the penalty and of the stabilisation.
         max_iterations: Iterations allowed.
@@ -40,8 +39,8 @@ class Task:
         watch: Measures the phases of the method.
     """
 
-    spaces: Spaces
-    data: Data
+    spaces: Any
+    data: Any
     rho: float | None
     eps: float
     max_iterations: int
@@ -53,14 +52,15 @@ class Task:
     tuning: Tuning = field(default_factory=Tuning)
     watch: Stopwatch = field(default_factory=Stopwatch)
 
-    def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
-        """KKT residuals of an iterate (collective)."""
-        p = self.spaces.multiplier(iterate.p + self.data.psi_h)
-        return kkt_residuals(self.spaces, self.data, iterate.sigma, iterate.u, p, penalty, self.eps)
+    @property
+    @abstractmethod
+    def in_cells(self) -> bool:
+        """Whether cells are sites as well."""
 
+    @abstractmethod
+    def floating(self) -> Array | None:
+        """Measures of the sites, if u is known but for a constant where no site holds it; otherwise None."""
 
-def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:
-    """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of the history of a method that has no start solve."""
-    zero = np.zeros(len(spaces.facets))
-    iterate = Iterate(p=zero, flux=zero, linear_iterations=0, sigma=fem.Function(spaces.V), u=fem.Function(spaces.Q))
-    return iterate, SiteConditions.everywhere(Condition.NO_FLUX, len(zero))
+    @abstractmethod
+    def kkt(self, iterate: Iterate, penalty: Penalty | None) -> Residuals:
+        """The residuals of an iterate (collective)."""

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
-from signorini_fenicsx.cases.solving import AnySolution, options_of
+from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import LAWS, Friction, Law
@@ -33,22 +33,22 @@ from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, touching
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solving import gamma_s
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
-from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticLaw, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, ElasticProblem
 from signorini_fenicsx.solving.options import OWN, Options
-from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import gamma_s
 
 
 @collector_off()
 @doing("reading the solution")
-def load_any_solution(
+def load_solution(
     folder: Path | str,
-    comm: MPI.Comm,
+    comm: MPI.Comm = MPI.COMM_WORLD,
     *,
-    problem: Problem | ElasticProblem | None = None,
+    problem: Any = None,
     options: Options | None = None,
-) -> AnySolution:
+) -> Any:
     """Read the solution of a results folder, of any physics, on as many ranks as there are now (collective).
 
     Args:
@@ -70,20 +70,6 @@ def load_any_solution(
         return _read_solution(found, comm, scalar, options or _read_options(found))
     elastic = problem if isinstance(problem, ElasticProblem) else _read_elastic_problem(found)
     return read_elastic_solution(found, comm, elastic, options or _read_options(found))
-
-
-def load_solution(
-    folder: Path | str, comm: MPI.Comm, *, problem: Problem | None = None, options: Options | None = None
-) -> Solution:
-    """Read the solution of a scalar problem, see `load_any_solution` (collective).
-
-    Raises:
-        InputError: As there, and if the solution is an elastic one.
-    """
-    found = load_any_solution(folder, comm, problem=problem, options=options)
-    if isinstance(found, Solution):
-        return found
-    raise InputError(f"{folder}: holds an elastic solution; read it by load_any_solution")
 
 
 def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options: Options) -> Solution:
@@ -159,7 +145,7 @@ def _read_elastic_problem(found: Checkpoint) -> ElasticProblem:
     laws: list[ElasticLaw] = []
     for table in given.laws:
         values = {name: value for name, value in table.items() if name != "kind"}
-        laws.append(made(Coulomb, values) if table.get("kind") == Coulomb.name else made(Friction, values))
+        laws.append(made(CoulombLaw, values) if table.get("kind") == CoulombLaw.name else made(Friction, values))
     return replace(made(ElasticProblem, given.problem), laws=laws)
 
 

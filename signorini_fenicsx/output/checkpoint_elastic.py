@@ -16,8 +16,8 @@ from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 
 

@@ -22,7 +22,6 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
-from signorini_fenicsx.cases.solving import boundary_of
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.contact.laws import Friction
@@ -120,7 +119,6 @@ class About(BaseModel):
     linear_solver: str
     own_residual: float | None = None
     details: dict[str, float] = {}
-    rough_steps: int
     timings: dict[str, float]
     peak_memory: int
 
@@ -152,7 +150,7 @@ class Checkpoint:
         if isinstance(self.case, ElasticCase):
             return self.case.parts.read()
         if self.case is not None:
-            return boundary_of(self.case)
+            return self.case.posed(self.dim)[0]
         assert given is not None
         if self.about.physics is not None:
             return ElasticBoundary(given.signorini, given.neumann, given.fixed)

@@ -21,21 +21,17 @@ from signorini_fenicsx.base.exchange import delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import Case, CaseFile
-from signorini_fenicsx.cases.elastic_case import ELASTICITY
 from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.contact.laws import LAWS, Law
 from signorini_fenicsx.meshes.domain import Boundary, cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.gather import cell_values, facet_table
-from signorini_fenicsx.physics.elasticity.problem import Coulomb
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
-OUTCOME = (
-    *("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details"),
-    "rough_steps",
-)
+OUTCOME = ("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details")
 """Stored attributes of a solution's outcome, apart from fields and history."""
 COSTS = ("timings", "peak_memory")
 
@@ -89,7 +85,7 @@ def _about(solution: AnySolution) -> dict[str, Any]:
     of_kind: dict[str, Any] = {}
     if isinstance(solution, ElasticSolution):
         part_names = solution.spaces.part_names
-        of_kind = {"physics": ELASTICITY, "bound_changes": list(solution.bound_changes)}
+        of_kind = {"physics": solution.boundary.physics, "bound_changes": list(solution.bound_changes)}
     else:
         part_names = solution.spaces.part_names
     if isinstance(solution, Solution) and solution.step is not None and isinstance(solution.source, Case):
@@ -170,11 +166,11 @@ def _problem(solution: AnySolution) -> dict[str, Any]:
     if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws: Sequence[Law | Coulomb] = solution.problem.laws
+    laws: Sequence[Law | CoulombLaw] = solution.problem.laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]
-    if not all((law.name in LAWS or isinstance(law, Coulomb)) and _storable(vars(law)) for law in laws):
+    if not all((law.name in LAWS or isinstance(law, CoulombLaw)) and _storable(vars(law)) for law in laws):
         laws, missing = (), [*missing, "laws"]
     given = GivenInPython(
         title=solution.title,

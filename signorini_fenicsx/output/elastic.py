@@ -15,12 +15,12 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
 from signorini_fenicsx.output.field_files import write_vtx
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.physics.elasticity.residuals import imbalance
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import STATES, ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ class ContactTable:
         touching: Whether it is in contact.
         shear: σ_t, NaN without friction.
         slip: u_t likewise.
-        state: Index into `Friction.segments`, −1 without friction.
+        state: Index into `STATES`, −1 without friction.
+        forward: 1 where the coordinate along the part grows along the tangent, −1 where it falls; 0 in space.
     """
 
     part: npt.NDArray[np.int64]
@@ -50,6 +51,7 @@ class ContactTable:
     shear: Array
     slip: Array
     state: npt.NDArray[np.int64]
+    forward: npt.NDArray[np.int64]
 
 
 def write_table_of_contact(folder: Path, solution: ElasticSolution) -> None:
@@ -94,7 +96,7 @@ def contact_columns(parts: Sequence[str], table: ContactTable, *, friction: bool
     }
     if not friction:
         return columns
-    states = np.array(Friction.segments)[table.state]
+    states = np.array(STATES)[table.state]
     for name, values in {"shear": table.shear, "slip": table.slip, "friction": states}.items():
         columns[name] = values.astype(object)
         columns[name][table.state < 0] = None
@@ -108,7 +110,7 @@ def contact_table(solution: ElasticSolution) -> ContactTable | None:
 
 
 def _contact_rows(solution: ElasticSolution) -> Array:
-    """The columns of a `ContactTable` for the facets of this rank, shape (rows, 14)."""
+    """The columns of a `ContactTable` for the facets of this rank, shape (rows, 15)."""
     spaces = solution.spaces
     contact, dim = spaces.contact, spaces.dim
     x = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim)))
@@ -120,7 +122,16 @@ def _contact_rows(solution: ElasticSolution) -> Array:
     middle = np.broadcast_to(np.sort(x, axis=1).mean(axis=1, keepdims=True), x.shape).reshape(-1, 3)
     values = [solution.pressure.ravel(), solution.linear_gap.ravel(), solution.touching.ravel()]
     values += [values.ravel() for values in solution.on_all_contact()]
-    return np.column_stack([part, along, flat, middle, *values])
+    return np.column_stack([part, along, flat, middle, *values, np.repeat(_forward(contact, along), dim)])
+
+
+def _forward(contact: BoundaryFacets, along: Array) -> Array:
+    """The sign with which the coordinate along the part grows along the tangent of each facet; 0 in space."""
+    if contact.vertices.shape[2] == 3:
+        return np.zeros(len(contact.facets))
+    tangents = np.column_stack([-contact.normals[:, 1], contact.normals[:, 0]])
+    edges = np.einsum("ni,ni->n", contact.vertices[:, 1] - contact.vertices[:, 0], tangents)
+    return np.sign(edges * np.diff(along.reshape(-1, 2), axis=1)[:, 0])
 
 
 def _in_order(rows: Array) -> ContactTable:
@@ -137,6 +148,7 @@ def _in_order(rows: Array) -> ContactTable:
         shear=rows[:, 11],
         slip=rows[:, 12],
         state=np.nan_to_num(rows[:, 13], nan=-1.0).astype(np.int64),
+        forward=rows[:, 14].astype(np.int64),
     )
 
 
@@ -182,7 +194,7 @@ def write_fields(solution: ElasticSolution, folder: Path, certificate: Certifica
     means = {
         "u": at_vertices.mean(axis=1),
         "sigma": stresses.mean(axis=(1, 2)),
-        "von_mises": equivalent.mean(axis=(1, 2)),
+        "von_mises": von_mises(stresses.mean(axis=(1, 2))),
         "equilibrium": left,
     }
     with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:

@@ -11,7 +11,7 @@ from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.gather import PARTLY_FIXED, Boundary, FacetTable, Fields, sample_of
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from signorini_fenicsx.output.field_files import check_room
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.writing import facet_columns, write_summary
-from signorini_fenicsx.solving.evolving import Instant
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.evolving import Instant
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
 
@@ -31,7 +31,7 @@ BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
 def row_of(instant: Instant, certificate: Certificate | None, seconds: float) -> dict[str, Any]:
     """The numbers of a step (collective)."""
     solution = instant.solution
-    facets, measure = solution.contact()
+    facets, measure = solution.contact
     history = solution.outcome.history
     bounds = {} if certificate is None else {name: certificate.numbers()[name] for name in BOUNDS}
     guaranteed = {} if certificate is None else {"guaranteed": certificate.guaranteed}

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.sample import Sample
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 PARTLY_FIXED = 4
 """A part of the boundary that is fixed in some components only."""

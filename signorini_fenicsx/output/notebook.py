@@ -5,31 +5,40 @@ import html as text
 
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
-def figure(solution: Solution, certificate: Certificate | None = None) -> Sheet | None:
+def figure(solution: Solution | ElasticSolution, certificate: Certificate | None = None) -> Sheet | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
-    table, boundary = gather_facets(solution), gather_boundary(solution)
-    cells = gather_fields(solution, None if certificate is None else certificate.indicator)
+    indicator = None if certificate is None else certificate.indicator
+    if isinstance(solution, ElasticSolution):
+        body = gather_body(solution, indicator)
+        if body is None:
+            return None
+        from signorini_fenicsx.output.pictures import elastic  # takes a second to import
+
+        return elastic.overview(solution, body, certificate)
+    table, boundary, cells = gather_facets(solution), gather_boundary(solution), gather_fields(solution, indicator)
     if table is None or cells is None or boundary is None:
         return None
-    from signorini_fenicsx.output import pictures  # takes a second to import
+    from signorini_fenicsx.output import pictures
 
     return pictures.overview(pictures.scene_of(solution, cells, table, boundary, certificate))
 
 
-def html(solution: Solution) -> str | None:
+def html(solution: Solution | ElasticSolution) -> str | None:
     """A table of the main results and the overview (collective; None on all ranks but 0)."""
     spaces, outcome = solution.spaces, solution.outcome
-    facets, measure = solution.contact()
+    facets, measure = solution.contact
     iterations, picture = counted(len(outcome.history), "iteration"), figure(solution)
     if picture is None:
         return None
     rows = {
-        "algorithm": f"{solution.method.title} ({solution.options.algorithm_name})",
+        "algorithm": f"{solution.approach} ({solution.options.algorithm_name})",
         "mesh": f"h = {spaces.domain.h:.4g}, {spaces.Q.dofmap.index_map.size_global} cells",
         "contact": f"{facets} of {spaces.Lambda.dofmap.index_map.size_global} facets, measure {measure:.6g}",
         "converged" if solution.converged else "failed": f"{outcome.reason}, {iterations}",

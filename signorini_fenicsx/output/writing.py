@@ -44,8 +44,8 @@ from signorini_fenicsx.output.gather import (
     in_order,
 )
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof

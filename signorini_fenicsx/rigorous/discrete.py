@@ -15,9 +15,9 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.rigorous.simplices import EDGES, facet_measures
-from signorini_fenicsx.solving.solution import Solution
 
 INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 """Kinds of facets."""

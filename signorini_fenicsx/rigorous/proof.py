@@ -9,11 +9,11 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, on_root
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import gathered
 from signorini_fenicsx.rigorous.elementary import FromArb
 from signorini_fenicsx.rigorous.theorem import Proven, prove
-from signorini_fenicsx.solving.solution import Solution
 
 MOST_CELLS = 500_000
 """Largest number of cells. Their enclosures take about 4 GB of one process in 3D, and 1 GB in 2D."""

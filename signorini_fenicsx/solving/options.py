@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from numbers import Real
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -14,13 +12,9 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import BackendFactory
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.registry import METHODS, Method
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 
-BACKENDS: Mapping[str, Callable[[Tuning], BackendFactory]] = {
-    "hybrid": lambda tuning: partial(HybridBackend, tuning=tuning),
-    "mixed": lambda tuning: MixedBackend,  # depends on no size
-}
+BACKENDS = ("hybrid", "mixed")
+"""The backends of diffusion by name."""
 OWN = "own"
 """Name in results of a method that is not in the registry."""
 
@@ -96,8 +90,3 @@ class Options:
     def backend_name(self) -> str:
         """Name of the backend that was asked for; the backend in use may have another name."""
         return self.backend if isinstance(self.backend, str) else OWN
-
-    @property
-    def make_backend(self) -> BackendFactory:
-        """Makes the backend that these options choose."""
-        return BACKENDS[self.backend](self.tuning) if isinstance(self.backend, str) else self.backend

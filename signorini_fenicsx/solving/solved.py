@@ -2,23 +2,58 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
+import numpy.typing as npt
 from dolfinx import fem
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.options import Options
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from signorini_fenicsx.certificate.certify import Certificate
+
+
+class InContact(NamedTuple):
+    """How much is in contact.
+
+    Attributes:
+        facets: Number of facets in contact; of elastic ones those with a vertex in contact.
+        measure: The measure of the contact; of elastic facets the share of the vertices in contact.
+    """
+
+    facets: int
+    measure: float
+
+    def __call__(self) -> InContact:
+        """This itself, with a warning: version 0.4 had a method."""
+        warnings.warn("solution.contact() is solution.contact now", DeprecationWarning, stacklevel=2)
+        return self
+
+
+class PointValues(NamedTuple):
+    """A solution at points.
+
+    Attributes:
+        u: u_h, shape (n,); a displacement has shape (n, dim).
+        sigma: σ_h, shape (n, dim); a stress has shape (n, dim, dim).
+    """
+
+    u: Array
+    sigma: Array
 
 
 class Solved(ABC):
@@ -27,9 +62,10 @@ class Solved(ABC):
     name: str
     title: str
     options: Options
-    spaces: Spaces | ElasticSpaces
+    spaces: Any
     outcome: Outcome
     kkt: Residuals
+    source: object
     timings: dict[str, float]
     peak_memory: int
 
@@ -65,6 +101,67 @@ class Solved(ABC):
     def approach(self) -> str:
         """What was solved and how, in words."""
         return self.method.title
+
+    @property
+    @abstractmethod
+    def contact(self) -> InContact:
+        """How many facets are in contact, and their measure (collective when first used)."""
+
+    @abstractmethod
+    def sites_in_contact(self) -> tuple[int, float]:
+        """Number of sites in contact, and their measure: of facets, of cells under an obstacle, of facet vertices."""
+
+    @abstractmethod
+    def contact_set(self) -> FacetSet:
+        """The facets in contact."""
+
+    @collector_off()
+    def at(self, points: npt.ArrayLike) -> PointValues:
+        """u_h and σ_h at any points of the mesh (collective).
+
+        Args:
+            points: Shape (n, dim). Each rank passes its own points, or none; their cells may be on any rank.
+
+        Returns:
+            The values at the points of this rank: NaN outside the mesh, and the values of one cell where several meet.
+
+        Raises:
+            InputError: On all ranks, if the points of one rank have another shape.
+        """
+        values = []
+        for function in (self.u, self.sigma):  # a stress lives on the mesh of the subcells
+            domain = replace(self.spaces.domain, mesh=function.function_space.mesh)
+            (found,) = at_points([function], domain, points)
+            values.append(found.reshape(len(found), *function.ufl_shape))
+        return PointValues(*values)
+
+    @collector_off()
+    def certify(self, *, for_signorini: bool = False) -> Certificate:
+        """Bound the energy error, see `certify` (collective)."""
+        from signorini_fenicsx.certificate.of_solution import certify
+
+        return certify(self, for_signorini=for_signorini)
+
+    @collector_off()
+    def _repr_html_(self) -> str | None:
+        """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
+        from signorini_fenicsx.output.notebook import html
+
+        return html(cast(Any, self))
+
+    @collector_off()
+    def plot(self, certificate: Certificate | None = None) -> Figure | None:
+        """Draw the overview: the fields and the contact, or the deformed body (collective).
+
+        Args:
+            certificate: Its error bound; if given, the contributions of the cells are drawn as well.
+
+        Returns:
+            The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
+        """
+        from signorini_fenicsx.output.notebook import figure
+
+        return figure(cast(Any, self), certificate)
 
     @abstractmethod
     def norms(self) -> dict[str, float]:

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.of_solution import certificate_of
+from signorini_fenicsx.certificate.of_solution import certify
 from signorini_fenicsx.comparing.convergence import convergence_study
 from signorini_fenicsx.output.writing import write_convergence, write_solution, write_summary
 from signorini_fenicsx.studies.folder import RECORD, Status, StudyFolder
@@ -92,7 +92,7 @@ def _compute(run: Run, folder: Path, comm: MPI.Comm) -> None:
     task = run.convergence
     if task is None:
         solution = solve_case(run.case, comm)
-        write_solution(solution, folder, certificate=certificate_of(solution), fields=run.fields, plot=run.plot)
+        write_solution(solution, folder, certificate=certify(solution), fields=run.fields, plot=run.plot)
     else:
         rows = convergence_study(run.case, task.vary, task.levels, task.reference, comm)
         write_convergence(run.case, task.vary, task.reference, rows, folder, comm)

@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
-from signorini_fenicsx.cases.case import Solve
+from signorini_fenicsx.cases.case import Solve, load_case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.domains import rough_cells
-from signorini_fenicsx.cases.elastic_case import AnyCase, load_any_case
+from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
 from signorini_fenicsx.methods.registry import METHODS
@@ -197,7 +197,7 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     if not isinstance(name, str):
         raise InputError("case: must be the name or path of a case, at the top of the file or in a list of [vary]")
     path = folder / name
-    case = load_any_case(path if name.endswith(".toml") else name).with_values(values)
+    case = load_case(path if name.endswith(".toml") else name).with_values(values)
     task = study.convergence
     if task is not None and task.vary is not Vary.H and not case.method.has_eps:
         penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)

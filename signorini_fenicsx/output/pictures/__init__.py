@@ -22,12 +22,12 @@ from signorini_fenicsx.output.gather import (
     gather_fields,
 )
 from signorini_fenicsx.output.pictures import elastic, plane_files, style
-from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations
+from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_iterations, moves
 from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
-from signorini_fenicsx.solving.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 __all__ = [
     "animate",
@@ -89,10 +89,8 @@ def caption(solution: Solution, fields: Fields, certificate: Certificate | None)
         words.append(rf"$\varepsilon = {style.power(solution.options.eps)}$")
     words.append(fields.count)
     if certificate is not None and math.isfinite(certificate.bound):
-        words.append(
-            rf"certified energy error $\leq {style.power(certificate.bound)}$ "
-            rf"({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)"
-        )
+        share = rf" ({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)" if certificate.smaller_than_flux else ""
+        words += style.bound_in_words(certificate, rf"${style.power(certificate.bound)}${share}")
     return ", ".join(words)
 
 
@@ -105,10 +103,12 @@ def method(solution: Solution) -> str:
 def draw_all(folder: Path, scene: Scene) -> None:
     """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png` (rank 0).
 
-    Without a certificate there is no `certificate.png`.
+    Without a certificate there is no `certificate.png`, and without an iteration that changed anything no
+    `iterations.png`.
     """
     _files_of(scene).draw_files(folder, scene)
-    draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
+    if moves(scene.history):
+        draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
 
 
 @mpl.rc_context(style.STYLE)

@@ -31,23 +31,30 @@ GUIDES = {"sigma_V": (1.0, 0.5), "energy": (2.0, 1.5)}
 """Slopes to compare with, by the error that is named first."""
 
 
+def moves(history: list[Step]) -> bool:
+    """Whether any iteration changed something: without that there are no iteration errors to draw."""
+    return any(step.sigma_change > 0 or step.u_change > 0 for step in history)
+
+
 def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
-    """The iteration errors ‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q on a logarithmic scale."""
+    """The iteration errors ‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q on a logarithmic scale.
+
+    Those of rough steps are hollow.
+    """
     axes.set(title=title)
-    if not any(step.sigma_change > 0 or step.u_change > 0 for step in history):
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, "none: the first sets are final", ha="center", va="center")
-        return
-    n = np.array([step.iteration - 1 for step in history])
+    n, rough = np.array([[step.iteration - 1, step.rough] for step in history]).T
+    axes.set(xlabel="$n$, hollow where solves are rough" if rough.any() else "$n$")
     few = len(n) <= FEW
-    for key, label, look in (
-        ("sigma_change", r"$\|\sigma_h^{(n+1)}-\sigma_h^{(n)}\|_V$", "o-" if few else "-"),
-        ("u_change", r"$\|u_h^{(n+1)}-u_h^{(n)}\|_Q$", "s--" if few else "--"),
+    for key, label, marker, line in (
+        ("sigma_change", r"$\|\sigma_h^{(n+1)}-\sigma_h^{(n)}\|_V$", "o", "-"),
+        ("u_change", r"$\|u_h^{(n+1)}-u_h^{(n)}\|_Q$", "s", "--"),
     ):
         values = np.array([getattr(step, key) for step in history])
         positive = values > 0  # 0 for a repeated set has no logarithm
-        axes.semilogy(n[positive], values[positive], look, label=label, markersize=4)
-    axes.set(xlabel="$n$")
+        look = {"marker": marker if few else "", "linestyle": line, "markersize": 4, "label": label}
+        (curve,) = axes.semilogy(n[positive], values[positive], **look)
+        hollow = positive & (rough > 0)
+        axes.plot(n[hollow], values[hollow], marker, color=curve.get_color(), markerfacecolor="white", markersize=4)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
@@ -86,7 +93,7 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
 
 @mpl.rc_context(style.STYLE)
 def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> None:
-    """Draw the certified error over the unknowns, with a line of the best possible slope (rank 0)."""
+    """Draw the error bound over the unknowns, with a line of the best possible slope (rank 0)."""
     sheet = Sheet([4.8], [3.6], bars=False)
     axes = sheet.panel(0, 0)
     for refinement, look in (("adaptive", "o-"), ("uniform", "s--")):
@@ -98,6 +105,6 @@ def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> No
     axes.loglog(ends, 0.6 * rows[0].bound * (ends / ends[0]) ** best, "k:", label=f"slope ${best:.2g}$")
     if not any(0 < row.bound < np.inf for row in rows):  # a bound of 0, or none, has no logarithm
         axes.set_yscale("linear")
-    axes.set(xlabel="unknowns", ylabel="certified energy error", title=title)
+    axes.set(xlabel="unknowns", ylabel="bound of the energy error", title=title)
     sheet.legend_below(axes.get_legend_handles_labels()[0])
     sheet.save(path)

@@ -23,7 +23,7 @@ from signorini_fenicsx.output.pictures import plane_files, style
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.solving.elastic_solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 if TYPE_CHECKING:
     from signorini_fenicsx.output.elastic import ContactTable
@@ -38,7 +38,8 @@ def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | N
     """The body as it was, with Γ_C for Γ_S (rank 0)."""
     caption = f"{solution.title or solution.name}, {body.fields.count}"
     if certificate is not None and np.isfinite(certificate.bound):
-        caption += rf", energy error $\leq$ {100 * certificate.relative:.3g} %"
+        share = f"{100 * certificate.relative:.3g} %" if certificate.smaller_than_flux else f"{certificate.bound:.3g}"
+        caption = ", ".join([caption, *style.bound_in_words(certificate, share)])
     return Scene(
         title=solution.title or solution.name,
         caption=caption,
@@ -60,6 +61,26 @@ def draw(
 ) -> None:
     """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png` (rank 0)."""
     scene = scene_of(solution, body, certificate)
+    _deformed(scene, body).save(folder / "deformed.png")
+    if scene.dim == 2:
+        _pressure(solution.contact_parts, scene, table).save(folder / "pressure.png")
+        plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
+        return
+    from signorini_fenicsx.output.pictures import space_files  # imports VTK
+
+    space_files.draw_files_of_body(folder, scene)
+
+
+@mpl.rc_context(style.STYLE)
+def overview(solution: ElasticSolution, body: Body, certificate: Certificate | None) -> Sheet:
+    """The deformed body as a figure, which a notebook shows (rank 0)."""
+    figure = _deformed(scene_of(solution, body, certificate), body)
+    figure.draw_without_rendering()  # ticks are made here, in this style
+    return figure
+
+
+def _deformed(scene: Scene, body: Body) -> Sheet:
+    """The deformed body on its foundation."""
     size = float(np.ptp(body.fields.points, axis=0).max())
     largest = float(np.linalg.norm(body.displacement, axis=1).max(initial=0.0))
     factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
@@ -67,13 +88,10 @@ def draw(
     foundation = foundation_of(body, moved.fields.points, factor, NEAR * size)
     title = f"{scene.caption}\ndisplacement and gap × {factor:g}"
     if scene.dim == 2:
-        _deformed(scene, moved, foundation, title).save(folder / "deformed.png")
-        _pressure(solution.contact_parts, scene, table).save(folder / "pressure.png")
-        plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
-        return
+        return _deformed_plane(scene, moved, foundation, title)
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
 
-    space_files.draw_body_files(folder, scene, moved, foundation[:, : scene.dim], title)
+    return space_files.deformed(moved, foundation[:, : scene.dim], title)
 
 
 def foundation_of(body: Body, moved: Array, factor: float, most: float) -> Array:
@@ -98,7 +116,7 @@ def foundation_of(body: Body, moved: Array, factor: float, most: float) -> Array
     return np.concatenate([surface, under[:, ::-1]], axis=1)[factor * facets.p < most]
 
 
-def _deformed(scene: Scene, moved: Scene, foundation: Array, title: str) -> Sheet:
+def _deformed_plane(scene: Scene, moved: Scene, foundation: Array, title: str) -> Sheet:
     """The deformed body, coloured by the equivalent stress, over its mesh before, and the foundation."""
     frame = framed(np.concatenate([scene.fields.points, moved.fields.points, foundation.reshape(-1, 2)]))
     aspect = float(np.divide(*np.ptp(frame, axis=0)))
@@ -147,15 +165,16 @@ def without_rounding(values: Array) -> Array:
 
 
 def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:
-    """Marks at the lower edge where the body slips in contact, and none where it sticks or is open."""
-    along, state = table.along[rows], np.where(table.touching[rows], table.state[rows], -1)
-    for name, look in (("slip+", "<"), ("slip-", ">")):
-        slipping = along[state == Friction.segments.index(name)]
-        if len(slipping):
-            place = np.full(len(slipping), 0.03)
-            axes.plot(
-                slipping, place, look, color="black", markersize=3, transform=axes.get_xaxis_transform(), label=name
-            )
+    """Marks at the lower edge where the body slips in contact, to where it moves; none where it sticks or is open."""
+    along, forward = table.along[rows], table.forward[rows]
+    state = np.where(table.touching[rows], table.state[rows], -1)
+    for name, sign in (("slip+", -1), ("slip-", 1)):
+        for way, look in ((-1, "<"), (1, ">")):
+            slipping = along[(state == Friction.segments.index(name)) & (sign * forward == way)]
+            if len(slipping):
+                place, label = np.full(len(slipping), 0.03), f"{name}, $u_t {'<' if sign < 0 else '>'} 0$"
+                look_of = {"color": "black", "markersize": 3, "transform": axes.get_xaxis_transform(), "label": label}
+                axes.plot(slipping, place, look, **look_of)
 
 
 def _rounded(value: float) -> float:

@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.output.pictures import style, traces
-from signorini_fenicsx.output.pictures.curves import draw_steps
+from signorini_fenicsx.output.pictures.curves import draw_steps, moves
 from signorini_fenicsx.output.pictures.plane import Plane
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -72,7 +72,7 @@ def _draw_map(path: Path, plane: Plane, which: str) -> None:
     if which == "sigma":
         plane.draw_sigma(sheet, axes, r"flux $\sigma_h$: streamlines on $|\sigma_h|$")
     else:
-        plane.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the certified error")
+        plane.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound")
     sheet.legend_below(plane.handles())
     sheet.save(path)
 
@@ -99,7 +99,9 @@ def _overview(plane: Plane) -> Sheet:
     scene = plane.scene
     parts = range(min(len(scene.labels), OVERVIEW_PARTS))
     columns, maps, width = (2, 2, 4.4) if plane.wide else (3, 1, 2.45)
-    heights = [width / max(plane.aspect, 0.7)] * maps + [1.5 if parts else 2.4] * max(len(parts), 1)
+    with_steps = moves(scene.history)
+    below = [1.5] * len(parts) if parts else [2.4] * (with_steps and not plane.wide)
+    heights = [width / max(plane.aspect, 0.7)] * maps + below
     sheet = Sheet([width] * columns, heights, title=f"{scene.title}\n{scene.caption}")
     slots = [(row, column) for row in range(maps) for column in range(columns)]
 
@@ -115,11 +117,13 @@ def _overview(plane: Plane) -> Sheet:
     first, last = (number + 1, number) if plane.wide else (number, number + 2 * len(parts))
     for part in parts:
         _draw_part(sheet, scene, part, maps + part, first + 2 * part)
-    if plane.wide:
-        axes = sheet.panel(*slots[3])
-    else:
-        axes = sheet.panel(maps, 2, rows=len(parts)) if parts else sheet.panel(maps, 0, columns=3)
-    draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
-    of_traces = traces.handles(scene) if scene.labels else []
-    sheet.legend_below([*plane.handles(), *of_traces, *axes.get_legend_handles_labels()[0]])
+    handles = [*plane.handles(), *(traces.handles(scene) if scene.labels else [])]
+    if with_steps:
+        if plane.wide:
+            axes = sheet.panel(*slots[3])
+        else:
+            axes = sheet.panel(maps, 2, rows=len(parts)) if parts else sheet.panel(maps, 0, columns=3)
+        draw_steps(axes, scene.history, f"{style.letter(last)} iteration errors")
+        handles += axes.get_legend_handles_labels()[0]
+    sheet.legend_below(handles)
     return sheet

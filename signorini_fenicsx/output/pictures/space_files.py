@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.curves import draw_steps
+from signorini_fenicsx.output.pictures.curves import draw_steps, moves
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.space import Space
@@ -44,22 +44,19 @@ TRACES = {"p": r"$p_h$ on $\Gamma_S$", "flux": r"$\sigma_h\cdot n$ on $\Gamma_S$
 OF_BODY = {"flux": r"pressure $-\sigma_{nn}$", "p": "gap $g - u_n$"}
 
 
-def draw_body_files(folder: Path, scene: Scene, moved: Scene, foundation: Array, title: str) -> None:
-    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png` of an elastic body.
-
-    Args:
-        folder: Where.
-        scene: The body as it was.
-        moved: The deformed body.
-        foundation: Facets of the foundation, shape (facets, 3, 3).
-        title: Title of the deformed body.
-    """
-    space, after = Space(scene), Space(moved)
+def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
+    """A deformed body on its foundation, and half of it; facets of the foundation have shape (facets, 3, 3)."""
+    after = Space(moved)
     sheet, (left, right) = _row(2, title)
     after.draw_outside(sheet, left, "(a) deformed body on its foundation", foundation)
     after.draw_sigma(sheet, right, "(b) half of it")
     sheet.legend_below([])
-    sheet.save(folder / "deformed.png")
+    return sheet
+
+
+def draw_files_of_body(folder: Path, scene: Scene) -> None:
+    """Draw `pressure.png` and, with a certificate, `certificate.png` of an elastic body."""
+    space = Space(scene)
     _draw_certificate_file(folder, space)
     _draw_traces(folder / "pressure.png", space, OF_BODY)
 
@@ -67,7 +64,7 @@ def draw_body_files(folder: Path, scene: Scene, moved: Scene, foundation: Array,
 def _draw_certificate_file(folder: Path, space: Space) -> None:
     if space.scene.fields.indicator is not None:
         sheet, (axes,) = _row(1)
-        space.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the certified error, half of the domain")
+        space.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound, half of the domain")
         sheet.legend_below([])
         sheet.save(folder / "certificate.png")
 
@@ -112,7 +109,6 @@ def _overview(space: Space) -> Sheet:
         sheet.view(0, 2),
         sheet.view(1, 0),
         sheet.view(1, 1),
-        sheet.panel(1, 2),
     ]
     space.draw_half(sheet, panels[0], "(a) $u_h$ on half of the domain")
     space.draw_streamlines(sheet, panels[1], r"(b) streamlines of $\sigma_h$")
@@ -126,6 +122,10 @@ def _overview(space: Space) -> Sheet:
     else:
         space.draw_cuts(sheet, panels[3], "(d) $u_h$ on cuts through the middle")
         space.draw_contact(panels[4], "(e) edge of the contact", space.views[0])
-    draw_steps(panels[5], scene.history, "(f) iteration errors")
-    sheet.legend_below([*space.handles(), *panels[5].get_legend_handles_labels()[0]])
+    handles = space.handles()
+    if moves(scene.history):
+        axes = sheet.panel(1, 2)
+        draw_steps(axes, scene.history, "(f) iteration errors")
+        handles = [*handles, *axes.get_legend_handles_labels()[0]]
+    sheet.legend_below(handles)
     return sheet

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.certify import Certificate
 
 STYLE = {
     "font.family": "STIXGeneral",
@@ -71,3 +72,9 @@ def shape_axes(axes: Axes, title: str, frame: Array) -> None:
     axes.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=title, xlim=frame[:, 0], ylim=frame[:, 1])
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def bound_in_words(certificate: Certificate, value: str) -> list[str]:
+    """A bound for a caption: certified only if it is guaranteed, and to which solution the error is."""
+    words = "certified energy error" if certificate.guaranteed else "energy error"
+    return [rf"{words}{certificate.of} $\leq$ {value}", *([] if certificate.guaranteed else ["not guaranteed"])]

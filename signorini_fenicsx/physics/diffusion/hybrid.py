@@ -140,7 +140,7 @@ class HybridBackend(FacetBackend):
             LinearSolveFailure: If the linear solver does not converge.
         """
         self._solve(conditions)
-        return self._system.recover(conditions, self._iterations)
+        return self.reached(conditions)
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
@@ -151,6 +151,10 @@ class HybridBackend(FacetBackend):
         with self._solver.stopping(lambda x: enough(*self._system.traces(x, conditions))):
             self._solve(conditions)
         return self._system.traces(self._system.x, conditions)
+
+    def reached(self, conditions: SiteConditions) -> Iterate:
+        """The iterate of the last solve, see `Inexact.reached` (collective)."""
+        return self._system.recover(conditions, self._iterations)
 
     def solve_near(
         self, sites: Mask, layers: int, share: float

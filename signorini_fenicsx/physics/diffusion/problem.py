@@ -1,11 +1,78 @@
-"""The data of a problem as the user gives them."""
+"""A diffusion problem as the user gives it, and sorted by the kinds of its boundary."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.laws import Law
+from signorini_fenicsx.contact.laws import Dirichlet, Law, Neumann, Signorini
+from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
+from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
+
+
+@dataclass(frozen=True)
+class Diffusion:
+    """−∇·(κ∇u) + cu = f, with a condition on each part of the boundary; u = u_D where there is none.
+
+    With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω, with equality in one of them. The conditions are
+    `Dirichlet`, `Neumann` and laws: `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator`, `Corners`, or your own.
+
+    Attributes:
+        f: Load, or one for each region of the mesh.
+        kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
+        c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no part needs a given u.
+        u_D: Trace on the parts that no condition names, continuous.
+        obstacle: Lower bound of u in Ω, continuous; None for none.
+        exact: The exact u, where it is known, or one for each region.
+        conditions: The conditions, each on its parts. That of a part inside the domain is one between the jump of u and
+            κ∇u·n, with n outward from the named side.
+
+    Raises:
+        InputError: If `conditions` is not a list of them, or a part has two.
+    """
+
+    f: Given | Mapping[str, Given]
+    kappa: Given | Mapping[str, Given] = 1.0
+    c: Given | Mapping[str, Given] = 0.0
+    u_D: Given = 0.0
+    obstacle: Given | None = None
+    exact: Given | Mapping[str, Given] | None = None
+    conditions: Sequence[Law] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse other conditions, and parts with two."""
+        check_conditions(self.conditions, Law, example='[Signorini("bottom"), Neumann("left", 1)]')
+
+    def on(self, domain: Domain) -> "tuple[Boundary, Problem]":
+        """The problem on a domain, sorted by the kinds of its boundary (collective).
+
+        A given u that is not u_D is a law with a vertical graph, and a flux that is not that of the first Neumann
+        condition one with a horizontal graph. If all parts are named, the first Dirichlet condition has u_D.
+
+        Raises:
+            InputError: If a part is unknown.
+        """
+        u_D = self.u_D
+        given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
+        if given and names_all(domain, self.conditions):
+            u_D = given[0].value
+        flux = next((condition.value for condition in self.conditions if isinstance(condition, Neumann)), 0.0)
+        neumann: list[str] = []
+        laws: list[Law] = []
+        for condition in self.conditions:
+            if isinstance(condition, Neumann) and same_value(condition.value, flux):
+                neumann += condition.parts
+            elif not isinstance(condition, Dirichlet) or not same_value(condition.value, u_D):
+                laws.append(condition)
+        plain = [law for law in laws if type(law) is Signorini]
+        own = plain[0] if len(plain) == 1 else Signorini(())
+        laws = [law for law in laws if law is not own]
+        parts = [*own.parts, *(part for law in laws for part in law.parts)]
+        inner = [part for part in parts if other_side(part) in domain.parts]
+        problem = Problem(
+            self.f, self.kappa, u_D, flux, own.psi, own.q_S, self.c, self.obstacle, self.exact, tuple(laws)
+        )
+        return Boundary(parts, neumann, inner), problem
 
 
 @dataclass(frozen=True)

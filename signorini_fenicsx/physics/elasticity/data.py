@@ -14,7 +14,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, regional_datum
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts, regional_datum
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
@@ -22,7 +22,7 @@ from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, fricti
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
-from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum, vector_datum_of
+from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum, vector_datum_of, vector_on_parts
 
 DEGREE, MOST = DEGREES
 BLOCK = {2: 4096, 3: 512}
@@ -133,10 +133,10 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
     if dim == 3 and problem.plane != Plane.STRAIN:
         raise InputError(f"[problem] plane: a body in space is not in plane {problem.plane}; leave it out")
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
-    u_D = vector_datum_of(spaces, "u_D", problem.u_D)
+    u_D = vector_on_parts(spaces, "u_D", problem.u_D)
     by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}
     g_N = {part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()}
-    gap = datum_of(spaces, "gap", parsed(problem.gap, "xyz"[:dim], "[problem] gap"))
+    gap = datum_on_parts(spaces, "gap", problem.gap)
     young = regional_datum(spaces, "young", parsed(problem.young, "xyz"[:dim], "[problem] young"))
     poisson = regional_datum(spaces, "poisson", parsed(problem.poisson, "xyz"[:dim], "[problem] poisson"))
     uniform = young.polynomial == 0 and poisson.polynomial == 0

@@ -20,7 +20,7 @@ from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.elasticity.problem import Coulomb, ElasticLaw
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
 
 STICKS = 1e300
@@ -94,16 +94,16 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
         raise InputError("friction: only in two dimensions")
     rough = spaces.rough
     number, order = len(rough.facets), np.argsort(rough.facets)
-    coulomb = any(isinstance(law, Coulomb) for law in laws)
+    coulomb = any(isinstance(law, CoulombLaw) for law in laws)
     found = FrictionBounds(np.zeros((number, 2)), np.zeros((number, 2)), np.zeros(number, dtype=bool), (), coulomb)
     inexact = []
     for index, law in enumerate(laws):
-        name, given = ("mu", law.mu) if isinstance(law, Coulomb) else ("g", law.g)
+        name, given = ("mu", law.mu) if isinstance(law, CoulombLaw) else ("g", law.g)
         for part in law.parts:
             facets = spaces.part(part)
             here = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]
             values, linear = _lower_values(spaces, f"law.{index}.{name}", given, facets)
-            if isinstance(law, Coulomb):
+            if isinstance(law, CoulombLaw):
                 found.mu[here], found.bound[here], found.coulomb[here] = values, STICKS, True
             else:
                 found.bound[here] = values

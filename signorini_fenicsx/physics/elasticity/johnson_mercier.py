@@ -51,22 +51,22 @@ def reference(dim: int) -> Reference:
     split = split_vertices(vertices[None])[0]
     size, pairs = dim + 1, entries(dim)
     unit = np.eye(size * size * len(pairs)).reshape(size, size, len(pairs), -1)
-    matrices = _matrices(unit, dim)  # subcell, vertex, row, column, basis
+    matrices = symmetric(unit, dim)  # subcell, vertex, row, column, basis
 
     jumps = []
     for i, j in combinations(range(size), 2):
         edge = [k for k in range(size) if k not in (i, j)]
-        normal = _normal(np.vstack([vertices[edge], split[0, -1]]))
+        normal = normal_of(np.vstack([vertices[edge], split[0, -1]]))
         for k in edge:
             jumps.append(np.einsum("rcb,c->rb", matrices[i, _of(i, k)] - matrices[j, _of(j, k)], normal))
         jumps.append(np.einsum("rcb,c->rb", matrices[i, -1] - matrices[j, -1], normal))
-    continuous = _null_space(np.concatenate(jumps))
+    continuous = null_space(np.concatenate(jumps))
 
     volume = 1 / factorial(dim) / size
     gradients = -facet_normals(split) / (dim * volume)  # of the hats of each subcell; barycentric
     divergence = np.einsum("svrcb,svc->srb", matrices, gradients)
     moments = np.einsum("vs,srb->vrb", volume * hats_in_subcells(dim), divergence).reshape(size * dim, -1) @ continuous
-    balanced = _null_space(moments)
+    balanced = null_space(moments)
     basis = continuous @ np.hstack([balanced, np.linalg.pinv(moments)])
     basis[np.abs(basis) < 1e-15] = 0.0
 
@@ -84,11 +84,11 @@ def entries(dim: int) -> list[tuple[int, int]]:
 def to_matrices(values: Array) -> Array:
     """Symmetric matrices, shape (…, d, d), from their entries, shape (…, entries)."""
     dim = {3: 2, 6: 3}[values.shape[-1]]
-    return np.moveaxis(_matrices(values[..., None], dim)[..., 0], (-2, -1), (-2, -1))
+    return np.moveaxis(symmetric(values[..., None], dim)[..., 0], (-2, -1), (-2, -1))
 
 
-def _matrices(values: Array, dim: int) -> Array:
-    """The same with a last axis of basis functions behind the entries."""
+def symmetric(values: Array, dim: int) -> Array:
+    """Symmetric matrices, shape (…, d, d, basis), from their entries, shape (…, entries, basis)."""
     matrices = np.zeros((*values.shape[:-2], dim, dim, values.shape[-1]))
     for index, (i, j) in enumerate(entries(dim)):
         value = values[..., index, :] / (1 if i == j else np.sqrt(2))
@@ -124,7 +124,7 @@ def facet_normals(vertices: Array) -> Array:
     return -dim * measures[:, None, None] * gradients
 
 
-def _null_space(matrix: Array) -> Array:
+def null_space(matrix: Array) -> Array:
     """An orthonormal basis of the vectors that a matrix maps to 0, as columns; as SciPy's, which is slow to load."""
     _, sizes, vectors = np.linalg.svd(matrix)
     rank = int(np.count_nonzero(sizes > 1e-10 * sizes.max(initial=0.0)))
@@ -132,9 +132,9 @@ def _null_space(matrix: Array) -> Array:
     return found
 
 
-def _normal(simplex: Array) -> Array:
+def normal_of(simplex: Array) -> Array:
     """A normal of d points in R^d."""
-    return _null_space(simplex[1:] - simplex[:1])[:, 0]
+    return null_space(simplex[1:] - simplex[:1])[:, 0]
 
 
 def _of(subcell: int, vertex: int) -> int:
@@ -212,7 +212,7 @@ class Cells:
         """τ = Fτ̂Fᵀ/|det F| of stresses on the reference simplex, shape (cells, (d + 1)², entries, basis)."""
         dim, F = self.dim, self.derivative
         scaled = F / np.sqrt(self.determinant)[:, None, None]
-        matrices = _matrices(basis, dim)
+        matrices = symmetric(basis, dim)
         mapped = np.einsum("nij,vjkb,nlk->nvilb", scaled, matrices, scaled, optimize=True)
         weight = [1 if i == j else np.sqrt(2) for i, j in entries(dim)]
         return np.stack([w * mapped[:, :, i, j] for w, (i, j) in zip(weight, entries(dim), strict=True)], axis=2)

@@ -1,11 +1,12 @@
-"""The data of an elastic contact problem as the user gives them."""
+"""A problem of elastic contact as the user gives it, and sorted by the kinds of its boundary."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import ClassVar
+from types import NoneType
+from typing import Any, ClassVar
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -13,9 +14,10 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, OnParts
+from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.meshes.domain import AXES, Domain
 
 type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 """A number, text or UFL expression for each component; a UFL vector on the mesh; or a function of points of shape
@@ -32,7 +34,7 @@ class Plane(StrEnum):
 
 
 @dataclass(frozen=True)
-class Coulomb:
+class CoulombLaw:
     """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn, in two dimensions.
 
     Attributes:
@@ -49,8 +51,132 @@ class Coulomb:
         check_names("parts", self.parts)
 
 
-type ElasticLaw = Friction | Coulomb
+type ElasticLaw = Friction | CoulombLaw
 """Friction with a given bound of the shear (Tresca), or with one by the pressure."""
+
+
+@dataclass(frozen=True)
+class Tresca:
+    """Friction by Tresca's law, |σ_t| ≤ g, in two dimensions.
+
+    Attributes:
+        g: g ≥ 0.
+    """
+
+    g: Given
+
+    def law(self, parts: Sequence[str]) -> ElasticLaw:
+        """The law on some parts."""
+        return Friction(parts, self.g)
+
+
+@dataclass(frozen=True)
+class Coulomb:
+    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn, in two dimensions.
+
+    Attributes:
+        mu: μ ≥ 0.
+    """
+
+    mu: Given
+
+    def law(self, parts: Sequence[str]) -> ElasticLaw:
+        """The law on some parts."""
+        return CoulombLaw(parts, self.mu)
+
+
+@dataclass(frozen=True)
+class Contact(OnParts):
+    """Contact with a rigid foundation: u_n ≤ gap, σ_nn ≤ 0, one of them equal.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        gap: The distance to the foundation along the outer normal.
+        friction: `Tresca` or `Coulomb`; None for σ_t = 0.
+
+    Raises:
+        InputError: If the friction is something else.
+    """
+
+    gap: Given = 0.0
+    friction: Tresca | Coulomb | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse another friction."""
+        super().__post_init__()
+        check_kind("friction", self.friction, Tresca, Coulomb, NoneType)
+
+
+@dataclass(frozen=True)
+class Elasticity:
+    """−∇·σ = f, σ = ℂε(u), with a condition on each part of the boundary; u = u_D where there is none.
+
+    The conditions are `Dirichlet`, also in some components, `Neumann` and `Contact`. A part that is fixed in some
+    components may have a `Neumann` condition for the others.
+
+    Attributes:
+        young: E, or one for each region of the mesh.
+        poisson: ν likewise.
+        f: Force per volume; None for none.
+        u_D: Displacement on the parts that no condition names; None for 0.
+        plane: Plane "strain" or plane "stress", in two dimensions.
+        exact: u itself, where it is known.
+        conditions: The conditions, each on its parts.
+
+    Raises:
+        InputError: If `conditions` is not a list of them, or a part has two.
+    """
+
+    young: Given | Mapping[str, Given]
+    poisson: Given | Mapping[str, Given]
+    f: GivenVector | None = None
+    u_D: GivenVector | None = None
+    plane: str = Plane.STRAIN
+    exact: GivenVector | None = None
+    conditions: Sequence[OnParts] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse other conditions, and parts with two."""
+        example = '[Contact("bottom", gap=0.1), Dirichlet("left", 0, components="x")]'
+        others = [condition for condition in self.conditions if not self._loads_fixed(condition)]
+        check_conditions(others, Dirichlet, Neumann, Contact, example=example)
+
+    def _loads_fixed(self, condition: object) -> bool:
+        """Whether it is a load on parts that are fixed in some components."""
+        fixed = {
+            part
+            for other in self.conditions
+            if isinstance(other, Dirichlet) and other.components is not None
+            for part in other.parts
+        }
+        return isinstance(condition, Neumann) and set(condition.parts) <= fixed
+
+    def on(self, domain: Domain) -> tuple[ElasticBoundary, ElasticProblem]:
+        """The problem on a domain, sorted by the kinds of its boundary (collective)."""
+        given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
+        touching = [condition for condition in self.conditions if isinstance(condition, Contact)]
+        loads = [condition for condition in self.conditions if isinstance(condition, Neumann)]
+        fixed = {part: each.components for each in given if each.components is not None for part in each.parts}
+        boundary = ElasticBoundary(
+            contact=[part for each in touching for part in each.parts],
+            neumann=[part for each in loads for part in each.parts if part not in fixed],
+            fixed=fixed,
+        )
+        u_D = {part: nothing_for_0(each.value) for each in given for part in each.parts}
+        if not names_all(domain, self.conditions):
+            u_D |= {"": self.u_D}
+        problem = ElasticProblem(
+            young=self.young,
+            poisson=self.poisson,
+            f=self.f,
+            u_D=one_value(u_D, None),
+            g_N={part: nothing_for_0(each.value) for each in loads for part in each.parts},
+            gap=one_value({part: each.gap for each in touching for part in each.parts}, 0.0),
+            plane=self.plane,
+            exact=self.exact,
+            laws=[each.friction.law(each.parts) for each in touching if each.friction is not None],
+        )
+        return boundary, problem
 
 
 @dataclass(frozen=True)
@@ -61,10 +187,11 @@ class ElasticProblem:
         f: Force per volume; None for none.
         young: E, or one for each region of the mesh.
         poisson: ν likewise.
-        u_D: Displacement on Γ_D and, in the fixed components, on parts that are fixed in some; None for 0.
+        u_D: Displacement on Γ_D and, in the fixed components, on parts that are fixed in some; or one for each of these
+            parts, and by "" one on the others; None for 0.
         g_N: Traction on Γ_N and, in the free components, on parts that are fixed in some; or one for each of these
             parts, 0 on the others; None for 0.
-        gap: g, the distance to the foundation along the outer normal.
+        gap: g, the distance to the foundation along the outer normal, or one for each part of Γ_C.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
         laws: Friction on parts of Γ_C, in two dimensions; elsewhere Γ_C is without friction.
@@ -73,9 +200,9 @@ class ElasticProblem:
     young: Given | Mapping[str, Given]
     poisson: Given | Mapping[str, Given]
     f: GivenVector | None = None
-    u_D: GivenVector | None = None
-    g_N: GivenVector | Mapping[str, GivenVector] | None = None
-    gap: Given = 0.0
+    u_D: GivenVector | Mapping[str, GivenVector | None] | None = None
+    g_N: GivenVector | Mapping[str, GivenVector | None] | None = None
+    gap: Given | Mapping[str, Given] = 0.0
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
     laws: Sequence[ElasticLaw] = ()
@@ -84,8 +211,8 @@ class ElasticProblem:
         """Refuse what is neither strain nor stress, other laws, and parts with two laws."""
         if self.plane not in list(Plane):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
-        if not isinstance(self.laws, Sequence) or not all(isinstance(law, Coulomb | Friction) for law in self.laws):
-            raise InputError('laws: must be a list of laws Friction and Coulomb, such as [Coulomb(["bottom"], 0.3)]')
+        if not isinstance(self.laws, Sequence) or not all(isinstance(law, CoulombLaw | Friction) for law in self.laws):
+            raise InputError('laws: must be a list of laws of friction, such as [CoulombLaw("bottom", 0.3)]')
         twice = [part for part in self.rough if self.rough.count(part) > 1]
         if twice:
             raise InputError(f"laws: part '{twice[0]}' has two laws")
@@ -94,6 +221,11 @@ class ElasticProblem:
     def rough(self) -> list[str]:
         """The parts with friction."""
         return [part for law in self.laws for part in law.parts]
+
+
+def nothing_for_0(value: Any) -> Any:
+    """None for the number 0, which stands for a vector of zeros."""
+    return None if isinstance(value, int | float) and value == 0 else value
 
 
 @dataclass(frozen=True)
@@ -110,6 +242,7 @@ class ElasticBoundary:
     contact: Sequence[str]
     neumann: Sequence[str] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
+    physics: ClassVar[str] = "elasticity"
 
     def __post_init__(self) -> None:
         """Refuse strings in the place of lists, and unknown components."""

@@ -10,8 +10,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.contact.residuals import Residuals, relative
+from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
@@ -27,11 +28,10 @@ class ElasticKKT(Residuals):
 
     Attributes:
         primal: 2μ‖[p]_-‖/(√L S) on Γ_C, what penetrates the foundation.
-        dual: √L ‖[−σ_nn]_-‖/S, what pulls at it.
-        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also σ_t less its nearest admissible value to
-            σ_t − 2μu_t/L.
+        dual: √L ‖[−σ_nn]_-‖/S, what pulls at it; with friction also the shear above its bound.
+        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also the distance of u_t and σ_t to its graph.
         tractions: (Σ |e|^(1/(d − 1)) ‖r‖²_e)^½/S, where r is the jump of σn inside Ω, what is left of σn − g_N where
-            the traction is given, and the shear on Γ_C, with friction what is above its bound.
+            the traction is given, and the shear on Γ_C without friction.
         equilibrium: ‖h_T (∇·σ + f_h)‖/S, by the moments of both against linear functions on each cell.
     """
 
@@ -52,9 +52,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         stresses: Values of σ as in `SplitMesh.values`.
         p: g − u_n at the sites, then u_t at those with friction.
     """
-    p, slip = np.split(p, [len(spaces.sites)])
     comm, dim = spaces.mesh.comm, spaces.dim
-    contact = spaces.contact
     volume = square = unbalanced = 0.0
     stiffness = np.empty(len(spaces.order))
     missing = imbalance(spaces, data, stresses)
@@ -68,16 +66,15 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     volume, square, unbalanced, jumps = comm.allreduce(sums).tolist()
     norm, length = np.sqrt(square), volume ** (1 / dim)
     norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
-    k = np.repeat(stiffness[contact.cells], dim) / length
-    pressure = -spaces.normal_stress(stresses)
-    on_sites = [np.minimum(k * p, 0), np.minimum(pressure, 0), np.minimum(np.abs(k * p), np.abs(pressure))]
-    squares = np.array([spaces.site_measure @ values**2 for values in on_sites])
-    if data.friction is not None:
-        g, shear = data.friction.bound.ravel(), spaces.shear(stresses)
-        pulled = shear - np.repeat(stiffness[spaces.rough.cells], dim) / length * slip
-        squares[2] += spaces.slip_measure @ (shear - np.clip(pulled, -g, g)) ** 2
-    sizes = np.sqrt([*(length * comm.allreduce(squares)), jumps, unbalanced])
-    return ElasticKKT(*(relative(size[None], np.array([norm])) for size in sizes))
+    if norm == 0:
+        return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
+    k = np.repeat(stiffness[np.concatenate([spaces.contact.cells, spaces.rough.cells])], dim) / length
+    flux = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
+    measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
+    low, inward, smaller = law_of_sites(spaces, data.friction).distances(p, flux, k)
+    squares = comm.allreduce(np.array([measure @ values**2 for values in (k * low, inward, smaller)]))
+    primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
+    return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
 
 
 def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:
@@ -96,6 +93,18 @@ def subcell_squares(stresses: Array) -> Array:
     own = (stresses**2).sum(axis=(2, 3, 4))
     of_sum = (stresses.sum(axis=2) ** 2).sum(axis=(2, 3))
     return (own + of_sum) / (size * (size + 1))
+
+
+def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
+    """(𝔸σ, σ) of each owned cell, from values as in `SplitMesh.values` (collective)."""
+    found = np.empty(len(spaces.order))
+    for cells in blocks_of_cells(spaces):
+        here = stresses[cells]
+        trace = np.einsum("nsaii->nsa", here)
+        of_all, of_traces = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
+        found[cells] = np.einsum("nsab,nsaij,nsbij->n", of_all, here, here, optimize=True)
+        found[cells] -= np.einsum("nsab,nsa,nsb->n", of_traces, trace, trace, optimize=True)
+    return found
 
 
 def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
@@ -129,11 +138,7 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
         else:
             left[facets.blocks, :, k] = 0.0
     _drop_normal(left, spaces.contact)
-    if data.friction is not None:
-        blocks, tangents = spaces.rough.blocks, spaces.tangents
-        along = np.einsum("nai,ni->na", left[blocks], tangents)
-        admissible = np.clip(along, -data.friction.bound, data.friction.bound)
-        left[blocks] -= admissible[:, :, None] * tangents[:, None]
+    left[spaces.rough.blocks] = 0.0
     size = np.zeros(len(left))
     size[spaces.dofs] = measures
     squares = (left**2).sum(axis=(1, 2)) + (left.sum(axis=1) ** 2).sum(axis=1)

@@ -33,7 +33,7 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
 
     For a motion r that what is given of u lets free, and that does not go into the foundation, r_n ≤ 0 on Γ_C, the work
     of the loads must be negative, with friction less than ∫ g|r_t|: then contact holds the body against it. Coulomb's g
-    is not known, and counts as ∞ here; if it is too small, no residual is small in the end.
+    is not known, and counts as ∞ before the first solve; if it is too small, see `slides`.
 
     Returns:
         The motions that contact has to prevent, a basis: means of r_n at the sites, and of r_t at those with friction,
@@ -41,6 +41,29 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
 
     Raises:
         InputError: If a motion is not prevented; it is told.
+    """
+    means, motion = _motions_of_contact(spaces, data)
+    if motion is not None:
+        raise InputError(f"the body can move rigidly, {motion[0]}: {HELD_BY}")
+    return means
+
+
+def slides(spaces: ElasticSpaces, data: ElasticData) -> str:
+    """The motion that the bounds of the friction do not prevent, and by how much, in words; or empty (collective)."""
+    _, motion = _motions_of_contact(spaces, data)
+    if motion is None:
+        return ""
+    words, loads, holds = motion
+    return (
+        f"the body slides away, {words}: on this motion the loads do the work {loads:.4g}, and friction under the last "
+        f"pressure takes at most {holds:.4g}; with less load, or more friction, it rests"
+    )
+
+
+def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, tuple[str, float, float] | None]:
+    """What `check_rigid_motions` returns, and a motion that is not prevented: in words, the work, and what is rubbed.
+
+    Collective. Both are those of a unit translation, or of the rotation by a unit angle.
     """
     low, high = spaces.domain.box()[:, : spaces.dim]
     middle, size = (low + high) / 2, float((high - low).max())
@@ -51,7 +74,7 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
 
     free = _not_given(spaces, moved)
     if free.shape[1] == 0:
-        return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0))
+        return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0)), None
     work, most = _work(spaces, data, moved)
     work = work @ free / most
     into = np.einsum("nai,nair->nar", _at(spaces.contact.normals, spaces.dim), moved(spaces.contact.vertices)) @ free
@@ -61,11 +84,14 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     if data.friction is not None:
         shears = np.repeat(rough.measure, 2) / 2 * data.friction.bound.ravel() / most
     limits = Limits(spaces.mesh.comm, work, into.reshape(-1, free.shape[1]), slips, shears)
-    if (motion := limits.unprevented()) is not None:
-        raise InputError(f"the body can move rigidly, {_in_words(free @ motion, middle, size)}: {HELD_BY}")
+    motion, told = limits.unprevented(), None
+    if motion is not None:
+        words, unit = _in_words(free @ motion, middle, size)
+        rubbed = float(shears @ np.abs(slips @ motion)) if len(shears) else 0.0
+        told = words, float(work @ motion) * most / unit, spaces.mesh.comm.allreduce(rubbed) * most / unit
     found = np.concatenate([into, along])
     means = (found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
-    return means.reshape(-1, free.shape[1])
+    return means.reshape(-1, free.shape[1]), told
 
 
 HELD_BY = "neither the parts where u is given nor contact under these loads prevent that"
@@ -175,19 +201,19 @@ def _farthest(objective: Array, cuts: Array, still: Array) -> Array | None:
     return np.subtract(*np.split(found.x, 2)) if found.success else None
 
 
-def _in_words(motion: Array, middle: Array, size: float) -> str:
-    """A motion as a translation or a rotation."""
+def _in_words(motion: Array, middle: Array, size: float) -> tuple[str, float]:
+    """A motion as a translation or a rotation, and its length or its angle."""
     dim = len(middle)
     shift, turn = motion[:dim], motion[dim:] / size
     along = ", ".join(f"{x:.3g}" for x in shift / max(np.abs(shift).max(), 1e-300))
     if np.abs(turn).max() * size < 1e-6 * np.abs(shift).max():
-        return f"along ({along})"
+        return f"along ({along})", float(np.linalg.norm(shift))
     if dim == 2:
         center = middle + np.array([-shift[1], shift[0]]) / turn[0]
     else:
         center = middle + np.cross(turn, shift) / (turn @ turn)
     place = ", ".join(f"{x:.3g}" for x in center)
     if dim == 2:
-        return f"about the point ({place})"
+        return f"about the point ({place})", float(np.abs(turn[0]))
     axis = ", ".join(f"{x:.3g}" for x in turn / np.abs(turn).max())
-    return f"about an axis along ({axis}) through ({place})"
+    return f"about an axis along ({axis}) through ({place})", float(np.linalg.norm(turn))

@@ -19,6 +19,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     Cells,
     Reference,
     compliance_product,
+    facet_normals,
     reference,
     to_matrices,
 )
@@ -91,6 +92,7 @@ class ElasticSystem:
         spaces: The spaces.
         matrix: Without conditions.
         load: Right side for x − lift.
+        tractions: ⟨g_N, q⟩ for each owned unknown.
         element: The reference element.
     """
 
@@ -108,7 +110,8 @@ class ElasticSystem:
             of_cells = block.load - np.einsum("nij,nj->ni", block.matrix, data.lift[unknowns])
             load.array[:] += np.bincount(unknowns.ravel(), of_cells.ravel(), len(load.array))
         load.scatter_reverse(la.InsertMode.add)
-        self.load = load.array[: size * index_map.size_local] + data.load[: size * index_map.size_local]
+        self.tractions = data.load[: size * index_map.size_local]
+        self.load = load.array[: size * index_map.size_local] + self.tractions
 
     def _eliminated(self) -> Iterator[Eliminated]:
         spaces, data = self.spaces, self._data
@@ -154,8 +157,12 @@ class ElasticSystem:
         matrix.setValuesCOO(np.concatenate([np.empty(0), *values]), PETSc.InsertMode.ADD_VALUES)
         return matrix
 
-    def recover(self, x: Array) -> tuple[Array, Array]:
+    def recover(self, x: Array, *, with_f: bool = True) -> tuple[Array, Array]:
         """σ at the vertices of the subcells and u at those of the cells, from all unknowns of this rank.
+
+        Args:
+            x: The unknowns, ghosts too.
+            with_f: Whether σ balances f; without it x is a correction.
 
         Returns:
             Shapes (cells, d + 1, d + 1, d, d) and (cells, d + 1, d), with the vertices as in `ElasticSpaces.order`.
@@ -165,16 +172,30 @@ class ElasticSystem:
         u = np.empty((len(spaces.order), dim + 1, dim))
         for block in self._blocks:
             here, cells = x[self._unknowns(block.cells)], Cells(spaces.vertices[block.cells])
-            coefficients = np.einsum("nbi,ni->nb", block.stress, here) + block.stress_of_f
+            coefficients = np.einsum("nbi,ni->nb", block.stress, here) + with_f * block.stress_of_f
             on_reference = np.einsum("veb,nb->nve", self.element.stresses, coefficients)
             F = cells.derivative[:, None]
             mapped = F @ to_matrices(on_reference) @ F.swapaxes(2, 3) / cells.determinant[:, None, None, None]
             sigma[block.cells] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
-            pulled = np.einsum("nmi,ni->nm", block.displacement, here) + block.displacement_of_f
+            pulled = np.einsum("nmi,ni->nm", block.displacement, here) + with_f * block.displacement_of_f
             u[block.cells] = np.linalg.solve(
                 cells.derivative.transpose(0, 2, 1), pulled.reshape(-1, dim + 1, dim).transpose(0, 2, 1)
             ).transpose(0, 2, 1)
         return (sigma + sigma.swapaxes(3, 4)) / 2, u
+
+    def forces(self, stresses: Array) -> Array:
+        """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
+        spaces, dim = self.spaces, self.spaces.dim
+        sums = la.vector(spaces.traces.dofmap.index_map, dim**2)
+        mass = (1 + np.eye(dim)) / (dim * (dim + 1))
+        pulls = np.einsum("nsaij,nsj->nsai", stresses[:, :, :dim], facet_normals(spaces.vertices))
+        np.add.at(sums.array.reshape(-1, dim, dim), spaces.dofs, mass @ pulls)
+        sums.scatter_reverse(la.InsertMode.add)
+        by_block = sums.array.reshape(-1, dim**2)
+        for facets, matrices in spaces.frames:
+            by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
+        found: Array = sums.array[: len(self.load)]
+        return found
 
 
 def _transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.datum import Datum, datum_of, largest_degree
+from signorini_fenicsx.discrete.datum import Datum, datum_of, datum_on_parts, largest_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.expressions.given import parsed
@@ -50,31 +50,52 @@ class VectorDatum:
 
 
 def vector_datum_of(spaces: MeshSpaces, name: str, given: Any, *, continuous: bool = True) -> VectorDatum:
-    """A vector from what was given, see `elastic_problem.GivenVector`; None is 0 (collective).
+    """A vector from what was given, see `problem.GivenVector`; None is 0 (collective).
 
     Raises:
         InputError: If it cannot be read, has not a component per coordinate, or is UFL on another mesh.
     """
     dim = spaces.mesh.geometry.dim
-    if given is None:
-        entries: list[Any] = [0.0] * dim
-    elif isinstance(given, Expr):
-        if given.ufl_shape != (dim,):
-            raise InputError(f"[problem] {name}: has shape {given.ufl_shape}, not ({dim},)")
-        entries = [given[i] for i in range(dim)]
-    elif isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
-        entries = list(given)
-    elif callable(given):
-        entries = [lambda x, i=i: _rows(given(x), dim)[i] for i in range(dim)]
-    else:
-        raise InputError(f"[problem] {name}: must be a list of {dim} components")
-    if len(entries) != dim:
-        raise InputError(f"[problem] {name}: has {len(entries)} components, not {dim}")
     components = (
         datum_of(spaces, name, parsed(entry, "xyz"[:dim], f"[problem] {name}"), continuous=continuous)
-        for entry in entries
+        for entry in _components(dim, name, given)
     )
     return VectorDatum(name, tuple(components))
+
+
+def vector_on_parts(spaces: MeshSpaces, name: str, given: Any) -> VectorDatum:
+    """A vector on the boundary that may have a value on each part, and by "" one elsewhere (collective).
+
+    Raises:
+        InputError: As `vector_datum_of`; if a part is unknown.
+    """
+    dim = spaces.mesh.geometry.dim
+    if not isinstance(given, Mapping):
+        return vector_datum_of(spaces, name, given)
+    of_parts = {part: _components(dim, f"{name}.{part}".rstrip("."), value) for part, value in given.items()}
+    components = ({part: entries[i] for part, entries in of_parts.items()} for i in range(dim))
+    return VectorDatum(name, tuple(datum_on_parts(spaces, name, component) for component in components))
+
+
+def _components(dim: int, name: str, given: Any) -> list[Any]:
+    """The components of a vector as they were given.
+
+    Raises:
+        InputError: If there are not as many as coordinates.
+    """
+    if given is None:
+        return [0.0] * dim
+    if isinstance(given, Expr):
+        if given.ufl_shape != (dim,):
+            raise InputError(f"[problem] {name}: has shape {given.ufl_shape}, not ({dim},)")
+        return [given[i] for i in range(dim)]
+    if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
+        if len(given) != dim:
+            raise InputError(f"[problem] {name}: has {len(given)} components, not {dim}")
+        return list(given)
+    if callable(given):
+        return [lambda x, i=i: _rows(given(x), dim)[i] for i in range(dim)]
+    raise InputError(f"[problem] {name}: must be a list of {dim} components")
 
 
 def _rows(values: npt.ArrayLike, dim: int) -> Array:

@@ -18,12 +18,12 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
-from signorini_fenicsx.methods.classical.primal import P1History, P1System, primal_outcome
-from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.classical.gathered import RootRows, matrix_on_root
+from signorini_fenicsx.physics.diffusion.classical.primal import P1History, P1System, primal_outcome
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 
-def over_relaxation(task: Task) -> Outcome:
+def over_relaxation(task: DiffusionTask) -> Outcome:
     """u_i ← u_i − ω(Au − b)_i/A_ii, cut off at 0 on Γ_S, vertex by vertex, from u = 0 off Γ_D (collective).
 
     ω = 2/(1 + √(1 − μ²)) is Young's optimal value, with μ the spectral radius of Jacobi's iteration without contact.

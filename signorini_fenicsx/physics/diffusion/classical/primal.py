@@ -22,9 +22,9 @@ from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
 from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import LinearSolver, direct_solver
-from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 type Indices = npt.NDArray[np.int32]
 
@@ -214,10 +214,11 @@ class P1Change:
 class P1History:
     """The history of a P1 method, in terms of the Γ_S facets in contact."""
 
-    def __init__(self, task: Task, system: P1System, u: Array, conditions: SiteConditions):
+    def __init__(self, task: DiffusionTask, system: P1System, u: Array, conditions: SiteConditions):
         """Begin with the start, which is not a step itself (collective)."""
         self._system, self._last, self._norms = system, u, P1Change(system)
-        self._history = History(task.spaces.mesh.comm, conditions, task.on_step)
+        self._history = History(task.spaces.mesh.comm, task.on_step)
+        self._history.start_from(conditions)
         self.steps = self._history.steps
 
     def add(self, u: Array, conditions: SiteConditions) -> None:

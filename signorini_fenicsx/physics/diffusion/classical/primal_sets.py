@@ -13,8 +13,8 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_2, ALGORITHM_3, SetRule
-from signorini_fenicsx.methods.classical.primal import P1Change, P1System, not_solved
-from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.classical.primal import P1Change, P1System, not_solved
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 PRIMAL_DUAL = replace(ALGORITHM_2, forgets_start=False)
 """u = 0 where λ − u > 0, λ = 0 elsewhere; it starts from the solution with λ = 0."""
@@ -47,7 +47,7 @@ class VertexBackend:
     inexact: Inexact | None = None
     precise: None = None
 
-    def __init__(self, task: Task, contact: Condition):
+    def __init__(self, task: DiffusionTask, contact: Condition):
         """Assemble (collective).
 
         Args:
@@ -118,7 +118,7 @@ class VertexBackend:
         return self.system.recover(iterate.u), self.system.conditions(touching, self._contact, self._slope)
 
 
-def primal_dual_active_set(task: Task) -> Outcome:
+def primal_dual_active_set(task: DiffusionTask) -> Outcome:
     """(VI) by the primal-dual active set method (collective).
 
     Raises:
@@ -127,7 +127,7 @@ def primal_dual_active_set(task: Task) -> Outcome:
     return _on_vertices(task, PRIMAL_DUAL)
 
 
-def primal_penalty(task: Task) -> Outcome:
+def primal_penalty(task: DiffusionTask) -> Outcome:
     """(P_ε) by Newton's method (collective).
 
     Raises:
@@ -136,7 +136,7 @@ def primal_penalty(task: Task) -> Outcome:
     return _on_vertices(task, PENALTY)
 
 
-def _on_vertices(task: Task, rule: SetRule) -> Outcome:
+def _on_vertices(task: DiffusionTask, rule: SetRule) -> Outcome:
     """Run the loop and judge its result by the natural residual of (VI) or, with a penalty, of (P_ε) (collective)."""
     backend = VertexBackend(task, rule.contact)
     parameters = Parameters(eps=task.eps, max_iterations=task.max_iterations)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -14,13 +15,15 @@ from signorini_fenicsx.base.parallel import collect_garbage, collector_off_in_st
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.evolution import Evolution, Steps
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solving import check_start
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solution import Solution
-from signorini_fenicsx.solving.solver import Solver, check_start, gamma_s
+from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.solving.system import sorted_on
 
 COLLECT = 50
 """Python's garbage is collected after so many steps; a step makes some hundred kilobytes."""
@@ -61,8 +64,7 @@ class Past:
 @collector_off_in_steps
 def evolve(
     place: Domain | Solver,
-    boundary: Boundary,
-    problem: Problem,
+    problem: Any,
     evolution: Evolution,
     options: Options | None = None,
     *,
@@ -78,19 +80,20 @@ def evolve(
     Each step starts from the sets of the last one.
 
     >>> from mpi4py import MPI
+    >>> from signorini_fenicsx import Diffusion, Signorini
     >>> from signorini_fenicsx.meshes.meshing import build_domain
     >>> square = build_domain(MPI.COMM_WORLD, "square", 0.1, mesh="structured")
-    >>> falling = Problem(f="-20*t", psi=-0.1)
-    >>> for instant in evolve(square, Boundary(["bottom"]), falling, Evolution(end=0.3, steps=3)):
-    ...     print(round(instant.t, 2), instant.solution.contact()[0])
+    >>> falling = Diffusion(f="-20*t", conditions=[Signorini("bottom", psi=-0.1)])
+    >>> for instant in evolve(square, falling, Evolution(end=0.3, steps=3)):
+    ...     print(round(instant.t, 2), instant.solution.contact.facets)
     0.1 5
     0.2 11
     0.3 13
 
     Args:
-        place: The mesh, or a solver that is set up on it with this boundary.
-        boundary: The parts that are Γ_S and Γ_N, see `solve`.
-        problem: The data; numbers and texts in x, y, z and t, or functions that do not depend on time.
+        place: The mesh, or a solver that is set up on it with such a problem.
+        problem: A `Diffusion`. Its data are numbers and texts in x, y, z and t, or functions that are the same at all
+            times.
         evolution: Times, initial values, capacity and scheme.
         options: Algorithm, backend and their parameters; None for the defaults.
         start: Solution on any mesh of the domain; its contact set is the first one, and its u takes the place of u_0.
@@ -110,15 +113,18 @@ def evolve(
     """
     options = Options.of(options)
     check_kind("evolution", evolution, Evolution)
-    solver = place if isinstance(place, Solver) else Solver(place, gamma_s(boundary, problem))
+    boundary, sorted_problem = sorted_on(place.spaces.domain if isinstance(place, Solver) else place, problem)
+    check_kind("problem", sorted_problem, Problem)
+    solver = place if isinstance(place, Solver) else Solver(place, (boundary, sorted_problem))
+    spaces: Spaces = solver.spaces
     if start is not None:
-        evolution = replace(evolution, initial=_carried(start, solver.spaces))
-    steps = Steps(solver.spaces, problem, evolution)
+        evolution = replace(evolution, initial=_carried(start, spaces))
+    steps = Steps(spaces, sorted_problem, evolution)
     known = Past(0, [], None if start is None else start.segments()) if past is None else past(solver)
     u, segments = [*known.u, steps.start()][:2], known.segments
     for step in range(known.step + 1, evolution.steps + 1):
         found = solver.solve(
-            steps.problem(step),
+            (boundary, steps.problem(step)),
             options,
             start=segments if options.method.starts_from_sets else None,
             memory=steps.memory(step, u),
@@ -131,7 +137,7 @@ def evolve(
         u, segments = [solution.u, *u[:1]], solution.segments()
         yield Instant(step, evolution.time(step), solution, steps)
         if step % COLLECT == 0:
-            collect_garbage(solver.spaces.mesh.comm)  # UFL makes cycles when it estimates the degree of a new datum
+            collect_garbage(spaces.mesh.comm)  # UFL makes cycles when it estimates the degree of a new datum
 
 
 def _carried(solution: Solution, spaces: Spaces) -> fem.Function:

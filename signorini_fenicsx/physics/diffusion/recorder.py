@@ -20,7 +20,8 @@ class Recorder(History):
             on_step: Called on all ranks with each step.
         """
         self._last, self._change = iterate, FieldChange(spaces.V, spaces.Q)
-        super().__init__(spaces.mesh.comm, conditions, on_step)
+        super().__init__(spaces.mesh.comm, on_step)
+        self.start_from(conditions)
 
     def add(self, iterate: Iterate, conditions: SiteConditions) -> None:
         """Record an iteration (collective)."""

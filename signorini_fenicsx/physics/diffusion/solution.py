@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -13,7 +13,6 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
@@ -24,31 +23,13 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorf
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
-from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import Solved
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from signorini_fenicsx.certificate.certify import Certificate
-
-
-class PointValues(NamedTuple):
-    """A solution at points.
-
-    Attributes:
-        u: u_h, shape (n,).
-        sigma: σ_h, shape (n, dim).
-    """
-
-    u: Array
-    sigma: Array
+from signorini_fenicsx.solving.solved import InContact, Solved
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,43 +87,6 @@ class Solution(Solved):
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     order = 1
-
-    @collector_off()
-    def _repr_html_(self) -> str | None:
-        """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
-        from signorini_fenicsx.output.notebook import html
-
-        return html(self)
-
-    @collector_off()
-    def plot(self, certificate: Certificate | None = None) -> Figure | None:
-        """Draw the overview, which the command line writes as `overview.png` (collective).
-
-        Args:
-            certificate: Its error bound; if given, the contributions of the cells are drawn as well.
-
-        Returns:
-            The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
-        """
-        from signorini_fenicsx.output.notebook import figure
-
-        return figure(self, certificate)
-
-    @collector_off()
-    def at(self, points: npt.ArrayLike) -> PointValues:
-        """u_h and σ_h at any points of the mesh (collective).
-
-        Args:
-            points: Shape (n, dim). Each rank passes its own points, or none; their cells may be on any rank.
-
-        Returns:
-            The values at the points of this rank: NaN outside the mesh, and the values of one cell where several meet.
-
-        Raises:
-            InputError: On all ranks, if the points of one rank have another shape.
-        """
-        u, sigma = at_points([self.u, self.sigma], self.spaces.domain, points)
-        return PointValues(u[:, 0], sigma)
 
     @collector_off()
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
@@ -204,9 +148,10 @@ class Solution(Solved):
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective).
 
-        They are the L² norms of the errors of σ, ∇·σ, u over Ω and of p over Γ_S, and the Hausdorff distance between
-        the contact set and the facets at whose midpoints the exact u is ψ. With an obstacle the measure of the cells
-        that are in contact in one of u and u_h only takes the place of the error of ∇·σ.
+        They are the error of σ in the energy norm, which a certificate bounds, the L² norms of the errors of σ, ∇·σ, u
+        over Ω and of p over Γ_S, and the Hausdorff distance between the contact set and the facets at whose midpoints
+        the exact u is ψ. With an obstacle the measure of the cells that are in contact in one of u and u_h only takes
+        the place of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
@@ -262,13 +207,21 @@ class Solution(Solved):
         cells = None if contact is None else (~contact).astype(np.int64)
         return Segments(self.spaces, self.law.segments(self.outcome.conditions, self.outcome.iterate.p), cells)
 
-    @collector_off()
-    def contact(self) -> tuple[int, float]:
-        """Number and measure of the Γ_S facets in contact (collective)."""
+    @cached_property
+    def contact(self) -> InContact:
+        """Number and measure of the Γ_S facets in contact (collective when first used)."""
         touching = self.contact_set().inside
         comm = self.spaces.mesh.comm
         count = comm.allreduce(int(np.count_nonzero(touching)))
-        return count, float(comm.allreduce(self.spaces.facet_measure[touching].sum()))
+        return InContact(count, float(comm.allreduce(self.spaces.facet_measure[touching].sum())))
+
+    @collector_off()
+    def sites_in_contact(self) -> tuple[int, float]:
+        """Number of facets in contact, with an obstacle of cells, and their measure (collective)."""
+        if self.data.obstacle is None:
+            return self.contact
+        cells = self.on_obstacle()
+        return int(cells["contact_cells"]), cells["contact_measure"]
 
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
@@ -302,7 +255,7 @@ class Solution(Solved):
         return left
 
     def _sets(self) -> dict[str, Any]:
-        facets, measure = self.contact()
+        facets, measure = self.contact
         return {
             "signorini_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,

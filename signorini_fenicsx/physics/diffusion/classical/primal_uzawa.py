@@ -7,12 +7,12 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.methods.classical.primal import P1History, P1System, primal_outcome
-from signorini_fenicsx.methods.classical.projection import iterate_projection, scattered, step_length
-from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.classical.primal import P1History, P1System, primal_outcome
+from signorini_fenicsx.physics.diffusion.classical.projection import iterate_projection, scattered, step_length
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 
-def primal_uzawa(task: Task) -> Outcome:
+def primal_uzawa(task: DiffusionTask) -> Outcome:
     """λ^(n) = max(0, λ^(n−1) − ρu^(n−1)), u^(n) the solution with reaction w_i λ_i^(n), from λ^(0) = 0 (collective).
 
     The map λ ↦ u on Γ_S is the inverse of the discrete Dirichlet-to-Neumann map. Its largest eigenvalue does not depend

@@ -15,20 +15,22 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.physics.diffusion.errors import EXACT_CONTACT
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, resultants, subcell_squares
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.solved import InContact, Solved
 
+STATES = (*Friction.segments, "open")
+"""The states of a vertex with friction."""
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
 
@@ -120,6 +122,13 @@ class ElasticSolution(Solved):
         return np.where(self.data.friction.bound > 0, found, np.where(self.slip < 0, 0, 2))
 
     @property
+    def _states_or_open(self) -> Indices:
+        """Index into `STATES`: open is what neither is in contact nor has a bound of the shear, as in Coulomb's law."""
+        assert self.data.friction is not None
+        is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
+        return np.where(is_open, STATES.index("open"), self.states)
+
+    @property
     def contact_parts(self) -> Sequence[str]:
         """The parts of Γ_C."""
         return self.boundary.contact
@@ -143,11 +152,11 @@ class ElasticSolution(Solved):
         return function
 
     def on_all_contact(self) -> tuple[Array, Array, Array]:
-        """σ_t, linear u_t and the state at the vertices of the facets of Γ_C; NaN where there is no friction."""
+        """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         found = np.full((3, *self.touching.shape), np.nan)
         if self.data.friction is not None:
             linear_slip = (self.spaces.dim + 1) * self.slip - self.slip.sum(axis=1, keepdims=True)
-            for values, rough in zip(found, (self.shear, linear_slip, self.states), strict=True):
+            for values, rough in zip(found, (self.shear, linear_slip, self._states_or_open), strict=True):
                 values[self.spaces.rough_rows] = rough
         shear, slip, state = found
         return shear, slip, state
@@ -156,24 +165,33 @@ class ElasticSolution(Solved):
         """The facets of Γ_C with a vertex in contact."""
         return FacetSet(self.spaces, self.touching.any(axis=1))
 
-    @collector_off()
-    def contact(self) -> tuple[int, float]:
-        """Number of facet vertices in contact, and their share of Γ_C's measure (collective)."""
-        touching = self.touching.ravel()
-        found = np.array([np.count_nonzero(touching), self.spaces.site_measure[touching].sum()])
+    @cached_property
+    def contact(self) -> InContact:
+        """Number of facets with a vertex in contact, and the vertices' share of Γ_C (collective when first used)."""
+        touching = self.touching
+        found = np.array([touching.any(axis=1).sum(), self.spaces.site_measure[touching.ravel()].sum()])
         count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
-        return int(count), measure
+        return InContact(int(count), measure)
+
+    @cached_property
+    def touching_vertices(self) -> int:
+        """Number of facet vertices in contact (collective when first used)."""
+        return int(self.spaces.mesh.comm.allreduce(int(np.count_nonzero(self.touching))))
+
+    def sites_in_contact(self) -> tuple[int, float]:
+        """Number of facet vertices in contact, and their share of Γ_C (collective when first used)."""
+        return self.touching_vertices, self.contact.measure
 
     @collector_off()
     def friction_states(self) -> dict[str, dict[str, float]]:
         """Number of facet vertices with friction in each state, and their measure (collective)."""
-        states = self.states.ravel()
-        number = len(Friction.segments)
+        states = self._states_or_open.ravel()
+        number = len(STATES)
         found = np.stack([np.bincount(states, weights, number) for weights in (None, self.spaces.slip_measure)])
         counts, measures = self.spaces.mesh.comm.allreduce(found).tolist()
         return {
             name: {"vertices": int(count), "measure": measure}
-            for name, count, measure in zip(Friction.segments, counts, measures, strict=True)
+            for name, count, measure in zip(STATES, counts, measures, strict=True)
         }
 
     @collector_off()
@@ -188,16 +206,13 @@ class ElasticSolution(Solved):
         spaces, data = self.spaces, self.data
         u, squares = spaces.displacement_values(self.u), np.zeros(3)
         size = spaces.dim + 1
+        squares[0] = energy_squares(spaces, data, self.stresses).sum()
         for cells in blocks_of_cells(spaces):
             measure = Cells(spaces.vertices[cells]).measure
             here, values = self.stresses[cells], u[cells]
-            trace = np.einsum("nsaii->nsa", here)
-            of_all, of_traces = data.masses(spaces, cells, measure)
-            energy = np.einsum("nsab,nsaij,nsbij->", of_all, here, here, optimize=True)
-            energy -= np.einsum("nsab,nsa,nsb->", of_traces, trace, trace, optimize=True)
             own, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
-            in_l2 = (subcell_squares(here) * measure[:, None] / size).sum()
-            squares += energy, in_l2, (measure * (own + of_sum)).sum() / (size * (size + 1))
+            squares[1] += (subcell_squares(here) * measure[:, None] / size).sum()
+            squares[2] += (measure * (own + of_sum)).sum() / (size * (size + 1))
         energy, sigma, displacement = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
         force = spaces.mesh.comm.allreduce(float(spaces.site_measure @ self.pressure.ravel()))
         return {"energy": energy, "sigma_L2": sigma, "u_L2": displacement, "contact_force": force}
@@ -244,19 +259,20 @@ class ElasticSolution(Solved):
         return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
 
     def _sets(self) -> dict[str, Any]:
-        vertices, measure = self.contact()
         return {
             "physics": "elasticity",
             "contact_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,
-            "touching_vertices": vertices,
-            "contact_measure": measure,
+            "touching_vertices": self.touching_vertices,
+            "contact_measure": self.contact.measure,
             **({} if self.data.friction is None else {"friction": self.friction_states()}),
             **({"coulomb": {"changes": list(self.bound_changes)}} if self.bound_changes else {}),
         }
 
     def _particular(self) -> dict[str, Any]:
-        return {"resultants": self.resultants()}
+        own = self.data.lift[self.spaces.sites].min(initial=np.inf)  # means of g
+        least = min(self.spaces.mesh.comm.allgather(float(own)))
+        return {"resultants": self.resultants()} | ({"least_gap": least} if least < 0 else {})
 
 
 def stress_of(gradient: Array, inverse: Array, theta: Array) -> Array:

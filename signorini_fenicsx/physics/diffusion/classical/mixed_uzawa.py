@@ -20,23 +20,23 @@ from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.methods.classical.half_norm import HalfNorm
-from signorini_fenicsx.methods.classical.projection import (
+from signorini_fenicsx.physics.diffusion.classical.half_norm import HalfNorm
+from signorini_fenicsx.physics.diffusion.classical.projection import (
     StepLength,
     iterate_projection,
     scattered_values,
     step_length,
 )
-from signorini_fenicsx.methods.recorder import Recorder
-from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.recorder import Recorder
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 
 class _Response:
     """The iterate that belongs to facet values x: σ·n = x or p = x on Γ_S."""
 
-    def __init__(self, task: Task, *, by_flux: bool):
+    def __init__(self, task: DiffusionTask, *, by_flux: bool):
         self._system = MixedBackend(task.spaces, task.data)
         self._by_flux = by_flux
         given = Condition.NO_FLUX if by_flux else Condition.ZERO_TRACE
@@ -81,7 +81,7 @@ class _Response:
         return SiteConditions(np.where(x > 0, free, at_bound).astype(np.int8))
 
 
-def flux_uzawa(task: Task) -> Outcome:
+def flux_uzawa(task: DiffusionTask) -> Outcome:
     """σ·n^(n) = max(0, σ·n^(n−1) − ρp^(n−1)), from σ·n^(0) = 0 (collective).
 
     The step divided by ρ is a trace; it is measured like the KKT residual of p ≥ 0.
@@ -90,7 +90,7 @@ def flux_uzawa(task: Task) -> Outcome:
     return _pointwise(task, response, 1 / math.sqrt(task.spaces.length))
 
 
-def trace_uzawa(task: Task) -> Outcome:
+def trace_uzawa(task: DiffusionTask) -> Outcome:
     """p^(n) = max(0, p^(n−1) − ρσ·n^(n−1)), from p^(0) = 0 (collective).
 
     The step divided by ρ is a flux; it is measured like the KKT residual of σ·n ≥ 0.
@@ -99,7 +99,7 @@ def trace_uzawa(task: Task) -> Outcome:
     return _pointwise(task, response, math.sqrt(task.spaces.length))
 
 
-def _pointwise(task: Task, response: _Response, unit: float) -> Outcome:
+def _pointwise(task: DiffusionTask, response: _Response, unit: float) -> Outcome:
     spaces = task.spaces
     comm, e = spaces.mesh.comm, spaces.facet_measure
 
@@ -119,7 +119,7 @@ def _pointwise(task: Task, response: _Response, unit: float) -> Outcome:
     return response.outcome(x, step, failure)
 
 
-def half_uzawa(task: Task) -> Outcome:
+def half_uzawa(task: DiffusionTask) -> Outcome:
     """p^(n) = P(p^(n−1) − ρ R σ·n^(n−1)) in H^{1/2}(Γ_S), from p^(0) = 0 (collective).
 
     R is the Riesz map of the discrete H^{1/2} inner product (p, q)_H = pᵀHq (see `half_norm`), R = H⁻¹M with M the mass

@@ -25,10 +25,10 @@ from signorini_fenicsx.linear.petsc import (
     solver_name,
     take_options,
 )
-from signorini_fenicsx.methods.recorder import Recorder
-from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.recorder import Recorder
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 PREFIX = "newton_"
 """Prefix of its PETSc options."""
@@ -36,7 +36,7 @@ CONTINUATION = 10.0
 """Factor between successive ε when the direct start fails."""
 
 
-def solve_by_newton(penalty: Penalty, task: Task) -> Outcome:
+def solve_by_newton(penalty: Penalty, task: DiffusionTask) -> Outcome:
     """(25) or (26) by SNES (collective).
 
     Raises:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.methods.classical.gathered import RootRows
+from signorini_fenicsx.physics.diffusion.classical.gathered import RootRows
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 

@@ -23,9 +23,9 @@ from signorini_fenicsx.linear.petsc import (
     solver_name,
     take_options,
 )
-from signorini_fenicsx.methods.recorder import Recorder
-from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.recorder import Recorder
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 
 PREFIX = "vi_"
 """Prefix of its PETSc options."""
@@ -33,7 +33,7 @@ DEFAULTS = MUMPS_WORKSPACE | {"snes_vi_zero_tolerance": "0.0"}
 """PETSc counts p as on its bound if it is within 1e-8 of it, an absolute distance that is large for small data."""
 
 
-def solve_bound_constrained(task: Task) -> Outcome:
+def solve_bound_constrained(task: DiffusionTask) -> Outcome:
     """Solve by the reduced-space active-set method of SNESVI, vinewtonrsls (collective).
 
     The user may set all SNES, KSP and PC options. The line search may give up where the sets cycle; then SNESVI goes on

@@ -24,12 +24,12 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.methods.recorder import Recorder
-from signorini_fenicsx.methods.task import Task, nothing_yet
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.recorder import Recorder
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask, nothing_yet
 
 
-def stabilised_form(task: Task) -> Outcome:
+def stabilised_form(task: DiffusionTask) -> Outcome:
     """Slimane's form by the active-set loop of Algorithm 1, with −ε(u, v) in the mass balance (collective).
 
     Raises:
@@ -46,7 +46,7 @@ def stabilised_form(task: Task) -> Outcome:
     return replace(outcome, own_residual=float(np.max([*vars(kkt).values()])))
 
 
-def minimisation_uzawa(task: Task) -> Outcome:
+def minimisation_uzawa(task: DiffusionTask) -> Outcome:
     """The Uzawa iteration in u for (MVI)_h, from u^(0) = 0 (collective).
 
     Each minimisation starts from the facet sets of the one before, so most of them are one back substitution. The

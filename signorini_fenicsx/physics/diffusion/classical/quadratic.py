@@ -36,16 +36,16 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.set_rules import ALGORITHM_2
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_product, load, mass_balance, trace_term
-from signorini_fenicsx.methods.classical.gathered import RootRows, matrix_on_root
-from signorini_fenicsx.methods.recorder import Recorder
-from signorini_fenicsx.methods.task import Task, nothing_yet
+from signorini_fenicsx.physics.diffusion.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jumps import with_one_flux
+from signorini_fenicsx.physics.diffusion.recorder import Recorder
 from signorini_fenicsx.physics.diffusion.residuals import touching
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask, nothing_yet
 
 
-def quadratic_programme(task: Task) -> Outcome:
+def quadratic_programme(task: DiffusionTask) -> Outcome:
     """Solve by PIQP (collective).
 
     The history has one step, because the solver does not show its iterates. The step's `linear_iterations` is their
@@ -133,7 +133,7 @@ def _of_cells(spaces: Spaces, data: Data) -> Array:
     return np.column_stack([weight, weight * right, c, psi / weight])
 
 
-def _laws(task: Task, flux_size: int) -> tuple[Array, Array]:
+def _laws(task: DiffusionTask, flux_size: int) -> tuple[Array, Array]:
     """The laws as bounds of unknowns and as what is added to the function (collective).
 
     Returns:

@@ -1,7 +1,8 @@
-"""Nodes of a conforming displacement on the boundary: where it is given, and where it must not pass the foundation.
+"""Nodes of a conforming displacement on the boundary: where it is given, and what it must not pass.
 
 On each facet of Γ_D, Γ_C and of parts that are fixed in some components, a displacement has coefficients in Bernstein's
-basis. As a polynomial is a mean of its coefficients, v_n ≤ g on a facet if the coefficients are in that relation.
+basis. As a polynomial is a mean of its coefficients, v_n ≤ g on a facet if the coefficients are in that relation. A
+node has one such condition for each of its facets of Γ_C, each along the normal of that facet.
 """
 
 from __future__ import annotations
@@ -10,15 +11,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import basix
+import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
+from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import from_within, in_facets
-from signorini_fenicsx.physics.diffusion.nodes import extreme_around
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
@@ -26,27 +31,26 @@ from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticS
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
 
-ALONG = 1e-8
-"""A direction is given at a node if it is within this angle of those that are."""
+ALONG = 1e-12
+"""v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
+TURNED = 0.5
+"""The sine of the angle by which the normal of a facet may differ from that of a curved body."""
 
 
 @dataclass(frozen=True)
-class BoundaryNodes:
-    """The nodes of this rank, ghosts too, each with an orthonormal frame; inner nodes have that of the coordinates.
+class GivenNodes:
+    """What is given at the nodes of this rank, ghosts too, each with an orthonormal frame.
 
     Attributes:
-        frames: Directions, a column each, shape (nodes, d, d): those in which v is given, then the free part of n.
-        given: How many directions are given.
-        values: v in these, and 0 in the others, shape (nodes, d).
-        touching: Whether the node is on Γ_C with n not given.
-        bound: On these the bound for the coefficient in the direction behind the given ones.
+        frames: Directions, a column each, shape (nodes, d, d): first those in which v is given; inner nodes have the
+            axes.
+        given: Whether v is given along each of them, shape (nodes, d).
+        values: v along these, and 0 along the others, shape (nodes, d).
     """
 
     frames: Array
-    given: Indices
+    given: Mask
     values: Array
-    touching: Mask
-    bound: Array
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,14 @@ class FacetCoefficients:
         found: Array = self._element.tabulate(0, points)[0, :, :, 0]
         return found
 
+    def places(self) -> Array:
+        """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
+        cell = self._element.cell_type
+        lagrange = basix.create_element(basix.ElementFamily.P, cell, self.degree, basix.LagrangeVariant.equispaced)
+        hats = np.column_stack([1 - lagrange.points.sum(axis=1), lagrange.points])
+        found: Array = np.einsum("ka,nai->nki", hats, self.facets.vertices)
+        return found
+
     def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum) -> Array:
         """Coefficients of the polynomials that interpolate at equidistant points (collective).
 
@@ -103,9 +115,9 @@ def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: Bound
     return FacetCoefficients(facets.take(rows), rows, behind[rows], nodes, element.degree)
 
 
-def boundary_nodes(
+def given_nodes(
     spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, space: fem.FunctionSpace, v: fem.Function | None = None
-) -> BoundaryNodes:
+) -> GivenNodes:
     """Collect what is given at the nodes from the facets of all ranks (collective).
 
     Args:
@@ -116,30 +128,23 @@ def boundary_nodes(
         v: A displacement in this space; it is given in the place of u_D, and where the part ends inside the domain.
     """
     dim, index_map = spaces.dim, space.dofmap.index_map
-    # sums over facets: of d dᵀ and (d·u_D)d for given directions d; of n on Γ_C
-    products, pulls, normals = la.vector(index_map, dim**2), la.vector(index_map, dim), la.vector(index_map, dim)
+    products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)  # sums of d dᵀ and of (d·u_D)d
     for facets, k, letter in spaces.fixed:
         there = facet_coefficients(split, space, facets)
         axis = np.broadcast_to(np.eye(dim)[k], there.facets.normals.shape)
         directions = (there.facets.normals if letter == NORMAL else axis)[:, None]
         given = there.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[there.nodes]
         along = np.einsum("nai,nbi->na", given, directions)
-        _add(products, there.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
-        _add(pulls, there.nodes, along[:, :, None] * directions)
+        add_at(products, there.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
+        add_at(pulls, there.nodes, along[:, :, None] * directions)
     if v is not None:
         ends = _ends(spaces, split, space)
         products.array.reshape(-1, dim, dim)[ends] += np.eye(dim)
         pulls.array.reshape(-1, dim)[ends] += v.x.array.reshape(-1, dim)[ends]
-    contact = facet_coefficients(split, space, spaces.contact)
-    _add(normals, contact.nodes, contact.facets.normals[:, None])
-    gap = extreme_around(space, contact.nodes * dim, contact.of(spaces.mesh, data.gap), largest=False)[::dim]
-    for sums in (products, pulls, normals):
+    for sums in (products, pulls):
         sums.scatter_reverse(la.InsertMode.add)
         sums.scatter_forward()
-    on_contact = np.isfinite(gap)
-    normal = normals.array.reshape(-1, dim).copy()
-    normal[on_contact] /= np.linalg.norm(normal[on_contact], axis=1, keepdims=True)
-    return _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim), normal, gap, on_contact)
+    return _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim))
 
 
 def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
@@ -154,66 +159,53 @@ def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> 
     return fem.locate_dofs_topological(space, dim - 1, ends.astype(np.int32), remote=False)
 
 
-def _framed(products: Array, pulls: Array, normal: Array, gap: Array, on_contact: Mask) -> BoundaryNodes:
-    number, dim = normal.shape
-    sizes, vectors = np.linalg.eigh(products)
-    fixed = sizes > ALONG
-    inverse = np.where(fixed, 1 / np.where(fixed, sizes, 1.0), 0.0)
-    at = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, pulls)  # v as far as it is given
-    given = fixed.sum(axis=1)
-    free = normal - np.einsum("nik,nk,njk,nj->ni", vectors, fixed, vectors, normal)
-    length = np.linalg.norm(free, axis=1)
-    touching = on_contact & (length > ALONG)
+def _framed(products: Array, pulls: Array) -> GivenNodes:
+    number, dim = pulls.shape
     frames = np.broadcast_to(np.eye(dim), (number, dim, dim)).copy()
-    special = np.flatnonzero((given > 0) | touching)
-    for count in range(dim + 1):
-        chosen = special[given[special] == count]
-        if len(chosen) == 0:
-            continue
-        columns = [vectors[chosen][:, :, dim - count :], free[chosen][:, :, None], frames[chosen]]
-        q, r = np.linalg.qr(np.concatenate(columns, axis=2))
-        signs = np.sign(np.einsum("nkk->nk", r[:, :, :dim]))
-        frames[chosen] = q * np.where(signs == 0, 1, signs)[:, None]
-    values = np.einsum("nij,ni->nj", frames, at) * (np.arange(dim) < given[:, None])
-    bound = np.where(touching, gap - np.einsum("ni,ni->n", normal, at), 0.0) / np.where(touching, length, 1.0)
-    return BoundaryNodes(frames, given, values, touching, bound)
+    given, values = np.zeros((number, dim), dtype=bool), np.zeros((number, dim))
+    some = np.flatnonzero(np.einsum("nii->n", products) > 0)
+    sizes, vectors = np.linalg.eigh(products[some])
+    sizes, frames[some] = sizes[:, ::-1], vectors[:, :, ::-1]
+    given[some] = sizes > ALONG
+    along = np.einsum("nij,ni->nj", frames[some], pulls[some])
+    values[some] = np.where(given[some], along / np.where(given[some], sizes, 1.0), 0.0)
+    return GivenNodes(frames, given, values)
 
 
-def _add(sums: la.Vector, nodes: npt.NDArray[np.int32], values: Array) -> None:
-    """Add values of facets to their nodes."""
+def add_at(sums: la.Vector, nodes: npt.NDArray[np.int32], values: Array) -> None:
+    """Add values of nodes to them; they may be the same for all nodes of a facet."""
     rows = sums.array.reshape(-1, sums.block_size)
-    np.add.at(
-        rows, nodes, np.broadcast_to(values.reshape(*values.shape[:2], rows.shape[1]), (*nodes.shape, rows.shape[1]))
-    )
+    np.add.at(rows, nodes, values.reshape(*values.shape[: nodes.ndim], sums.block_size))
 
 
-def excess(
-    spaces: ElasticSpaces, data: ElasticData, nodes: BoundaryNodes, contact: FacetCoefficients, v: fem.Function
-) -> tuple[Array, bool]:
-    """How far nodes have to go back along their direction so that v_n ≤ g on all facets, and whether that helps.
+def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
+    """Make sure that what is given of u does not pass the foundation where parts meet (collective).
 
-    Collective.
+    There no displacement could satisfy both. On a curved Γ_C the facets have other normals than the body, so what is
+    less than the share `TURNED` of the given displacement is let pass here; the certificate judges it.
+
+    Raises:
+        InputError: If it does; the place is told.
     """
-    dim = spaces.dim
-    coefficients = v.x.array.reshape(-1, dim)
-    too_far = np.einsum("nai,ni->na", coefficients[contact.nodes], contact.facets.normals) - contact.of(
-        spaces.mesh, data.gap
-    )
-    direction = direction_of_contact(nodes)[contact.nodes]
-    share = np.einsum("nai,ni->na", direction, contact.facets.normals)
-    can = nodes.touching[contact.nodes] & (share > 0.1)
-    scale = max(float(np.abs(coefficients).max(initial=0.0)), 1e-300)
-    stuck = bool(np.any(~can & (too_far > 1e-12 * scale)))
-    back = la.vector(v.function_space.dofmap.index_map)
-    _add(back, contact.nodes, np.where(can, np.maximum(too_far, 0) / np.where(can, share, 1.0), 0.0)[:, :, None])
-    back.scatter_reverse(la.InsertMode.add)
-    back.scatter_forward()
-    return back.array, not max(spaces.mesh.comm.allgather(stuck))
-
-
-def direction_of_contact(nodes: BoundaryNodes) -> Array:
-    """The direction behind the given ones, 0 off Γ_C, shape (nodes, d)."""
-    number, dim = nodes.values.shape
-    column = np.minimum(nodes.given, dim - 1)
-    found: Array = nodes.frames[np.arange(number), :, column] * nodes.touching[:, None]
-    return found
+    split, dim, comm = spaces.split, spaces.dim, spaces.mesh.comm
+    element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
+    space = fenicsx.function_space(split.mesh, element)
+    at, contact = given_nodes(spaces, data, split, space), facet_coefficients(split, space, spaces.contact)
+    gap = contact.of(spaces.mesh, data.gap)
+    axes = np.einsum("nkij,ni->nkj", at.frames[contact.nodes], contact.facets.normals)
+    free = np.where(at.given[contact.nodes], 0.0, axes**2).sum(axis=2)
+    values = at.values[contact.nodes]
+    past = np.where(free <= ALONG, (axes * values).sum(axis=2) - gap, -np.inf)
+    past -= TURNED * np.linalg.norm(values, axis=2)
+    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), np.abs(gap).max(initial=0.0))), MPI.MAX)
+    worst = float(past.max(initial=-np.inf)), ""
+    if worst[0] > LINEAR * size:
+        facet, place = np.unravel_index(int(past.argmax()), past.shape)
+        x = ", ".join(f"{entry:.4g}" for entry in contact.places()[facet, place])
+        u_n, g = (axes * values).sum(axis=2)[facet, place], gap[facet, place]
+        worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at ({x})"
+    _, told = max(comm.allgather(worst))
+    if told:
+        raise InputError(
+            f"[problem] u_D passes the foundation where parts meet, {told}: no displacement satisfies both"
+        )

@@ -1,0 +1,95 @@
+"""A stress near σ_h that is admissible in the gap identity, and its distance from σ_h.
+
+σ_h balances its loads by construction, and its tractions have the right signs, but for what the linear solver leaves of
+the jumps of σ_h n, of the tractions on Γ_N and of the signs on Γ_C. If that is more than rounding the problem is solved
+again under the same sets, by a factorisation, and the stress of this solve is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.linear.petsc import LinearSolveFailure
+from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt, energy_squares
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+
+ROUNDING = 1e-9
+"""What is left is rounding if it is at most this share of ‖σ_h‖ in the energy norm. The bound then contains this share
+in its place, which does not depend on the order of sums: the bound is the same on any number of ranks."""
+
+
+@dataclass(frozen=True)
+class AdmissibleStress:
+    """The stress y.
+
+    Attributes:
+        stresses: Its values, as in `SplitMesh.values`.
+        pressure: −y_nn at the vertices of the facets of Γ_C, ≥ 0 and 0 where there is no contact, shape (facets, d).
+        shear: y_t at those with friction, at most the bound, shape (facets, d).
+        distance: A bound of ‖y − σ_h‖; infinite if too much is left.
+    """
+
+    stresses: Array
+    pressure: Array
+    shear: Array
+    distance: float
+
+
+def admissible_stress(solution: ElasticSolution) -> AdmissibleStress:
+    """The stress y and its distance from σ_h (collective)."""
+    spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
+    energy = _energy(solution, solution.stresses)
+    rounding, unit = ROUNDING * energy, _energy_of_residuals(solution)
+    if _left(solution.kkt) * unit <= rounding:
+        return _of(solution, solution.stresses, solution.outcome.iterate.p, rounding)
+    motions = check_rigid_motions(spaces, data)
+    try:
+        again = ElasticBackend(spaces, data, motions=motions, direct=True).solve(solution.outcome.conditions)
+    except LinearSolveFailure:
+        return _of(solution, solution.stresses, solution.outcome.iterate.p, np.inf)
+    stresses = spaces.split.values(again.sigma)
+    kkt = elastic_kkt(spaces, data, stresses, again.p)
+    enough = _left(kkt) * unit <= rounding
+    distance = rounding + _energy(solution, stresses - solution.stresses) if enough else np.inf
+    return _of(solution, stresses, again.p, comm.bcast(distance))
+
+
+def _left(kkt: ElasticKKT) -> float:
+    """What a stress lacks to be admissible, as a share of ‖σ_h‖ in L²."""
+    return kkt.tractions + kkt.equilibrium + kkt.dual
+
+
+def _energy(solution: ElasticSolution, stresses: Array) -> float:
+    """‖τ‖ in the energy norm (collective)."""
+    squares = energy_squares(solution.spaces, solution.data, stresses)
+    return float(np.sqrt(solution.spaces.mesh.comm.allreduce(float(squares.sum()))))
+
+
+def _energy_of_residuals(solution: ElasticSolution) -> float:
+    """‖σ_h‖ in L² times the largest (2μ)^-½: the residuals times this are energies (collective)."""
+    spaces, data = solution.spaces, solution.data
+    softest = 0.0
+    for cells in blocks_of_cells(spaces):
+        softest = max(softest, float(data.moduli(data.points(spaces, cells))[0].max(initial=0.0)))
+    softest = spaces.mesh.comm.allreduce(softest, MPI.MAX)
+    return float(np.sqrt(softest) * solution.norms()["sigma_L2"])
+
+
+def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -> AdmissibleStress:
+    """The stress with its tractions on Γ_C, exactly what the sets give."""
+    spaces, data = solution.spaces, solution.data
+    tractions = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
+    _, tractions = solution.outcome.conditions.clean(p, tractions, 1.0)
+    pressure, shear = np.split(tractions, [len(spaces.sites)])
+    if data.friction is not None:
+        shear = np.clip(shear, -data.friction.bound.ravel(), data.friction.bound.ravel())
+    return AdmissibleStress(
+        stresses, np.maximum(pressure, 0.0).reshape(-1, spaces.dim), shear.reshape(-1, spaces.dim), distance
+    )

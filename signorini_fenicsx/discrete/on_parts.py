@@ -1,0 +1,59 @@
+"""Conditions on parts of the boundary, as the problems of all physics are given by them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.laws import OnParts
+from signorini_fenicsx.meshes.domain import Domain, other_side
+
+
+def check_conditions(conditions: object, *kinds: type[OnParts], example: str) -> None:
+    """Refuse what is no list of conditions of these kinds, and parts with two of them.
+
+    Raises:
+        InputError: If it is.
+    """
+    if not isinstance(conditions, Sequence):
+        raise InputError(f"conditions: must be a list, such as {example}")
+    listed: set[str] = set()
+    for condition in conditions:
+        if not isinstance(condition, kinds):
+            names = type(condition).__name__ if isinstance(condition, OnParts) else repr(condition)
+            raise InputError(f"conditions: {names} is no condition of this problem; an example is {example}")
+        for part in condition.parts:
+            if part in listed:
+                raise InputError(f"conditions: part '{part}' has two conditions")
+            listed.add(part)
+
+
+def names_all(domain: Domain, conditions: Sequence[OnParts]) -> bool:
+    """Whether the parts of the conditions are the whole boundary (collective)."""
+    parts = [part for condition in conditions for part in condition.parts]
+    named = [*parts, *map(other_side, parts)]
+    outer = dolfinx.mesh.exterior_facet_indices(domain.mesh.topology)
+    facets = [domain.facets[part] for part in named if part in domain.facets]
+    left = np.setdiff1d(outer, np.concatenate([*facets, np.empty(0, dtype=np.int32)]))
+    return not domain.mesh.comm.allreduce(len(left) > 0, MPI.LOR)
+
+
+def same_value(one: object, other: object) -> bool:
+    """Whether two data were given as the same: one object, or equal numbers or texts, alone or in lists."""
+    if one is other:
+        return True
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(same_value, one, other))
+    numbers = isinstance(one, int | float) and isinstance(other, int | float)
+    return (numbers or (isinstance(one, str) and isinstance(other, str))) and one == other
+
+
+def one_value(of_parts: Mapping[str, Any], default: Any) -> Any:
+    """The value of all parts if they have the same, by part if they do not, and a default if there are none."""
+    values = list(of_parts.values())
+    if not values:
+        return default
+    return values[0] if all(same_value(values[0], value) for value in values) else dict(of_parts)

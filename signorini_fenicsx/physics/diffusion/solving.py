@@ -1,0 +1,289 @@
+"""How diffusion problems are solved: the system on a mesh, and what is checked before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.signals import LoopInterruption
+from signorini_fenicsx.base.tolerances import KKT
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.backend import Backend, Iterate, Renewable
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.discrete.contact_sets import Segments
+from signorini_fenicsx.discrete.known import Known
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import coarser_domains
+from signorini_fenicsx.meshes.own import check_parts
+from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.physics.diffusion.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.residuals import far_bound
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.diffusion.task import DiffusionTask
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
+
+
+class System:
+    """The spaces of diffusion on a mesh, with the backend and the means of data of the last solve.
+
+    Attributes:
+        spaces: The discrete spaces.
+        boundary: The parts that are Γ_S and Γ_N, and those inside the domain; the rest is Γ_D.
+    """
+
+    def __init__(self, domain: Domain, boundary: Boundary, problem: Problem | None):
+        """Set up the spaces (collective).
+
+        Raises:
+            InputError: If a part is unknown, empty or not on the boundary.
+        """
+        self.boundary = boundary if problem is None else gamma_s(boundary, problem)
+        check_parts(domain, self.boundary.named)
+        self.spaces = build_spaces(domain, self.boundary.signorini, self.boundary.neumann, self.boundary.inner)
+        self._known = Known(domain.mesh.comm)
+        self._backend: Backend[Iterate] | None = None
+        self._made_for: tuple[object, Tuning, bool] | None = None
+
+    def prepared(self, given: tuple[Boundary, Problem], wish: Wish) -> DiffusionRun:
+        """Read the data and check them (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised as asked.
+        """
+        spaces, options, (boundary, problem) = self.spaces, wish.options, given
+        _check_same(self.boundary, gamma_s(boundary, problem))
+        data = project_data(spaces, problem, self._known).after(wish.memory)
+        remesh = wish.remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
+        _check(options, spaces, data, wish.start)
+        # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
+        constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
+        in_cells = data.obstacle is not None
+        task = DiffusionTask(
+            spaces=spaces,
+            data=data.less(spaces, constant),
+            rho=options.rho,
+            eps=options.eps,
+            max_iterations=options.max_iterations
+            or options.method.most_iterations(data.laws.chains.corners, in_cells=in_cells),
+            on_step=wish.on_step,
+            backend=partial(self._kept_backend, options),
+            start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
+            predict=options.predict,
+            coarser=remesh and partial(_coarser, remesh, self.boundary, problem, options.tuning),
+            tuning=options.tuning,
+            watch=wish.watch,
+        )
+        return DiffusionRun(task, options, self.boundary, problem, data, constant)
+
+    def forget(self) -> None:
+        """Drop the backend of the last solve."""
+        self._backend = None
+
+    def _kept_backend(self, options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
+        """The backend of the last solve with these data, or a new one (collective)."""
+        wanted = options.backend, options.tuning, data.obstacle is not None  # with an obstacle the cells are sites too
+        kept, self._backend = self._backend, None
+        renewed = wanted == self._made_for and isinstance(kept, Renewable) and kept.renew(data)
+        backend = kept if kept is not None and renewed else _new_backend(options, spaces, data)
+        self._backend, self._made_for = backend, wanted
+        return backend
+
+
+@dataclass(frozen=True)
+class DiffusionRun:
+    """A problem on its mesh, ready to be solved.
+
+    Attributes:
+        task: What the method gets: the problem for u − constant.
+        options: Algorithm, backend and their parameters.
+        boundary: The parts of each kind of boundary.
+        problem: The data as given.
+        data: The data on the mesh.
+        constant: What is taken from u.
+    """
+
+    task: DiffusionTask
+    options: Options
+    boundary: Boundary
+    problem: Problem
+    data: Data
+    constant: float
+
+    def outcome(self) -> Outcome:
+        """Run the method; if it is interrupted, return its last state (collective)."""
+        try:
+            with self.task.watch.phase("solve"):
+                return self.options.method.run(self.task)
+        except LoopInterruption as interruption:
+            return Outcome.interrupted(interruption, self.options.backend_name)
+
+    def judged(self, outcome: Outcome) -> tuple[Outcome, Residuals]:
+        """Judge an outcome by its own residual if it has one, else by its KKT residuals (collective)."""
+        kkt = outcome.kkt or self.task.kkt(outcome.iterate, self.options.method.penalty)
+        violation, own = kkt.violation(), outcome.own_residual
+        if own is not None:
+            violation = None if own <= KKT else f"the residual of its own problem is {own:.1e}, above {KKT:g}"
+        elif violation is not None:
+            violation += far_bound(self.task.spaces, self.task.data, outcome.iterate.u)
+        outcome.iterate.u.x.array[:] += self.constant
+        return outcome.ended(violation if outcome.converged else outcome.reason), kkt
+
+    def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solution:
+        """The solution (collective)."""
+        spaces = self.task.spaces
+        return Solution(
+            boundary=self.boundary,
+            problem=self.problem,
+            options=self.options,
+            spaces=spaces,
+            data=self.data,
+            p=spaces.multiplier(outcome.iterate.p + self.data.psi_h),
+            outcome=outcome,
+            kkt=kkt,
+            **about,
+        )
+
+
+def _new_backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
+    """The backend that the options choose (collective)."""
+    if not isinstance(options.backend, str):
+        return options.backend(spaces, data)
+    return (
+        HybridBackend(spaces, data, tuning=options.tuning)
+        if options.backend == "hybrid"
+        else MixedBackend(spaces, data)
+    )
+
+
+def _coarser(remesh: Remesh, boundary: Boundary, problem: Problem, tuning: Tuning, factor: float) -> Any:
+    """The same problem on a coarser mesh, see `methods.task.Coarser` (collective)."""
+    spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann, boundary.inner)
+    data = project_data(spaces, replace(problem, exact=None))
+    return spaces, lambda multigrid: HybridBackend(spaces, data, tuning=tuning, multigrid=multigrid, prefix="coarse_")
+
+
+def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
+    """The boundary with the parts of all laws in Γ_S.
+
+    Raises:
+        InputError: If they are something else.
+    """
+    check_kind("boundary", boundary, Boundary)
+    check_kind("problem", problem, Problem)
+    parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
+    return replace(boundary, signorini=list(dict.fromkeys(parts)))
+
+
+def _check_same(boundary: Boundary, other: Boundary) -> None:
+    """Refuse a problem whose parts are not those of the system.
+
+    Raises:
+        InputError: If they are not.
+    """
+    for (key, parts), others in zip(boundary.named.items(), other.named.values(), strict=True):
+        if sorted(parts) != sorted(others):
+            raise InputError(
+                f"problem: has other parts in {key}, {', '.join(others) or 'none'}, than that which the solver was set "
+                f"up for, {', '.join(parts) or 'none'}"
+            )
+
+
+def check_solvability(spaces: Spaces, data: Data) -> None:
+    """Check that there is one solution; without Γ_D, and with c = 0, the total load decides (collective).
+
+    Then the balance of the flux is ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and the left side is
+    ≥ 0. If it is 0, u solves the Neumann problem, and any large enough constant may be added to it. It is the same with
+    the smallest flux that other laws allow in the place of q_S, and with the largest.
+
+    Raises:
+        InputError: If there is no solution, or more than one.
+    """
+    lowest, highest = data.total_load
+    if data.holds(spaces) or lowest < 0 < highest:
+        return
+    verdict = "u is not unique" if 0 in data.total_load else "there is no solution"
+    if data.laws.listed:
+        raise InputError(
+            "no part of the boundary is left for u = u_D, and ∫f + ∫g_N plus the flux that the laws allow is between "
+            f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or leave part of the boundary to Γ_D"
+        )
+    raise InputError(
+        "no part of the boundary is left for u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
+        f"{lowest:.3g}: {verdict}; make it negative, or leave part of the boundary to Γ_D"
+    )
+
+
+def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segments | None) -> None:
+    """Make sure that there is a solution, that the method can find it, and that it can use this start (collective).
+
+    Raises:
+        InputError: If there is none, or the method cannot.
+    """
+    method = options.method
+    if data.obstacle is None and not spaces.part_names:
+        raise InputError("signorini: lists no part, and there are no laws and no obstacle")
+    if data.obstacle is not None and not method.obstacle:
+        *others, last = (name for name, other in METHODS.items() if other.obstacle)
+        raise InputError(f"{options.algorithm_name} does not take an obstacle; {', '.join(others)} and {last} do")
+    check_solvability(spaces, data)
+    if method.needs_dirichlet and not spaces.has_dirichlet:
+        raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
+    if spaces.inner.present and not method.takes_inner:
+        usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
+        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
+    for part in data.laws.of_parts:
+        if part.name and method.laws is not None and not isinstance(part.law, method.laws):
+            takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
+            raise InputError(
+                f"{options.algorithm_name} does not take the law '{part.law.name}' of {part.name}, it takes {takes}; "
+                "alg1, alg2 and qp take every law"
+            )
+    _check_size(options, spaces)
+    if start is None:
+        return
+    check_start(spaces, start)
+    if not method.starts_from_sets:
+        *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
+        usable = f"{', '.join(others)} or {last}"
+        raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+
+
+def check_start(spaces: Spaces, start: object) -> None:
+    """Refuse a start that is no solution of a scalar problem, or on another domain (collective).
+
+    Raises:
+        InputError: If it is.
+    """
+    if not isinstance(start, Solution | Segments):
+        raise InputError(f"start: must be a Solution of a scalar problem, not {type(start).__name__}")
+    if not same_domain(spaces.domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
+
+
+def _check_size(options: Options, spaces: Spaces) -> None:
+    """Refuse problems that are too large for a method that works on one rank.
+
+    Raises:
+        InputError: If there are more cells, or facets of Γ_S, than it takes.
+    """
+    method, tuning = options.method, options.tuning
+    for limited, space, most, what in (
+        (method.on_one_rank, spaces.Q, tuning.on_one_rank_up_to, "cells"),
+        (method.dense, spaces.Lambda, tuning.dense_up_to, "facets of Γ_S"),
+    ):
+        number = space.dofmap.index_map.size_global
+        if limited and number > most:
+            raise InputError(
+                f"{options.algorithm_name} works on one rank, with at most {most} {what}, and there are {number}; alg1 "
+                "to alg4 have no such limit"
+            )

@@ -1,0 +1,280 @@
+"""How problems of elastic contact are solved: the system on a mesh, and Coulomb's friction around the loop."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.signals import LoopInterruption
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import History, OnStep, Outcome
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
+from signorini_fenicsx.discrete.contact_sets import transferred
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.own import check_parts
+from signorini_fenicsx.methods.prediction import Prediction
+from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
+from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
+
+RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
+"""What solves elastic contact."""
+BOUND_CHANGE = 1e-9
+"""Coulomb's fixed point ends where the bound of the shear changes by this share of itself."""
+MOST_BOUNDS = 100
+MORE_WITH_FRICTION = 4
+"""By default so many times the iterations of problems without friction are allowed for each bound."""
+
+
+class System:
+    """The spaces of elastic contact on a mesh.
+
+    Attributes:
+        spaces: The discrete spaces.
+        boundary: The parts that are in contact, loaded or fixed.
+    """
+
+    def __init__(self, domain: Domain, boundary: ElasticBoundary, problem: ElasticProblem):
+        """Set up the spaces (collective).
+
+        Raises:
+            InputError: If a part is unknown, empty or not on the boundary.
+        """
+        self.boundary = _with_rough_parts(boundary, problem)
+        check_parts(domain, self.boundary.named)
+        self.spaces = build_elastic_spaces(domain, self.boundary, problem.rough)
+        self._rough = sorted(problem.rough)
+
+    def prepared(self, given: tuple[ElasticBoundary, ElasticProblem], wish: Wish) -> ElasticRun:
+        """Read the data and check them; predict the sets of a large problem on coarser meshes (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
+        """
+        options, (boundary, problem) = wish.options, given
+        if options.algorithm not in RULES:
+            name = options.algorithm_name
+            raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {name}")
+        if _with_rough_parts(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
+            raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
+        _check_start(self.spaces.domain, wish.start)
+        data = elastic_data(self.spaces, problem)
+        check_against_foundation(self.spaces, data)
+        motions = check_rigid_motions(self.spaces, data)
+        return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish)
+
+    def forget(self) -> None:
+        """Nothing is kept from solve to solve."""
+
+
+@dataclass
+class ElasticRun:
+    """An elastic problem on its mesh, ready to be solved.
+
+    Attributes:
+        spaces: The discrete spaces.
+        motions: The rigid motions that only contact prevents, see `ElasticBackend`.
+        boundary: The parts of each kind of boundary.
+        problem: The data as given.
+        data: The data on the mesh; in the end with the last bounds of the friction.
+        wish: How it is to be solved.
+        changes: By how much the bound of Coulomb's friction changed in each step.
+    """
+
+    spaces: ElasticSpaces
+    motions: Array
+    boundary: ElasticBoundary
+    problem: ElasticProblem
+    data: ElasticData
+    wish: Wish
+    changes: Sequence[float] = ()
+
+    def outcome(self) -> Outcome:
+        """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
+        options, watch, start = self.wish.options, self.wish.watch, self.wish.start
+        with watch.phase("assembly"):
+            backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
+        large = options.predict and backend.dofs >= options.tuning.elastic_predict_from
+        if start is None and self.wish.remesh is not None and large:
+            with watch.phase("prediction"):
+                start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
+        first = _first(backend, start, held_by_contact=self.motions.shape[1] > 0)
+        outcome, self.changes = _run(backend, options, first, watch, self.wish.on_step, predict=large)
+        self.data = replace(self.data, friction=backend.friction)
+        return outcome
+
+    def judged(self, outcome: Outcome) -> tuple[Outcome, ElasticKKT]:
+        """The outcome, which has converged only if its residuals are small, and these (collective)."""
+        stresses = self.spaces.split.values(outcome.iterate.sigma)
+        kkt = elastic_kkt(self.spaces, self.data, stresses, outcome.iterate.p)
+        return outcome.ended(_failure(self.spaces, self.data, outcome, kkt)), kkt
+
+    def solution(self, outcome: Outcome, kkt: ElasticKKT, **about: Any) -> ElasticSolution:
+        """The solution."""
+        return ElasticSolution(
+            boundary=self.boundary,
+            problem=self.problem,
+            options=self.wish.options,
+            spaces=self.spaces,
+            data=self.data,
+            outcome=outcome,
+            kkt=kkt,
+            bound_changes=tuple(self.changes),
+            **about,
+        )
+
+
+def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
+    """Why there is no solution; None if there is one (collective)."""
+    if not outcome.converged:
+        return outcome.reason
+    failure = kkt.violation()
+    return failure if failure is None or data.friction is None else slides(spaces, data) or failure
+
+
+def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
+    """The boundary with the parts with friction in Γ_C.
+
+    Raises:
+        InputError: If they are something else.
+    """
+    check_kind("boundary", boundary, ElasticBoundary)
+    check_kind("problem", problem, ElasticProblem)
+    return boundary.touching_on(problem.rough)
+
+
+def _check_start(domain: Domain, start: ElasticSolution | None) -> None:
+    """Refuse a start that is no elastic solution, or on another domain (collective).
+
+    Raises:
+        InputError: If it is.
+    """
+    if start is None:
+        return
+    check_kind("start", start, ElasticSolution)
+    if not same_domain(domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
+
+
+def _on_coarser_mesh(
+    remesh: Remesh, boundary: ElasticBoundary, problem: ElasticProblem, options: Options
+) -> ElasticSolution | None:
+    """The solution on a coarser mesh, itself predicted from a coarser one; None if there is none (collective)."""
+    factor = options.tuning.coarsening
+
+    def coarser(further: float) -> Domain:
+        return remesh(factor * further)
+
+    with contextlib.suppress(InputError, NumericalFailure):
+        found: ElasticSolution = solve(remesh(factor), (boundary, problem), options, remesh=coarser)
+        return found
+    return None
+
+
+def _run(
+    backend: ElasticBackend,
+    options: Options,
+    first: SiteConditions | None,
+    watch: Stopwatch,
+    on_step: OnStep,
+    *,
+    predict: bool,
+) -> tuple[Outcome, list[float]]:
+    """Predict the sets and run the loop; if one is interrupted, return the last state (collective).
+
+    Returns:
+        The outcome, and how much the bound of Coulomb's friction changed after each loop, relative to itself.
+    """
+    history, changes = History(backend.comm, on_step), list[float]()
+    before: Iterate | None = None
+    try:
+        if predict and backend.inexact is not None:
+            with watch.phase("prediction"):
+                first, before = _settled(backend, options, first, history)
+        with watch.phase("solve"):
+            return _with_friction(backend, options, first, before, history, changes), changes
+    except LoopInterruption as interruption:
+        return Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver()), changes
+
+
+def _settled(
+    backend: ElasticBackend, options: Options, first: SiteConditions | None, history: History
+) -> tuple[SiteConditions, Iterate | None]:
+    """Conditions from solves that stop as soon as the next ones are known, and the last iterate (collective)."""
+    rule = RULES[str(options.algorithm)]
+    prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
+    first = first or backend.chains.conditions(rule.first(backend.chains))
+    history.start_from(first)
+    return prediction.settle(backend, backend, backend.spaces, first, history)
+
+
+def _with_friction(
+    backend: ElasticBackend,
+    options: Options,
+    first: SiteConditions | None,
+    before: Iterate | None,
+    history: History,
+    changes: list[float],
+) -> Outcome:
+    """Run the loop over the sets; with Coulomb's friction once for each bound of the shear (collective).
+
+    Returns:
+        The outcome with the iterations of all loops. How much the bound changed after each is added to the changes.
+    """
+    rule = RULES[str(options.algorithm)]
+    most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
+    parameters = Parameters(max_iterations=options.max_iterations or most)
+    spaces = backend.spaces
+    while True:
+        outcome = iterate_sets(backend, rule, parameters, start=first, before=before, history=history)
+        present = backend.friction
+        if present is None or not present.by_pressure or not outcome.converged:
+            return outcome
+        pressure = outcome.iterate.flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
+        following = present.following(pressure)
+        changes.append(present.change(following, spaces))
+        if changes[-1] <= BOUND_CHANGE:
+            return outcome
+        if len(changes) == MOST_BOUNDS:
+            reason = f"the bound of the friction still changes by {changes[-1]:.1e} after {MOST_BOUNDS} steps"
+            return outcome.ended(reason)
+        segments = backend.chains.segments(outcome.conditions)
+        backend.friction, before = following, outcome.iterate
+        first = backend.chains.conditions(segments)
+
+
+def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:
+    """The conditions to begin with: those of the start, contact if that has to hold the body, or None (collective).
+
+    Where there is friction, nothing slips then.
+    """
+    spaces = backend.spaces
+    touching = np.full(len(spaces.contact.facets), held_by_contact)
+    if start is not None:
+        found = transferred(start.contact_set(), spaces)
+        if not held_by_contact or spaces.mesh.comm.allreduce(int(found.sum())) > 0:
+            touching = found
+    elif not held_by_contact:
+        return None
+    kinds = np.where(np.repeat(touching, spaces.dim), Condition.ZERO_TRACE, Condition.NO_FLUX)
+    sticking = np.full(len(spaces.slip_sites), Condition.ZERO_TRACE)
+    conditions = SiteConditions(np.concatenate([kinds, sticking]).astype(np.int8))
+    return backend.chains.conditions(backend.chains.segments(conditions))

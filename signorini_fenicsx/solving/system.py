@@ -1,0 +1,131 @@
+"""What the solver asks of a physics: systems, set up once on a mesh, and runs of their problems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any, Protocol
+
+from dolfinx import fem
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.contact.history import OnStep, Outcome
+from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.sampling import curve_gap
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solved import Solved
+
+PHYSICS = {name: f"signorini_fenicsx.physics.{name}.solving" for name in ("diffusion", "elasticity")}
+"""The module of each physics that has its `System`. A new physics is a folder and a name here."""
+
+type Remesh = Callable[[float], Domain]
+"""Maps a factor > 1 to a mesh of the domain that is coarser by this factor (collective). Raises InputError if there is
+no such mesh."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How a problem is to be solved.
+
+    Attributes:
+        options: Algorithm, backend and their parameters.
+        start: A solution, or segments of one, to start from; None for neither.
+        remesh: Makes coarser meshes; None if there are none.
+        memory: A load in P0 besides f, which the step of a problem in time takes from those before.
+        watch: Measures the phases.
+        on_step: Called on all ranks after each iteration.
+    """
+
+    options: Options
+    start: Any = None
+    remesh: Remesh | None = None
+    memory: fem.Function | None = None
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    on_step: OnStep = lambda step: None
+
+
+class Run(Protocol):
+    """A problem on its mesh, ready to be solved."""
+
+    def outcome(self) -> Outcome:
+        """Run the method; if it is interrupted, return its last state (collective)."""
+
+    def judged(self, outcome: Outcome) -> tuple[Outcome, Residuals]:
+        """The outcome, which has converged only if its residuals are small, and these (collective)."""
+
+    def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solved:
+        """The solution with what else is known about it: name, title, source, timings, peak_memory (collective)."""
+
+
+class System(Protocol):
+    """The spaces of a physics on a mesh, and what it keeps from problem to problem.
+
+    Attributes:
+        spaces: The discrete spaces.
+        boundary: The parts of each kind of boundary.
+    """
+
+    spaces: MeshSpaces
+    boundary: Any
+
+    def __init__(self, domain: Domain, boundary: Any, problem: Any):
+        """Set up the spaces for such a problem (collective).
+
+        Raises:
+            InputError: If a part is unknown, empty or not on the boundary.
+        """
+
+    def prepared(self, problem: Any, wish: Wish) -> Run:
+        """Read the data of a problem with this boundary, and check them (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised as asked.
+        """
+
+    def forget(self) -> None:
+        """Keep nothing of the last solve, which has failed."""
+
+
+def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
+    """The system of a physics on a mesh (collective).
+
+    Raises:
+        InputError: If the boundary is of no physics, or does not suit the mesh.
+    """
+    name = getattr(boundary, "physics", None)
+    if name not in PHYSICS:
+        raise InputError(f"problem: must be one of Diffusion and Elasticity, not {type(boundary).__name__}")
+    system: System = import_module(PHYSICS[name]).System(domain, boundary, problem)
+    return system
+
+
+def sorted_on(domain: Domain, problem: Any) -> tuple[Any, Any]:
+    """The parts of each kind of boundary, and the problem sorted by them (collective).
+
+    Args:
+        domain: The mesh with its parts.
+        problem: A problem with conditions, or this pair itself.
+    """
+    if isinstance(problem, tuple):
+        boundary, data = problem
+        return boundary, data
+    if not hasattr(problem, "on"):
+        raise InputError(f"problem: must be one of Diffusion and Elasticity, not {type(problem).__name__}")
+    boundary, data = problem.on(domain)
+    return boundary, data
+
+
+def same_domain(domain: Domain, other: Domain) -> bool:
+    """Whether two meshes are of one domain: shapes have the same name, files the same bounding box (collective)."""
+    if domain is other:
+        return True
+    if domain.is_shape and other.is_shape:
+        return domain.name == other.name
+    if domain.mesh.topology.dim != other.mesh.topology.dim:
+        return False
+    distance = abs(domain.box() - other.box()).max()
+    return bool(distance <= curve_gap(domain) + curve_gap(other))
