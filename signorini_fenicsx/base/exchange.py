@@ -316,7 +316,7 @@ def refuse_incomplete(place: Path | str) -> None:
         while any((area_of(target) / end / MANIFEST).is_file() for end in (DONE, FAILED)):
             if time.monotonic() > until:
                 raise InputError(
-                    f"{place}: a run was ended while it moved its files here; `signorini export {place}` goes on with it"
+                    f"{place}: a run was ended while it moved its files here; `signorini export {place}` finishes this"
                 )
             time.sleep(0.01)
 
