@@ -66,6 +66,23 @@ def test_a_signal_in_the_loop_keeps_its_state(
         assert sorted(path.name for path in tmp_path.iterdir()) == ["x"]
 
 
+def test_a_closed_terminal_ends_as_any_signal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """The state is kept at SIGHUP; below `nohup`, where it is ignored, the run goes on."""
+    monkeypatch.chdir(tmp_path)
+    with monkeypatch.context() as during:
+        told_to_end(during, SolutionReport, "step", 2, signal.SIGHUP)
+        assert ended(during, *SOLVE) == 1
+    assert "failed: interrupted by SIGHUP; the last state is in" in " ".join(capsys.readouterr().err.split())
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        told_to_end(monkeypatch, SolutionReport, "step", 2, signal.SIGHUP)
+        assert ended(monkeypatch, *SOLVE) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_a_signal_to_one_rank_ends_all_in_order(tmp_path: Path):
     script = tmp_path / "told.py"
     script.write_text(

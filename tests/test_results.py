@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import exchange
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.exchange import repair
+from signorini_fenicsx.base.exchange import area_of, complete, refuse_incomplete
 from signorini_fenicsx.base.results import ResultsFolder
 
 FIRST = {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.0": "1", "run.json": "1"}
@@ -123,8 +123,8 @@ def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bo
         if not killed_at(step, lambda target=target: publish(target, SECOND, failed=failed)):
             break
         assert there is False or mine.items() <= found(place).items()
-        killed_at(step % 9, lambda target=target: repair(target))  # the repair as well
-        repair(target)
+        killed_at(step % 9, lambda target=target: complete(target))  # the repair as well
+        complete(target)
         left = found(place) if place.exists() else {}
         old = FIRST | mine if there else {}
         assert left in (old, SECOND | mine), step
@@ -132,6 +132,58 @@ def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bo
         assert {path.name for path in tmp_path.glob(f"*{step}*")} <= {place.name}
     assert step > 15
     assert ends == {True, False}
+
+
+FORGED = json.dumps({"written_by": "signorini_fenicsx.base", "files": ["home/.bashrc", "summary.json"]})
+
+
+def forge(results: Path, victim: Path) -> None:
+    """A results folder whose unfinished files would go through a link in it to a folder of the user."""
+    put(victim, {".bashrc": "mine", "photo.png": "mine"})
+    put(results, {"files.json": FORGED, "summary.json": "1"})
+    (results / "home").symlink_to(victim)
+    put(area_of(results), {"lock": "", "done/files.json": FORGED, "done/home/.bashrc": "theirs"})
+
+
+def test_a_reader_changes_nothing_and_a_writer_follows_no_link(tmp_path: Path):
+    """A forged folder of unfinished results reaches no file outside, whether it is read or written."""
+    results, victim = tmp_path / "x", tmp_path / "victim"
+    forge(results, victim)
+    before = {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")}
+    with pytest.raises(InputError, match="a run was ended while it moved its files here"):
+        refuse_incomplete(results)
+    assert {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")} == before
+    with pytest.raises(InputError, match="home: is in the way, as it is not a folder"):
+        complete(results)
+    with pytest.raises(InputError, match="home: is in the way, as it is not a folder"):
+        publish(results, SECOND)
+    assert found(victim) == {".bashrc": "mine", "photo.png": "mine"}
+
+
+@pytest.mark.parametrize("name", [".x.partial", ".x.partial/done", ".x.partial/lock", ".x.partial/7", "x.failed"])
+def test_links_in_the_place_of_own_folders(tmp_path: Path, name: str):
+    """Whatever of the folders around a run is a link, nothing that it leads to is changed."""
+    victim = tmp_path / "victim"
+    put(victim, {"lock": "", "7/photo.png": "mine", "done/files.json": FORGED, "summary.json": "1"})
+    before = found(victim)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    if name != ".x.partial/lock":
+        put(tmp_path / ".x.partial", {"lock": ""} if name.startswith(".x.partial/") else {})
+    (tmp_path / name).symlink_to(victim)
+    with contextlib.suppress(InputError):
+        publish(tmp_path / "x", SECOND)
+    assert found(victim) == before
+
+
+@pytest.mark.parametrize(
+    "make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda p: p.write_text("[" * 9**5)]
+)
+def test_a_list_that_is_no_small_file(tmp_path: Path, make: Callable[[Path], object]):
+    """A pipe is not waited for, a device not read to its end, and broken JSON told in a sentence."""
+    put(tmp_path / "x", {"summary.json": "1"})
+    make(tmp_path / "x" / "files.json")
+    with pytest.raises(InputError, match=r"is not the list that an earlier run wrote|no earlier run wrote it"):
+        publish(tmp_path / "x", SECOND)
 
 
 def test_one_run_at_a_time(tmp_path: Path):

@@ -3,19 +3,28 @@
 A run with results in `x` works in the folder `.x.partial` beside it. There is a lock, which the system releases when
 the process dies, and a folder into which the files are written. When all files are there, this folder is renamed to
 `done` or `failed`. From then on the result is complete, and its files are moved one by one to `x` or `x.failed`. If the
-program is killed during this, the next program that looks at `x` goes on with it (`repair`). The list of the files is
-moved last; only files on the list of an earlier run are ever replaced or removed. All functions are for rank 0.
+program is killed during this, the next program that *writes* into `x` goes on with it; a program that only reads
+changes nothing. The list of the files is moved last; only files on the list of an earlier run are ever replaced or
+removed.
+
+All three folders may come from somebody else. So every change is one of a name in an open folder, and folders are
+opened one below the other, none of them through a link, see `folder_below`: what is outside of `x`, `x.failed` and
+`.x.partial` cannot be reached. All functions are for rank 0.
 """
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
 import shutil
+import stat
 import time
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reading import text_of
 
 MANIFEST = "files.json"
 """Lists the files in a results folder that the program wrote."""
@@ -32,7 +41,11 @@ OWN = (
 )
 """Names of files that the program writes; in a folder without a list, files with these names are the program's."""
 
-PARTIAL, LOCK, DONE, FAILED = ".partial", "lock", "done", "failed"
+PARTIAL, LOCK, DONE, FAILED, STEPS = ".partial", "lock", "done", "failed", ".steps"
+PATIENCE = 1.0
+"""Seconds to wait for a program that moves its files; it needs less."""
+NO_FOLDER = (errno.ENOTDIR, errno.ELOOP)
+"""Errors of opening a file or a link as a folder."""
 
 
 def failed_place(target: Path) -> Path:
@@ -45,188 +58,316 @@ def area_of(target: Path) -> Path:
     return target.with_name(f".{target.name}{PARTIAL}")
 
 
-def locked(area: Path, patience: float) -> int | None:
-    """Make an area, if there is none, and lock it. Returns the lock, or None if another process keeps it.
+@contextlib.contextmanager
+def folder_below(at: int | Path, name: str = "", *, make: bool = False) -> Iterator[int]:
+    """Open a folder below another one, one part of the name after the other, and none of them through a link.
+
+    Args:
+        at: The other folder: open, or its path, in which links are followed.
+        name: Name of the folder in it, with slashes; empty for `at` itself.
+        make: Make what is missing.
 
     Raises:
-        OSError: If this is not possible, for example because the file system has no locks.
+        OSError: If it is missing (ENOENT), or a part of the name is not a folder but a file or a link (NO_FOLDER).
     """
-    until = time.monotonic() + patience
-    while True:
-        with contextlib.suppress(FileExistsError):
-            area.mkdir()
-        try:
-            lock = os.open(area / LOCK, os.O_CREAT | os.O_RDWR, 0o666)
-        except FileNotFoundError:  # the process before has just removed the area
-            continue
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(lock), os.stat(area / LOCK)):
-                return lock
-        except FileNotFoundError:  # likewise
-            pass
-        except BlockingIOError:
-            if time.monotonic() > until:
-                os.close(lock)
-                return None
-            time.sleep(0.01)
-        except OSError:
-            os.close(lock)
-            raise
-        os.close(lock)
+    folder = os.dup(at) if isinstance(at, int) else os.open(at, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        for part in PurePosixPath(name).parts:
+            if make:
+                with contextlib.suppress(FileExistsError):
+                    os.mkdir(part, dir_fd=folder)
+            inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=folder)
+            os.close(folder)
+            folder = inner
+        yield folder
+    finally:
+        os.close(folder)
 
 
-def release(area: Path, lock: int) -> None:
-    """Remove everything in an area that is not complete, and release its lock."""
-    tidy(area)
-    if [entry.name for entry in area.iterdir()] == [LOCK]:
-        (area / LOCK).unlink()
-        with contextlib.suppress(OSError):  # another process is in it already
-            area.rmdir()
-    os.close(lock)
+def kind_of(at: int, name: str) -> int:
+    """The kind of what has this name in an open folder, see `stat.S_IFMT`; 0 if there is nothing.
+
+    A link is a link, whatever it leads to; what lies in a file or behind a link is nothing.
+    """
+    path = PurePosixPath(name)
+    try:
+        with folder_below(at, str(path.parent)) as folder:
+            return stat.S_IFMT(os.lstat(path.name, dir_fd=folder).st_mode)
+    except OSError as error:
+        if error.errno in (errno.ENOENT, *NO_FOLDER):
+            return 0
+        raise
 
 
-def tidy(area: Path) -> None:
-    """Remove what killed runs have left in an area, except complete results."""
-    for entry in area.iterdir():
-        if entry.name not in (LOCK, DONE, FAILED):
-            delete(entry)
+def is_file(at: int, name: str) -> bool:
+    """Whether this is a file in an open folder, not a link to one."""
+    return kind_of(at, name) == stat.S_IFREG
 
 
 def delete(path: Path) -> None:
-    """Remove a file, or a folder with all that is in it."""
+    """Remove a file or a link, or a folder with all that is in it; links in it are not followed."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink()
 
 
-def commit(staging: Path, end: str, *, add: bool = False) -> None:
-    """Make the files of a staging folder the results (`DONE`) or the failure (`FAILED`) of its target.
+class Area:
+    """The folder in which a run works, beside its target; a context manager that keeps its lock.
 
-    Args:
-        staging: A folder in the area of the target, which is locked.
-        end: `DONE` or `FAILED`.
-        add: Keep earlier results with other names.
+    Attributes:
+        target: The results folder.
+        path: The folder beside it.
     """
-    area = staging.parent
-    files = [path for path in staging.rglob("*") if path.is_file()]
-    names = {path.relative_to(staging).as_posix() for path in files}
-    _write_manifest(staging, names | (listed(_target(area)) if add else set()))
-    for path in (*files, staging / MANIFEST):
-        _flush(path)  # some file systems report only now that the disk is full
-    staging.rename(area / end)
-    settle(area)
 
+    def __init__(self, target: Path, patience: float = PATIENCE):
+        """Make the folder, if there is none, and lock it.
 
-def settle(area: Path) -> None:
-    """Move complete results to their place."""
-    target = _target(area)
-    for end, place in ((DONE, target), (FAILED, failed_place(target))):
-        ready = area / end
-        if (ready / MANIFEST).is_file():
-            if end == DONE:
-                clear(failed_place(target))  # it is out of date
-            if place.exists():
-                _exchange(ready, place)
-            else:
-                ready.rename(place)
-        if ready.exists():
-            shutil.rmtree(ready)
+        Raises:
+            BlockingIOError: If another process keeps the lock for so many seconds.
+            InputError: If the folder is not one of this program.
+            OSError: If this is not possible, for example because the file system has no locks.
+        """
+        self.target, self.path = target, area_of(target)
+        with contextlib.ExitStack() as opened:
+            self._parent = opened.enter_context(folder_below(target.parent))
+            try:
+                self._lock(time.monotonic() + patience, opened)
+            except OSError as error:
+                if error.errno in NO_FOLDER:
+                    raise _in_the_way(self.path, "it is not a folder") from None
+                raise
+            self._opened = opened.pop_all()
 
-
-def _exchange(ready: Path, place: Path) -> None:
-    """Replace the files of the run before. If this was interrupted, a second call goes on from there."""
-    new, old = listed(ready), listed(place)
-    for name in sorted(new):
-        if (ready / name).exists():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            (ready / name).replace(place / name)
-    _remove(place, old - new)
-    (ready / MANIFEST).replace(place / MANIFEST)
-
-
-def repair(folder: Path | str) -> None:
-    """Complete the results or the failure that a killed run has left for this folder."""
-    place = Path(os.path.realpath(folder))
-    if place == place.parent:
-        return  # the root folder has nothing beside it
-    for target in {place, place.with_name(place.name.removesuffix(".failed") or place.name)}:
-        area = area_of(target)
-        with contextlib.suppress(OSError):  # a folder of another user, which may only be read
-            if area.is_dir() and (lock := locked(area, patience=1.0 if _is_complete(area) else 0.0)) is not None:
+    def _lock(self, until: float, opened: contextlib.ExitStack) -> None:
+        while True:
+            with contextlib.ExitStack() as tried, contextlib.suppress(FileNotFoundError):
+                # not found: the process before has just removed it
+                self._at = tried.enter_context(folder_below(self._parent, self.path.name, make=True))
+                entries = os.listdir(self._at)
+                if entries and LOCK not in entries:
+                    raise _in_the_way(self.path, "no earlier run wrote it")
+                lock = os.open(LOCK, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666, dir_fd=self._at)
+                tried.callback(os.close, lock)
                 try:
-                    settle(area)
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    if time.monotonic() > until:
+                        raise
+                    time.sleep(0.01)
+                    continue
+                if os.path.samestat(os.fstat(lock), os.lstat(LOCK, dir_fd=self._at)):
+                    opened.push(tried.pop_all())
+                    return
+
+    def close(self) -> None:
+        """Remove everything in the folder that is not complete, and release the lock."""
+        with self._opened:
+            self.tidy()
+            if os.listdir(self._at) == [LOCK]:
+                os.unlink(LOCK, dir_fd=self._at)
+                with contextlib.suppress(OSError):  # another process is in it already
+                    os.rmdir(self.path.name, dir_fd=self._parent)
+
+    def tidy(self) -> None:
+        """Remove what killed runs have left in the folder, except complete results."""
+        for name in os.listdir(self._at):
+            if name.isdigit() or name.endswith(STEPS):  # no other names are used
+                _delete(self._at, name)
+
+    def staging(self) -> Path:
+        """Make a new folder for the files of this process."""
+        name = str(os.getpid())
+        os.mkdir(name, dir_fd=self._at)
+        return self.path / name
+
+    def commit(self, end: str, *, add: bool = False) -> None:
+        """Make the files of this process the results (`DONE`) or the failure (`FAILED`) of the target.
+
+        Args:
+            end: `DONE` or `FAILED`.
+            add: Keep earlier results with other names.
+        """
+        staging = self.path / str(os.getpid())
+        files = [path for path in staging.rglob("*") if path.is_file()]
+        names = {path.relative_to(staging).as_posix() for path in files}
+        with folder_below(self._at, staging.name) as folder:
+            _write_list(folder, names | (self._listed(self.target) if add else set()))
+        for path in (*files, staging / MANIFEST):
+            _flush(path)  # some file systems report only now that the disk is full
+        os.rename(staging.name, end, src_dir_fd=self._at, dst_dir_fd=self._at)
+        self.settle()
+
+    def settle(self) -> None:
+        """Move complete results to their place, if that holds nothing but results and files of the user.
+
+        Raises:
+            InputError: If something is in the way.
+        """
+        for place in (self.target, failed_place(self.target)):
+            self._check(place)
+        for end, place in ((DONE, self.target), (FAILED, failed_place(self.target))):
+            if is_complete(self._at, end):
+                if end == DONE:
+                    self._clear(failed_place(self.target))  # it is out of date
+                if kind_of(self._parent, place.name):
+                    with folder_below(self._at, end) as ready, folder_below(self._parent, place.name) as folder:
+                        _exchange(ready, folder, place)
+                else:
+                    os.rename(end, place.name, src_dir_fd=self._at, dst_dir_fd=self._parent)
+            if kind_of(self._at, end):
+                _delete(self._at, end)
+
+    def _check(self, place: Path) -> None:
+        """Refuse a place for results that is used for something else, or where something is in the way.
+
+        Raises:
+            InputError: If it is.
+        """
+        kind = kind_of(self._parent, place.name)
+        if kind == stat.S_IFLNK:
+            raise InputError(f"output {place}: is a link; name the folder that it leads to")
+        if kind not in (0, stat.S_IFDIR):
+            raise InputError(f"output {place}: is a file, not a folder")
+        if kind == 0:
+            return
+        end = DONE if place == self.target else FAILED
+        moved = self._listed(self.path / end) if is_complete(self._at, end) else set()
+        with folder_below(self._parent, place.name) as folder:
+            ours = listed(folder, place)
+            if os.listdir(folder) and not ours and not is_file(folder, MANIFEST):
+                raise InputError(f"output {place}: is not empty and holds no {MARK}; choose another folder")
+            ours |= moved
+            for name in sorted({*OWN, *ours, MANIFEST}):
+                for above in PurePosixPath(name).parents[:-1]:
+                    if kind_of(folder, str(above)) not in (0, stat.S_IFDIR):
+                        raise _in_the_way(place / above, "it is not a folder")
+                if (kind := kind_of(folder, name)) and (kind != stat.S_IFREG or name not in {*ours, MANIFEST}):
+                    raise _in_the_way(place / name, "no earlier run wrote it")
+
+    def _listed(self, place: Path) -> set[str]:
+        """See `listed`; nothing if there is no such folder."""
+        with contextlib.suppress(FileNotFoundError), folder_below(self._parent, self._from_parent(place)) as folder:
+            return listed(folder, place)
+        return set()
+
+    def _from_parent(self, place: Path) -> str:
+        return place.relative_to(self.target.parent).as_posix()
+
+    def _clear(self, place: Path) -> None:
+        with contextlib.suppress(FileNotFoundError), folder_below(self._parent) as parent:
+            clear(parent, place)
+
+
+def is_complete(at: int, end: str) -> bool:
+    """Whether an open area has complete results or a complete failure."""
+    return is_file(at, f"{end}/{MANIFEST}")
+
+
+def _exchange(ready: int, folder: int, place: Path) -> None:
+    """Replace the files of the run before. If this was interrupted, a second call goes on from there."""
+    new, old = listed(ready, place), listed(folder, place)
+    for name in sorted(new):
+        if is_file(ready, name):
+            _move(name, ready, folder)
+    _remove(folder, old - new)
+    _move(MANIFEST, ready, folder)
+
+
+def _move(name: str, source: int, target: int) -> None:
+    path = PurePosixPath(name)
+    above = str(path.parent)
+    with folder_below(source, above) as one, folder_below(target, above, make=True) as other:
+        os.rename(path.name, path.name, src_dir_fd=one, dst_dir_fd=other)
+
+
+def _delete(at: int, name: str) -> None:
+    """Remove what has this name in an open folder; links are not followed."""
+    if kind_of(at, name) == stat.S_IFDIR:
+        shutil.rmtree(name, dir_fd=at)
+    else:
+        os.unlink(name, dir_fd=at)
+
+
+def complete(place: Path | str) -> None:
+    """Move results or a failure that a killed run has left to this folder: for programs that write into it.
+
+    Raises:
+        InputError: If something is in the way.
+    """
+    for target in _targets(place):
+        with contextlib.suppress(OSError):  # another run is writing into it, or a folder that may only be read
+            if area_of(target).is_dir():
+                area = Area(target, PATIENCE)
+                try:
+                    area.settle()
                 finally:
-                    release(area, lock)
+                    area.close()
 
 
-def clear(place: Path) -> None:
-    """Remove a results folder, but keep files of the user in it.
+def refuse_incomplete(place: Path | str) -> None:
+    """Refuse a folder into which a run has not moved all its files: for programs that read it; nothing is changed.
+
+    Raises:
+        InputError: If it is one.
+    """
+    until = time.monotonic() + PATIENCE
+    for target in _targets(place):
+        while any((area_of(target) / end / MANIFEST).is_file() for end in (DONE, FAILED)):
+            if time.monotonic() > until:
+                raise InputError(
+                    f"{place}: a run was ended while it moved its files here; `signorini export {place}` finishes this"
+                )
+            time.sleep(0.01)
+
+
+def _targets(place: Path | str) -> set[Path]:
+    """Targets of runs whose results or failure would be in this folder."""
+    real = Path(os.path.realpath(place))
+    return {real, real.with_name(real.name.removesuffix(".failed") or real.name)} - {real.parent}
+
+
+def clear(parent: int | Path, place: Path) -> None:
+    """Remove a results folder in an open folder, but keep files of the user in it.
 
     Raises:
         InputError: If its list is damaged.
     """
-    names = listed(place)
-    if not names and not (place / MANIFEST).exists():
-        return
-    _remove(place, names)
-    if any(entry.name != MANIFEST for entry in place.iterdir()):
-        _write_manifest(place, set())  # so it is still recognised as a results folder
-    else:
-        (place / MANIFEST).unlink(missing_ok=True)
-        place.rmdir()
+    with folder_below(parent) as above, folder_below(above, place.name) as folder:
+        names = listed(folder, place)
+        if not names and not is_file(folder, MANIFEST):
+            return
+        _remove(folder, names)
+        if set(os.listdir(folder)) - {MANIFEST}:
+            _write_list(folder, set())  # so it is still recognised as a results folder
+            return
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(MANIFEST, dir_fd=folder)
+        os.rmdir(place.name, dir_fd=above)
 
 
-def listed(place: Path) -> set[str]:
-    """The files in a folder that the program wrote, as paths in it with slashes.
+def listed(folder: int, place: Path) -> set[str]:
+    """The files in an open folder that the program wrote, as paths in it with slashes.
 
     Raises:
         InputError: If their list is damaged.
     """
-    path = place / MANIFEST
+    if not kind_of(folder, MANIFEST):
+        return {name for name in OWN if is_file(folder, name)} if is_file(folder, MARK) else set()
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(text_of(MANIFEST, at=folder))
         names = found.get("files") if isinstance(found, dict) and found.get("written_by") == __package__ else None
         if not isinstance(names, list) or not all(isinstance(name, str) and _is_below(name) for name in names):
             raise ValueError
-    except (FileNotFoundError, NotADirectoryError):
-        return {name for name in OWN if (place / name).is_file()} if (place / MARK).is_file() else set()
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not the list that an earlier run wrote there; move it elsewhere") from None
+    except (OSError, ValueError, RecursionError):
+        raise InputError(
+            f"{place / MANIFEST}: is not the list that an earlier run wrote there; move it elsewhere"
+        ) from None
     return set(names)
 
 
-def check(place: Path) -> None:
-    """Refuse a place for results that is used for something else, or where something is in the way (rank 0).
-
-    Raises:
-        InputError: If it is.
-    """
-    if place.is_symlink():
-        raise InputError(f"output {place}: is a link; name the folder that it leads to")
-    if not place.exists():
-        return
-    if not place.is_dir():
-        raise InputError(f"output {place}: is a file, not a folder")
-    ours = listed(place)
-    if any(place.iterdir()) and not ours and not (place / MANIFEST).is_file():
-        raise InputError(f"output {place}: is not empty and holds no {MARK}; choose another folder")
-    for name in {*OWN, *ours, MANIFEST}:
-        path = place / name
-        for folder in path.relative_to(place).parents[:-1]:
-            if os.path.lexists(place / folder) and ((place / folder).is_symlink() or not (place / folder).is_dir()):
-                raise InputError(f"output {place / folder}: is in the way, as it is not a folder; move it elsewhere")
-        if os.path.lexists(path) and (not path.is_file() or path.is_symlink() or name not in {*ours, MANIFEST}):
-            raise InputError(f"output {path}: is in the way, as no earlier run wrote it; move it elsewhere")
-
-
-def _target(area: Path) -> Path:
-    return area.with_name(area.name[1 : -len(PARTIAL)])
-
-
-def _is_complete(area: Path) -> bool:
-    return any((area / end / MANIFEST).exists() for end in (DONE, FAILED))
+def _in_the_way(path: Path, why: str) -> InputError:
+    return InputError(f"output {path}: is in the way, as {why}; move it elsewhere")
 
 
 def _is_below(name: str) -> bool:
@@ -234,19 +375,23 @@ def _is_below(name: str) -> bool:
     return path.parts != () and not path.is_absolute() and ".." not in path.parts and "\0" not in name
 
 
-def _write_manifest(folder: Path, names: set[str]) -> None:
-    part = folder / f"{MANIFEST}.part"
-    part.write_text(json.dumps({"written_by": __package__, "files": sorted(names)}, indent=2) + "\n", encoding="utf-8")
-    part.replace(folder / MANIFEST)
+def _write_list(folder: int, names: set[str]) -> None:
+    part = f"{MANIFEST}.part"
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(part, dir_fd=folder)
+    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666, dir_fd=folder), "w") as file:
+        file.write(json.dumps({"written_by": __package__, "files": sorted(names)}, indent=2) + "\n")
+    os.rename(part, MANIFEST, src_dir_fd=folder, dst_dir_fd=folder)
 
 
-def _remove(place: Path, names: set[str]) -> None:
-    """Remove these files of a folder, and subfolders that are then empty."""
-    for name in names:
-        (place / name).unlink(missing_ok=True)
-    for folder in {folder for name in names for folder in PurePosixPath(name).parents[:-1]}:
-        with contextlib.suppress(OSError):  # it holds files of the user
-            (place / folder).rmdir()
+def _remove(folder: int, names: set[str]) -> None:
+    """Remove these files of an open folder, and subfolders that are then empty."""
+    for path in map(PurePosixPath, names):
+        with contextlib.suppress(FileNotFoundError), folder_below(folder, str(path.parent)) as above:
+            os.unlink(path.name, dir_fd=above)
+    for path in {above for name in names for above in PurePosixPath(name).parents[:-1]}:
+        with contextlib.suppress(OSError), folder_below(folder, str(path.parent)) as above:  # it holds others' files
+            os.rmdir(path.name, dir_fd=above)
 
 
 def _flush(path: Path) -> None:

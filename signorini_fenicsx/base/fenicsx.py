@@ -16,6 +16,7 @@ import dolfinx.graph
 import dolfinx.jit
 import dolfinx.mesh
 import ffcx.naming
+import ffcx.options
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -24,6 +25,7 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.compiling import patiently
+from signorini_fenicsx.base.local_options import unseen
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import COMPILING, doing
 
@@ -137,7 +139,9 @@ def compiled(
         OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
             process does not end.
     """
-    options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
+    with unseen():  # both libraries look for their files once
+        options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
+        ffcx.options.get_options()
     if "cache_dir" not in (jit_options or {}):
         options["cache_dir"] = Path(options["cache_dir"]) / OWN
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))

@@ -1,4 +1,4 @@
-"""Signals: a request to end (SIGINT, SIGTERM), a closed reader of the output, a library that aborts."""
+"""Signals: a request to end (SIGINT, SIGTERM, SIGHUP), a closed reader of the output, a library that aborts."""
 
 import contextlib
 import ctypes
@@ -14,6 +14,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask the program to end; the last one comes when its terminal is closed."""
 AGAIN = 1.0
 """A second signal counts only after this many seconds, because mpirun may forward the first one once more."""
 
@@ -45,9 +47,13 @@ class _Request:
 
 @contextlib.contextmanager
 def listening() -> Iterator[None]:
-    """At SIGINT or SIGTERM end in order; at a second signal end at once, whatever is under way."""
+    """At one of these signals end in order; at a second one end at once, whatever is under way.
+
+    SIGHUP stays ignored where it is, as below `nohup`.
+    """
     _Request.number, _Request.deferred = 0, False
-    before = {number: signal.signal(number, _take) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard = [number for number in ENDING if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN)]
+    before = {number: signal.signal(number, _take) for number in heard}
     try:
         yield
     finally:
@@ -59,7 +65,7 @@ def listening() -> Iterator[None]:
 def listen_again() -> None:
     """Restore Python's handlers after PETSc or Gmsh has replaced them."""
     with contextlib.suppress(ValueError):  # in other threads than the main one there are no handlers
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPIPE):
+        for number in (*ENDING, signal.SIGPIPE):
             signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)
 
 

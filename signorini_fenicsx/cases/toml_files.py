@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reading import text_of
 
-MAX_BYTES = 2**23
-"""Largest size of a TOML file; Python reads about a million bytes per second."""
 MAX_DOTS = 500
 """Most dots of a dotted key; Python's time for a key grows with the square of this number."""
 
@@ -22,9 +21,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         if not path.is_file():
             raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: has more than {MAX_BYTES} bytes, too many for a case or a study")
-        text = path.read_text(encoding="utf-8")
+        text = text_of(path)
         if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
             raise InputError(f"{path}: a key is nested too deeply")
         return tomllib.loads(text)

@@ -8,7 +8,8 @@ from signorini_fenicsx.cli.solutions import adapt, export, solve
 from signorini_fenicsx.cli.studies import study
 
 app = typer.Typer(
-    help="Fully mixed methods for the Signorini problem. PETSc options go after --.",
+    help="Fully mixed methods for the Signorini problem. PETSc options go after --. "
+    "Configuration files of libraries in the current folder are read only with --local-options.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

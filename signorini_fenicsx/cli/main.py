@@ -17,14 +17,22 @@ import typer
 from mpi4py import MPI
 from rich.console import Console
 
-from signorini_fenicsx.base import progress
+from signorini_fenicsx.base import local_options, progress
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import FORWARDING, abort_all_on_exception, end_all, refuse_lone_copies
+from signorini_fenicsx.base.parallel import (
+    FORWARDING,
+    abort_all_on_exception,
+    end_all,
+    on_root,
+    refuse_lone_copies,
+)
 from signorini_fenicsx.base.signals import Interruption, listen_again, listening, outlive_readers
 from signorini_fenicsx.cli.app import app
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
+LOCAL = "--local-options"
+"""Any command takes this word: configuration files of libraries in the current folder are read, see `local_options`."""
 MAX_WORDS = 800, 200
 """Most characters of a message that are shown, from its beginning and from its end."""
 
@@ -83,6 +91,8 @@ def main() -> None:
     if "--" in arguments:
         split = arguments.index("--")
         arguments, petsc_options = arguments[:split], arguments[split + 1 :]
+    local = LOCAL in arguments
+    arguments = [argument for argument in arguments if argument != LOCAL]
     comm = MPI.COMM_WORLD
     abort_all_on_exception(comm)
     gc.disable()  # see `parallel.collect_garbage`
@@ -96,7 +106,11 @@ def main() -> None:
 
     def run() -> None:
         refuse_lone_copies(comm)
-        _start_petsc(petsc_options, comm)
+        if local:
+            on_root(comm, local_options.check)
+        else:
+            local_options.ignore()
+        _start_petsc(local_options.with_whole_paths(petsc_options), comm)
         listen_again()
         outlive_readers()
         command(args=arguments, prog_name="signorini")
@@ -120,7 +134,8 @@ def _start_petsc(options: list[str], comm: MPI.Comm) -> None:
         stderr = os.dup(2)
         os.dup2(words.fileno(), 2)
         try:
-            petsc4py.init([sys.argv[0], *options])
+            with local_options.unseen():
+                petsc4py.init([sys.argv[0], *options])
         except RuntimeError as error:
             words.seek(0)
             said = [line.partition("ERROR: ")[2].strip() for line in words if "ERROR: " in line and "---" not in line]

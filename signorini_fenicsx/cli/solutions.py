@@ -10,6 +10,7 @@ import typer
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.exchange import complete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
@@ -302,9 +303,11 @@ def export(
     from signorini_fenicsx.physics.diffusion.solution import Solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
+    own = os.path.realpath(output or results) == os.path.realpath(results)
+    if own:
+        on_root(comm, lambda: complete(results))
     solution = load_solution(results, comm)
     _refuse_if_elastic(solution, {"--html": html})
-    own = os.path.realpath(output or results) == os.path.realpath(results)
     is_step = isinstance(solution, Solution) and solution.step is not None
     if is_step and own and (results / "steps.csv").is_file():
         raise InputError(f"{results}: is a run in time, whose last step would replace it; give --output")

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.local_options import unseen
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.signals import listen_again
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
@@ -309,7 +310,8 @@ def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:
     shape = shape_of(shape_name)
     trials = TRIALS if shape.dim == 3 and levels > 0 else 1
     best: Simplices | None = None
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    with unseen():  # Gmsh has a PETSc of its own
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
     listen_again()
     try:
         gmsh.option.setNumber("General.Terminal", 0)

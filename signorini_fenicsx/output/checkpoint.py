@@ -12,7 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.exchange import repair
+from signorini_fenicsx.base.exchange import refuse_incomplete
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.rows import fetch_rows
@@ -63,7 +63,7 @@ def load_solution(
             nothing of it is used.
     """
     check_kind("folder", folder, str, Path)
-    on_root(comm, lambda: repair(folder))
+    on_root(comm, lambda: refuse_incomplete(folder))
     found = read_checkpoint(comm, Path(folder))
     if found.about.physics is None:
         scalar = problem if isinstance(problem, Problem) else _read_problem(found, found.dim)

@@ -15,7 +15,7 @@ from typing import Any, Self
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.exchange import PARTIAL, clear, failed_place, repair
+from signorini_fenicsx.base.exchange import PARTIAL, clear, complete, failed_place
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.signals import Interruption
 from signorini_fenicsx.base.versions import versions
@@ -129,7 +129,7 @@ class StudyFolder:
         """Let failed runs be tried again (rank 0)."""
         for run in runs:
             if self.status(run) is Status.FAILED:
-                clear(failed_place(self.place(run)))
+                clear(self.place(run).parent, failed_place(self.place(run)))
 
     def write_tables(self, runs: Sequence[Run]) -> None:
         """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, each in one step (rank 0).
@@ -180,7 +180,7 @@ class StudyFolder:
             shutil.rmtree(self.claims, ignore_errors=True)
             self.claims.mkdir()
             for left in self.path.glob(f"runs/.*{PARTIAL}"):
-                repair(left.with_name(left.name[1 : -len(PARTIAL)]))
+                complete(left.with_name(left.name[1 : -len(PARTIAL)]))
         except OSError as error:
             raise InputError(f"output {self.path}: cannot be written ({error.strerror})") from None
 
