@@ -13,11 +13,13 @@ import importlib
 import os
 import platform
 import resource
+import shutil
 import signal
 import struct
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,6 +32,7 @@ LARGEST_RESULT = 2**34
 LEAST_MEMORY = 2**31
 """Bytes of memory that the process may use even if less is free."""
 SLOW = f"takes more than {SECONDS} s to read or to mesh, the limit for one file"
+FOLDER = "signorini-"
 KEPT = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
 """Variables of the environment by which libraries are found."""
 LAST_WORDS = 4096
@@ -46,7 +49,8 @@ def run(module: str, arguments: list[str], result: BinaryIO) -> None:
     Raises:
         InputError: If `main` raises InputError or OSError, crashes, or exceeds a limit.
     """
-    with tempfile.TemporaryDirectory(prefix="signorini-") as folder, tempfile.TemporaryFile() as said:
+    _tidy()
+    with tempfile.TemporaryDirectory(prefix=FOLDER) as folder, tempfile.TemporaryFile() as said:
         number = result.fileno()
         command = [sys.executable, "-P", "-B", "-m", __name__, str(os.getpid()), str(number), module, *arguments]
         try:
@@ -70,6 +74,15 @@ def run(module: str, arguments: list[str], result: BinaryIO) -> None:
         ).strip()
     if status != 0:
         raise InputError(_reason(status, words))
+
+
+def _tidy() -> None:
+    """Remove the folders of processes that were killed: those that are older than any process may be."""
+    for left in Path(tempfile.gettempdir()).glob(f"{FOLDER}*"):
+        with contextlib.suppress(OSError):
+            found = left.lstat()
+            if found.st_uid == os.geteuid() and time.time() - found.st_mtime > 2 * SECONDS:
+                shutil.rmtree(left)  # refuses links
 
 
 def _environment(folder: str) -> dict[str, str]:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, 
 from signorini_fenicsx.base.array_files import Header, read_header, read_share
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
@@ -202,7 +203,7 @@ def read_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint:
                 text = str(old[0].pop("about", ""))
                 headers = {name: Header(array.shape, array.dtype, 0) for name, array in old[0].items()}
             else:
-                text = (path / TEXT).read_text(encoding="utf-8")
+                text = text_of(path / TEXT)
                 files = sorted(file for file in path.glob("*.npy") if file.is_file())
                 headers = {file.stem: read_header(file) for file in files}
             about = About.model_validate_json(text)

@@ -22,6 +22,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import area_of, delete
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
@@ -70,6 +71,8 @@ class StepFolder:
         return on_root(self._comm, lambda: self._begin(about, restart=restart))
 
     def _begin(self, about: Mapping[str, Any], *, restart: bool) -> int:
+        if self.path.is_symlink() or any(entry.is_symlink() for entry in self.path.glob("*")):
+            raise InputError(f"{self.path} is a link or has one; the program writes through none: remove it")
         if not restart:
             if self.path.exists():
                 raise InputError(f"{self.path} has steps of a run that was ended; go on with --restart, or remove it")
@@ -78,7 +81,7 @@ class StepFolder:
             self._beside.rename(self.path)
             return 0
         try:
-            before = json.loads((self.path / CASE).read_text(encoding="utf-8"))
+            before = json.loads(text_of(self.path / CASE))
         except (OSError, ValueError):
             raise InputError(f"--restart: there is no {self.path} with steps to go on with") from None
         changed = [key for key in {**before, **about} if before.get(key) != about.get(key)]
@@ -130,7 +133,7 @@ class StepFolder:
         """The numbers of all steps; none on ranks but 0."""
         if self._comm.rank > 0:
             return []
-        return [json.loads((place / ROW).read_text(encoding="utf-8")) for place in self._places()]
+        return [json.loads(text_of(place / ROW)) for place in self._places()]
 
     def cells(self, spaces: Spaces, step: int, key: str) -> Array:
         """u, sigma or divergence in the cells of this rank after a step, see `gather.Fields`.

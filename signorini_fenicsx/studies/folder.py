@@ -17,6 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import PARTIAL, clear, complete, failed_place
 from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.signals import Interruption
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.studies.study import Run, flattened
@@ -119,8 +120,8 @@ class StudyFolder:
         status = self.status(run)
         folder = self.place(run) if status is Status.DONE else failed_place(self.place(run))
         try:
-            summary = dict(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
-            own = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+            summary = dict(json.loads(text_of(folder / "summary.json")))
+            own = json.loads(text_of(folder / RECORD))
             return Record(status, summary, float(own["seconds"]), int(own["ranks"]))
         except (OSError, ValueError, TypeError, LookupError, RecursionError):
             raise InputError(f"{folder}: is damaged; delete it, and the run will be done again") from None
