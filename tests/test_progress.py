@@ -16,6 +16,7 @@ from rich.console import Console
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cli.live import Live
+from signorini_fenicsx.cli.report import Report
 
 
 class Terminal(io.StringIO):
@@ -81,6 +82,24 @@ def test_a_log_mentions_what_took_long(monkeypatch: pytest.MonkeyPatch):
         "refining the mesh took 3.0 s",
         "solving took 7.2 s",
     ]
+
+
+def test_nothing_is_mentioned_inside_a_table(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """The names of the columns stand right above the first row; what took long is told before and after the table."""
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    report = Report()
+    report.table("n  changed")
+    for row in ("1  2", "2  0"):
+        with progress.doing("solve"):
+            now[0] += 3.0
+        report.row(row)
+    with progress.doing("kkt"):
+        now[0] += 2.5
+    report.line("done")
+    progress.follow(None)
+    expected = ["solving took 3.0 s", "n  changed", "1  2", "2  0", "checking the solution took 2.5 s"]
+    assert capsys.readouterr().out.splitlines() == [*expected[:4], "solving took 3.0 s", *expected[4:], "done"]
 
 
 def test_ranks_of_a_launcher_write_a_log(monkeypatch: pytest.MonkeyPatch):

@@ -10,15 +10,15 @@ class AdaptReport(CaseReport):
     """What `signorini adapt` prints."""
 
     def columns(self, target: float | None, max_cells: int) -> None:
-        """Print when refinement ends, and the names of the columns."""
+        """Print when refinement ends, and name the columns."""
         wanted = "" if target is None else f"relative error ≤ {target:g} or "
         self.line(f"until {wanted}{max_cells} cells")
         sizes = "".join(f" {name:>9}" for name in ("cells", "unknowns", "contact"))
-        self.line(f"{'mesh':>13}{sizes} {'n':>3} {'error ≤':>10} {'relative':>9} {'seconds':>9}")
+        self.table(f"{'mesh':>13}{sizes} {'n':>3} {'error ≤':>10} {'relative':>9} {'seconds':>9}")
 
-    def row(self, row: AdaptRow) -> None:
+    def mesh(self, row: AdaptRow) -> None:
         """Print the certified error on one mesh."""
-        self.line(
+        self.row(
             f"{row.refinement:>9}{row.mesh:4d} {row.cells:9d} {row.unknowns:9d} {row.contact_measure:9.5g} "
             f"{row.iterations:3d} {row.bound:10.4e} {row.relative:9.3e} {row.seconds:9.2f}"
         )

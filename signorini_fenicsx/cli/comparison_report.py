@@ -30,20 +30,20 @@ class ComparisonReport(Report):
 class ConvergenceReport(CaseReport):
     """What `signorini convergence` prints."""
 
-    _has_columns = False
+    _named = False
 
-    def row(self, row: ErrorRow) -> None:
+    def errors(self, row: ErrorRow) -> None:
         """Print the errors of one run, below the names of the columns."""
-        if not self._has_columns:
+        if not self._named:
             names = "".join(f" {ERRORS[name]:>11} {'order':>5}" for name in row.errors)
             slides = "".join(f" {'slides ' + ERRORS[name][2]:>9}" for name in row.slides)
-            self.line(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{names}{slides}")
-            self._has_columns = True
+            self.table(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{names}{slides}")
+            self._named = True
         errors = "".join(
             f" {_cell(error, 11, '.3g')} {_cell(row.orders[name], 5, '.2f')}" for name, error in row.errors.items()
         )
         slides = "".join(f" {_cell(error, 9, '.3g')}" for error in row.slides.values())
-        self.line(f"{row.h:8.5f} {_cell(row.eps, 8, '.1e')} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
+        self.row(f"{row.h:8.5f} {_cell(row.eps, 8, '.1e')} {row.cells:8d} {row.iterations:3d}{errors}{slides}")
 
     def slopes(self, slopes: dict[str, float], vary: Vary, method: Method) -> None:
         """Print the fitted slopes next to those of the theory."""

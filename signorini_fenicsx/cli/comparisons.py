@@ -94,7 +94,7 @@ def convergence(
         raise InputError(f"--reference {reference}: must be finer than the last level, {steps[-1]}, up to {MAX_LEVEL}")
     with ResultsFolder(comm, results_place(output, f"{problem.name}-convergence")) as folder:
         report.heading(problem, comm)
-        rows = convergence_study(problem, way, steps, reference, comm, on_row=report.row)
+        rows = convergence_study(problem, way, steps, reference, comm, on_row=report.errors)
         write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()
         report.slopes(fitted_slopes(rows, way), way, problem.method)

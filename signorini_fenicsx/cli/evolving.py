@@ -34,12 +34,12 @@ class EvolutionReport(CaseReport):
     """What it prints."""
 
     def columns(self, case: Case, *, certified: bool) -> None:
-        """Print the problem of the run, and the names of the columns of the steps."""
+        """Print the problem of the run, and name the columns of the steps."""
         assert case.time is not None
         self.line(f"{case.fineness}, {case.time.steps} steps of {case.time.scheme} to t = {case.time.end:g}")
         bound = f" {'bound':>11}" if certified else ""
         obstacle = "" if case.problem.obstacle is None else f" {'cells':>9} {'measure':>11}"
-        self.line(
+        self.table(
             f"{'step':>6} {'t':>11} {'contact':>9} {'measure':>11}{obstacle} "
             f"{'solves':>9} {'KKT':>9}{bound} {'seconds':>9}"
         )
@@ -48,7 +48,7 @@ class EvolutionReport(CaseReport):
         """Print a step."""
         bound = f" {row['bound']:11.4e}" if "bound" in row else ""
         obstacle = f" {row['contact_cells']:9d} {row['cells_measure']:11.5g}" if "contact_cells" in row else ""
-        self.line(
+        self.row(
             f"{row['step']:6d} {row['t']:11.5g} {row['contact_facets']:9d} {row['contact_measure']:11.5g}{obstacle} "
             f"{row['iterations']:9d} {row['kkt']:9.1e}{bound} {row['seconds']:9.2f}"
         )

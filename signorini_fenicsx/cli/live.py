@@ -36,7 +36,8 @@ class Live:
         # Not in a log with colours. Ranks of Open MPI see a terminal even if mpirun writes into a log.
         self._alive = console.is_interactive and console.file.isatty() and not is_launched()
         self._text, self._drawn = "", 0.0
-        self._compiling = 0.0
+        self._took: dict[str, float] = {}
+        self._in_table = False
 
     def moved(self, under_way: list[Activity], *, only_detail: bool) -> None:
         """Show it on a terminal."""
@@ -47,16 +48,24 @@ class Live:
             self._draw(self._text)
 
     def ended(self, name: str, seconds: float) -> None:
-        """Mention in a log what took long; what was compiled meanwhile before it."""
+        """Mention in a log what took long; what was compiled meanwhile before it, and nothing inside a table."""
         if self._alive:
             return
-        if name == COMPILING:  # many short times
-            self._compiling += seconds
-            return
-        for what, spent in ((COMPILING, self._compiling), (name, seconds)):
-            if spent > LONG:
-                self._console.print(f"{WORDS.get(what, what)} took {spent:.1f} s", markup=False)
-        self._compiling = 0.0
+        self._took[name] = self._took.get(name, 0.0) + seconds
+        if name != COMPILING and not self._in_table:  # what is compiled takes many short times
+            self._mention()
+
+    def table(self, *, goes_on: bool) -> None:
+        """Take note that the next line is one of a table, or that it is not."""
+        if self._in_table and not goes_on:
+            self._mention()
+        self._in_table = goes_on
+
+    def _mention(self) -> None:
+        for name in sorted(self._took, key=COMPILING.__ne__):
+            if (seconds := self._took[name]) > LONG:
+                self._console.print(f"{WORDS.get(name, name)} took {seconds:.1f} s", markup=False)
+        self._took = {}
 
     @contextlib.contextmanager
     def above(self) -> Iterator[None]:

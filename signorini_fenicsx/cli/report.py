@@ -38,6 +38,7 @@ class Report:
         self.console = Console(highlight=False, soft_wrap=True, emoji=False, quiet=quiet or as_json)
         self._as_json = as_json
         self._live = Live(self.console)
+        self._columns = ""
         if self.follows and not self.console.quiet and MPI.COMM_WORLD.rank == 0:
             progress.follow(self._live)
 
@@ -48,6 +49,22 @@ class Report:
 
     def line(self, text: str) -> None:
         """Print a line."""
+        self._live.table(goes_on=False)
+        self._print(text)
+
+    def table(self, columns: str) -> None:
+        """Name the columns of a table; they are printed with its first row, below what took long before it."""
+        self._columns = columns
+
+    def row(self, text: str) -> None:
+        """Print a row of a table; what takes long meanwhile is mentioned below the table."""
+        if self._columns:
+            self.line(self._columns)
+            self._columns = ""
+        self._live.table(goes_on=True)
+        self._print(text)
+
+    def _print(self, text: str) -> None:
         with self._live.above():
             self.console.print(text, markup=False)
 

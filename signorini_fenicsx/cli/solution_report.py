@@ -30,7 +30,7 @@ class SolutionReport(CaseReport):
     """What `signorini solve` prints."""
 
     def columns(self, case: AnyCase) -> None:
-        """Print the problem of the run, and the names of the columns of the iterations."""
+        """Print the problem of the run, and name the columns of the iterations."""
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
         self._penalised = case.method.penalty is not None
@@ -39,18 +39,18 @@ class SolutionReport(CaseReport):
             states = ("free", "held") if case.law else ("open", "contact")
         names = (*states, *(("penalty", "clipped") if self._penalised else ()), "changed")
         counts = "".join(f"{name:>9}" for name in names)
-        self.line(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
+        self.table(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
     def step(self, row: Step) -> None:
         """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
         if row.iteration == 21:
-            self.line(f"{'…':>4} from here on only 30, 40, …, 100, 200, …; all are in history.csv")
+            self.row(f"{'…':>4} from here on only 30, 40, …, 100, 200, …; all are in history.csv")
         if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
         penalty = (row.robin, row.clipped) if self._penalised else ()
         counts = "".join(f"{number:9d}" for number in (row.no_flux, row.zero_trace, *penalty, row.changed))
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
-        self.line(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
+        self.row(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
 
     def solution(self, result: AnySolution, certificate: Certificate, proof: Proof | None = None) -> None:
         """Print the summary of a finished run (collective)."""

@@ -223,7 +223,7 @@ def adapt(
 
     def on_row(row: AdaptRow) -> None:
         rows.append(row)
-        report.row(row)
+        report.mesh(row)
 
     def on_step(row: "Step") -> None:
         end_if_told(comm)

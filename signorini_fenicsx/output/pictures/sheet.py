@@ -24,6 +24,8 @@ WORDS = 1.85
 """Width of an entry of the legend."""
 LETTER = 0.082
 """Mean width of a letter of the title."""
+SPACE = r" (?=(?:[^$]*\$[^$]*\$)*[^$]*$)"
+"""A space outside of mathematics."""
 NOTEBOOK_DPI = 75
 """A figure that is as wide as a page is as wide as the column of a notebook then."""
 
@@ -129,15 +131,22 @@ class Sheet(Figure):
 
 
 def _wrapped(title: str, width: float) -> list[str]:
-    """The lines of a title, broken after commas where they are too long."""
+    """The lines of a title, broken after commas where they are too long, and at spaces if that is not enough."""
     lines = []
     for text in title.split("\n"):
-        line = ""
-        for piece in text.split(", "):
-            longer = f"{line}, {piece}" if line else piece
-            if line and LETTER * len(re.sub(r"\\[a-z]+|[{}$^_]", "", longer)) > width:
-                lines.append(line + ",")
-                longer = piece
-            line = longer
-        lines.append(line)
+        *others, last = _filled(text.split(", "), ", ", width)
+        for line in (*(f"{line}," for line in others), last):
+            lines += _filled(re.split(SPACE, line), " ", width)
+    return lines
+
+
+def _filled(pieces: Sequence[str], joint: str, width: float) -> list[str]:
+    """Lines of pieces, each as long as the width permits."""
+    lines = [pieces[0]]
+    for piece in pieces[1:]:
+        longer = f"{lines[-1]}{joint}{piece}"
+        if LETTER * len(re.sub(r"\\[a-z]+|[{}$^_]", "", longer)) > width:
+            lines.append(piece)
+        else:
+            lines[-1] = longer
     return lines
