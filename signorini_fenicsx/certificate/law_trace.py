@@ -121,7 +121,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     if jumps is not None:
         jumps.undone(v)
     if obstacle is not None:
-        lower_inside(v, floor, obstacle, edges)
+        lower_inside(v, floor, obstacle, edges, on_dirichlet)
     return _with_exact_data(on, data, v, u_D, hindrance=hindrance)
 
 

@@ -17,7 +17,7 @@ both are taken over the same functions v ≥ ψ. osc is that of f − f̃. So in
 the range of f is needed there, which intervals enclose, and (λ, v − ψ) is bounded with the largest λ of each cell.
 
 v is the maximum of ψ and of a function that is quadratic on each cell, by Bernstein coefficients not below those of
-I_hψ. In vertices all of whose cells touch it is lowered by as much as I_hψ may be above ψ, so that v is ψ itself there.
+I_hψ. In vertices off Γ_D all of whose cells touch it is lowered by as much as I_hψ may be above ψ, so that v is ψ itself there.
 """
 
 from __future__ import annotations
@@ -114,8 +114,11 @@ def touch(v: fem.Function, contact: Mask | None, floor: Array, on_dirichlet: Ind
     v.x.array[:] = np.where(touched.x.array > 0, floor, v.x.array)
 
 
-def lower_inside(v: fem.Function, floor: Array, obstacle: Obstacle, edges: Edges) -> None:
-    """Lower v in the vertices all of whose cells touch, so that the maximum with ψ is ψ there (collective)."""
+def lower_inside(v: fem.Function, floor: Array, obstacle: Obstacle, edges: Edges, given: Indices) -> None:
+    """Lower v in the vertices all of whose cells touch, so that the maximum with ψ is ψ there (collective).
+
+    In nodes where v is given, as on Γ_D, it stays.
+    """
     if is_quadratic(obstacle.psi):
         return
     mesh, space = v.function_space.mesh, v.function_space
@@ -133,6 +136,7 @@ def lower_inside(v: fem.Function, floor: Array, obstacle: Obstacle, edges: Edges
         function.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
         function.x.scatter_forward()
     depth.x.array[free.x.array > 0] = 0.0
+    depth.x.array[given] = 0.0
     depth.x.array[edges.middle] = depth.x.array[edges.ends].mean(axis=1)  # linear on each cell
     v.x.array[:] -= depth.x.array
 
