@@ -22,7 +22,10 @@ from pathlib import Path
 from fuzzing.judge import BAD, ENDINGS, Ending, Verdict, judged, put_files_of_the_user, snapshot
 from fuzzing.runner import Runner, begin_again, import_everything, numbered
 
-KINDS = ("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study")
+KINDS = (
+    *("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study"),
+    *("forged", "config", "far", "pulse", "early"),
+)
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
 """Broken inputs of all kinds on the command line, by `scripts/fuzz.py`, where the requirements are explained."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -71,3 +72,27 @@ def test_verdicts_on_files(tmp_path: Path):
     (out / "raw.bp" / "data.0").unlink()
     (tmp_path / "work" / "notes.txt").touch()
     assert bad(0) == {"lost", "outside"}
+
+
+def test_verdicts_on_what_is_known(tmp_path: Path):
+    """A guaranteed bound below the error, another measure of contact, and a run that should have been solved."""
+    out = tmp_path / "work" / "out"
+    (out / "checkpoint").mkdir(parents=True)
+    (out / "checkpoint" / "about.json").touch()
+    words = ["solve", "case.toml", "--output", "out"]
+
+    def bad(broken: Broken, *, status: int = 0, **certificate: object) -> set[str]:
+        about = {"bound": 0.1, "relative": 0.1, "guaranteed": True} | certificate
+        summary = {"algorithm": "alg1", "converged": True, "kkt": {"dual": 0.0}, "certificate": about}
+        summary |= {"norms": {"sigma_L2": 1.0, "energy": 1.0}, "contact_measure": 2.0}
+        (out / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+        said = "failed: no" if status else ""
+        return judged(broken, ended(status << 8, said), {}, {}, tmp_path).bad - {"outside"}
+
+    for flux, least, wrong in ((1.05, False, False), (1.2, False, True), (0.8, False, True), (0.8, True, False)):
+        assert bad(Broken(words, "", flux=flux, at_least=least)) == ({"untrue"} if wrong else set())
+    assert bad(Broken(words, "", flux=1.2), guaranteed=False) == set()
+    assert bad(Broken(words, "", contact=2.0)) == set()
+    assert bad(Broken(words, "", contact=2.1)) == {"untrue"}
+    assert bad(Broken(words, "", bounded=True), relative=40.0) == {"untrue"}
+    assert bad(Broken(words, "", solved=True), status=1) == {"untrue"}

@@ -65,6 +65,11 @@ class Broken:
         refused: Whether only exit status 2 is right.
         earlier: Whether the output folder has an earlier result and files of the user.
         bounded: Whether a guaranteed bound must be of the size of the solution.
+        solved: Whether only exit status 0 is right.
+        flux: ‖σ‖ of the exact solution in L², where κ ≤ 1; None if it is not known.
+        at_least: Whether `flux` is a lower bound.
+        contact: The measure of contact; None if it is not known.
+        forged: Beginnings of the names of what is no file of the user, although it was there before.
     """
 
     words: list[str]
@@ -72,6 +77,11 @@ class Broken:
     refused: bool = False
     earlier: bool = False
     bounded: bool = False
+    solved: bool = False
+    flux: float | None = None
+    at_least: bool = False
+    contact: float | None = None
+    forged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ CRASHES = re.compile(
 PLAIN = ("uzawa", "psor", "primal-pdas", "primal-penalty", "slimane")
 """Methods that are judged by their own residuals, not by those of (9)."""
 TOLERANCE = 1e-6
+ROUGHLY = 1e-5
+"""Relative error of what a generator knows of the exact solution."""
 LOOSE = 30.0
 """A guaranteed bound above so many times ‖σ_h‖ is of no use on any mesh."""
 MEMORY = 1.5e9
@@ -106,8 +108,11 @@ def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Pa
     solves = broken.words[0] in ("solve", "adapt", "export") and OUTPUT in broken.words
     if code == 0 and solves and not _has_solved(root / "work" / OUTPUT):
         blame("untrue", "status 0 without a solution that can be trusted")
-    if code == 0 and broken.bounded and not _has_bound(root / "work" / OUTPUT):
-        blame("untrue", "a guaranteed bound far above the solution")
+    if broken.solved and code in (1, 2):
+        blame("untrue", f"not solved: {ending.said[:300]!r}")
+    if code == 0 and "untrue" not in verdict.bad:
+        for untruth in _untruths(broken, root / "work" / OUTPUT):
+            blame("untrue", untruth)
     return verdict
 
 
@@ -146,12 +151,13 @@ def _files(broken: Broken, code: int, before: Files, after: Files) -> tuple[list
     """New files in wrong places, and files that are gone or changed."""
     out = f"work/{OUTPUT}"
     own = set() if code == 2 else {out, f"{out}.failed"}
-    new = [name for name in after if name not in before and not name.startswith(GUI)]
+    new = [name for name in after if name not in before and not name.startswith((GUI, *broken.forged))]
     outside = [name for name in new if not any(name == place or name.startswith(place + "/") for place in own)]
     if code not in ENDINGS:  # after a crash there may be a file that it was writing
         outside = [name for name in outside if not name.startswith(f"work/.{OUTPUT}.")]
     changed = [name for name, digest in before.items() if after.get(name) != digest]
     replaced = code == 0 or broken.words[0] == "study"
+    changed = [name for name in changed if not name.startswith(broken.forged)] if broken.forged else changed
     lost = [name for name in changed if not (replaced and name.startswith(out + "/") and _is_result(name, out))]
     return outside, lost
 
@@ -194,8 +200,20 @@ def _has_solved(out: Path) -> bool:
         return False
 
 
-def _has_bound(out: Path) -> bool:
-    """Whether the bound of a results folder, if it is guaranteed, is not far above the solution."""
+def _untruths(broken: Broken, out: Path) -> list[str]:
+    """What a summary says that is not true of an exact solution, as far as this is known."""
+    if broken.flux is None and broken.contact is None and not broken.bounded:
+        return []
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    about = summary.get("certificate", {})
-    return not about.get("guaranteed") or about["relative"] <= LOOSE or summary["norms"]["energy"] < TOLERANCE
+    about, norms, found = summary.get("certificate", {}), summary["norms"], []
+    if about.get("guaranteed"):
+        if broken.bounded and about["relative"] > LOOSE and norms["energy"] >= TOLERANCE:
+            found.append("a guaranteed bound far above the solution")
+        if broken.flux is not None:
+            difference = broken.flux - norms["sigma_L2"]
+            error = max(difference, 0.0) if broken.at_least else abs(difference)
+            if error > about["bound"] * (1 + TOLERANCE) + ROUGHLY * broken.flux:
+                found.append(f"a guaranteed bound {about['bound']:.3g} below an error of at least {error:.3g}")
+    if broken.contact is not None and abs(summary["contact_measure"] / broken.contact - 1) > TOLERANCE:
+        found.append(f"contact of measure {summary['contact_measure']:.9g} and not {broken.contact:.9g}")
+    return found

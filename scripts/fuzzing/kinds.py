@@ -13,7 +13,10 @@ from fuzzing.geometries import geometry
 from fuzzing.judge import Ending
 from fuzzing.laws import law_file
 from fuzzing.meshes import CASE, mesh_file
-from fuzzing.options import option
+from fuzzing.options import ends_early, option
+from fuzzing.others import configuration, forged
+from fuzzing.places import far_place
+from fuzzing.pulses import pulses
 from fuzzing.runner import Runner
 from fuzzing.studies import study
 
@@ -27,6 +30,11 @@ GENERATORS: dict[str, Generator] = {
     "geo": geometry,
     "checkpoint": checkpoint,
     "study": study,
+    "forged": forged,
+    "config": configuration,
+    "far": far_place,
+    "pulse": pulses,
+    "early": ends_early,
 }
 
 

@@ -78,6 +78,18 @@ COMMANDS = (
     *(["info", "example3"], ["adapt", "example1"], ["convergence", "example1"], ["compare", "a", "b"], ["export", "a"]),
     *(["study", "iterations", "--dry-run"], ["methods"], ["version"], ["solve"], ["info"]),
 )
+EARLY = (
+    *("-snes_atol 1", "-snes_atol 1e6", "-snes_rtol 0.9", "-snes_stol 1", "-snes_max_it 1", "-snes_max_funcs 2"),
+    *("-snes_divergence_tolerance 1e-9", "-snes_force_iteration 0", "-snes_type nrichardson", "-snes_type ksponly"),
+    *("-ksp_type cg -pc_type none -ksp_rtol 0.5", "-ksp_type gmres -pc_type jacobi -ksp_atol 1", "-ksp_max_it 1"),
+    *("-ksp_type richardson -pc_type none -ksp_max_it 3", "-ksp_type preonly -pc_type jacobi", "-ksp_norm_type none"),
+    *(
+        "-ksp_type cg -pc_type gamg -ksp_rtol 0.1",
+        "-ksp_convergence_test skip -ksp_max_it 2",
+        "-snes_vi_zero_tolerance 1",
+    ),
+)
+"""Options with which PETSc's solvers end before they have a solution."""
 SMALL = {
     "solve": {"--h": "1/4"},
     "adapt": {"--max-cells": "60"},
@@ -142,6 +154,15 @@ def _petsc(rng: random.Random, folder: Path) -> Broken:
     words = ["solve", "example4", "--h", "1/4", "--algorithm", algorithm, "--output", OUTPUT]
     words += rng.choice([[], ["--backend", "mixed"]]) if algorithm.startswith("alg") else []
     return Broken([*words, "--", *chosen.split()], f"{algorithm} -- {chosen}", earlier=rng.random() < 0.5)
+
+
+def ends_early(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A method whose solver ends early: the residuals are those of the problem, whatever the solver says."""
+    chosen = rng.choice(EARLY)
+    algorithm = rng.choice(["snes1", "snes2", "vi", "alg1", "alg2", "alg3", "alg4"])
+    words = ["solve", rng.choice(["example1", "example3", "example4"]), "--h", "1/6", "--algorithm", algorithm]
+    words += rng.choice([[], ["--backend", "mixed"]]) if algorithm.startswith("alg") else []
+    return Broken([*words, "--output", OUTPUT, "--", *chosen.split()], f"{algorithm} -- {chosen}")
 
 
 def _methods(rng: random.Random, folder: Path) -> Broken:

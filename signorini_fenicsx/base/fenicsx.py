@@ -25,12 +25,16 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.compiling import patiently
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.local_options import unseen
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import COMPILING, doing
 
 OWN = "signorini_fenicsx"
 """Folder of the cache for the forms of this program."""
+FFCX = "ffcx_options.json"
+NEEDED = {"language": "C", "scalar_type": "float64", "sum_factorization": False, "part": "full"}
+"""Options of FFCx without which no form of this program is compiled, or not all of it."""
 LOADED: dict[str, Any] = {}
 """The forms that this process has loaded or compiled, by signature of form and options."""
 
@@ -136,12 +140,11 @@ def compiled(
     """Stand in for `dolfinx.jit.ffcx_jit`: rank 0 compiles forms that are not in the cache, all load (collective).
 
     Raises:
+        InputError: If a configuration file of these libraries has an option that they do not have.
         OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
             process does not end.
     """
-    with unseen():  # both libraries look for their files once
-        options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
-        ffcx.options.get_options()
+    options = _checked_options(jit_options) | {"timeout": 1}
     if "cache_dir" not in (jit_options or {}):
         options["cache_dir"] = Path(options["cache_dir"]) / OWN
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
@@ -159,6 +162,31 @@ def compiled(
     if failures:
         raise failures[0]
     return found[0]
+
+
+def _checked_options(jit_options: dict[str, Any] | None) -> dict[str, Any]:
+    """The options of DOLFINx's compiler; those of FFCx are checked too, since both would end with a traceback."""
+    kinds = {key: type(value) for key, (value, _) in dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS.items()}
+    with unseen():  # both libraries look for their files once
+        options = dolfinx.jit.get_options(jit_options)
+        _check_options("dolfinx_jit_options.json", options, kinds | {"cache_dir": Path, "cffi_libraries": object})
+        try:
+            of_forms = ffcx.options.get_options()
+        except (TypeError, ValueError) as error:
+            raise InputError(f"ffcx_options.json: {error}") from None
+    _check_options(FFCX, of_forms, {key: kind for key, (kind, *_) in ffcx.options.FFCX_DEFAULT_OPTIONS.items()})
+    for key, value in NEEDED.items():
+        if of_forms[key] != value:
+            raise InputError(f"{FFCX}: this program needs {key} = {value}")
+    return options
+
+
+def _check_options(file: str, options: dict[str, Any], kinds: dict[str, Any]) -> None:
+    for key, value in options.items():
+        if key not in kinds:
+            raise InputError(f"{file}: there is no option '{key}'; known are {', '.join(kinds)}")
+        if not isinstance(value, (int, float) if kinds[key] is float else kinds[key]):
+            raise InputError(f"{file}: '{key}' must be a {kinds[key].__name__}")
 
 
 def _kept(signature: str, work: Callable[[], Any]) -> Any:

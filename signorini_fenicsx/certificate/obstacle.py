@@ -17,7 +17,8 @@ both are taken over the same functions v ≥ ψ. osc is that of f − f̃. So in
 the range of f is needed there, which intervals enclose, and (λ, v − ψ) is bounded with the largest λ of each cell.
 
 v is the maximum of ψ and of a function that is quadratic on each cell, by Bernstein coefficients not below those of
-I_hψ. In vertices off Γ_D all of whose cells touch it is lowered by as much as I_hψ may be above ψ, so that v is ψ itself there.
+I_hψ. In vertices off Γ_D all of whose cells touch it is lowered by as much as I_hψ may be above ψ, so that v is ψ
+itself there.
 """
 
 from __future__ import annotations
