@@ -141,24 +141,26 @@ class Area:
 
     def _lock(self, until: float, opened: contextlib.ExitStack) -> None:
         while True:
-            with contextlib.ExitStack() as tried, contextlib.suppress(FileNotFoundError):
-                # not found: the process before has just removed it
-                self._at = tried.enter_context(folder_below(self._parent, self.path.name, make=True))
-                entries = os.listdir(self._at)
-                if entries and LOCK not in entries:
-                    raise _in_the_way(self.path, "no earlier run wrote it")
-                lock = os.open(LOCK, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666, dir_fd=self._at)
-                tried.callback(os.close, lock)
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    if time.monotonic() > until:
-                        raise
-                    time.sleep(0.01)
-                    continue
-                if os.path.samestat(os.fstat(lock), os.lstat(LOCK, dir_fd=self._at)):
-                    opened.push(tried.pop_all())
-                    return
+            try:
+                with contextlib.ExitStack() as tried:
+                    if self._try(tried):
+                        opened.push(tried.pop_all())
+                        return
+            except (BlockingIOError, FileNotFoundError):  # the process before works, or has just removed its folder
+                if time.monotonic() > until:
+                    raise
+                time.sleep(0.01)
+
+    def _try(self, tried: contextlib.ExitStack) -> bool:
+        """Lock the folder if no process has the lock; return whether the locked one is still the folder of that name."""
+        self._at = tried.enter_context(folder_below(self._parent, self.path.name, make=True))
+        entries = os.listdir(self._at)
+        if entries and LOCK not in entries:
+            raise _in_the_way(self.path, "no earlier run wrote it")
+        lock = os.open(LOCK, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666, dir_fd=self._at)
+        tried.callback(os.close, lock)
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.path.samestat(os.fstat(lock), os.lstat(LOCK, dir_fd=self._at))
 
     def close(self) -> None:
         """Remove everything in the folder that is not complete, and release the lock."""
@@ -324,7 +326,9 @@ def refuse_incomplete(place: Path | str) -> None:
 def _targets(place: Path | str) -> set[Path]:
     """Targets of runs whose results or failure would be in this folder."""
     real = Path(os.path.realpath(place))
-    return {real, real.with_name(real.name.removesuffix(".failed") or real.name)} - {real.parent}
+    if not real.name:  # the root, which is no results folder
+        return set()
+    return {real, real.with_name(real.name.removesuffix(".failed") or real.name)}
 
 
 def clear(parent: int | Path, place: Path) -> None:
