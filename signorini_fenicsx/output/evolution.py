@@ -18,7 +18,7 @@ from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.cell_shapes import arms
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import check_room
+from signorini_fenicsx.output.field_files import check_room, join_series
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.writing import facet_columns, write_summary
@@ -130,17 +130,28 @@ def _write_facets(folder: Path, steps: StepFolder, rows: Sequence[Row], solution
 
 
 def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solution) -> None:
-    """Write `solution.bp`: u_h and σ_h after each step, in DG1, in which they are exact (collective)."""
+    """Write u_h and σ_h after each step: `solution.bp` in DG1, in which they are exact, `solution.xdmf` (collective).
+
+    The XDMF file has the means over cells.
+    """
     mesh = solution.spaces.mesh
     comm, dim = mesh.comm, mesh.geometry.dim
-    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
-    u = fem.Function(fenicsx.function_space(mesh, ("DG", 1)), name="u")
+
+    def functions(degree: int) -> tuple[fem.Function, fem.Function]:
+        spaces = (fenicsx.function_space(mesh, ("DG", degree, *shape)) for shape in (((dim,),), ()))
+        sigma, u = (fem.Function(space, name=name) for space, name in zip(spaces, ("sigma", "u"), strict=True))
+        return sigma, u
+
+    (sigma, u), means = functions(1), functions(0)
     from_centroid = arms(mesh)
-    cells = solution.spaces.domain.cells
+    cells, points = solution.spaces.domain.cells, mesh.geometry.index_map().size_global
     size = cells * (dim + 1) * 8 * (len(times) * 4 + 8) + 12_000 + 3_000 * (comm.size + len(times))
-    on_root(comm, lambda: check_room(folder, {"solution.bp": size}))
+    of_means = cells * (dim + 1 + len(times) * 4) * 8 + points * dim * 8 + 20_000 + 4_000 * len(times)
+    on_root(comm, lambda: check_room(folder, {"solution.bp": size, "solution.h5": of_means}))
     try:
         file = io.VTXWriter(comm, folder / "solution.bp", [sigma, u], engine="BP4")  # see `field_files.write_vtx`
+        xdmf = io.XDMFFile(comm, folder / "solution.xdmf", "w")
+        xdmf.write_mesh(mesh)
         for step, t in enumerate(times, start=1):
             found = {key: steps.cells(solution.spaces, step, key) for key in ("u", "sigma", "divergence")}
             u.x.array[u.function_space.dofmap.list] = found["u"].reshape(-1, 1)
@@ -149,9 +160,16 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
                 found["sigma"][:, None] + slope * from_centroid
             )
             file.write(t)
+            for mean in means:
+                mean.x.array[:] = found[
+                    mean.name
+                ].ravel()  # no ghost cells, a degree of freedom per cell in their order
+                xdmf.write_function(mean, t)
         file.close()
+        xdmf.close()
     except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
         raise WriteFailure("the fields for ParaView cannot be written") from error
+    on_root(comm, lambda: join_series(folder / "solution.xdmf"))
 
 
 def _draw(folder: Path, steps: StepFolder, rows: Sequence[Row], times: Sequence[float], solution: Solution) -> None:

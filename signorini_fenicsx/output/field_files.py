@@ -85,3 +85,22 @@ def join_grids(path: Path) -> None:
     ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
     ElementTree.SubElement(timed, "Time", Value="0")
     tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def join_series(path: Path) -> None:
+    """Make one series of all functions, each time with its mesh, so that all readers can read the file (rank 0).
+
+    DOLFINx writes a series for each function, whose times include the mesh in a way that VTK does not know.
+    """
+    tree = ElementTree.parse(path)
+    domain = tree.getroot()[0]
+    mesh, first, *others = list(domain)
+    for grids in zip(first, *others, strict=True):
+        time = grids[0].find("Time")
+        parts = [*mesh, *([] if time is None else [time]), *(grid.find("Attribute") for grid in grids)]
+        grids[0][:] = [part for part in parts if part is not None]
+        grids[0].set("Name", "mesh")
+    for other in others:
+        domain.remove(other)
+    first.set("Name", "fields")
+    tree.write(path, encoding="utf-8", xml_declaration=True)
