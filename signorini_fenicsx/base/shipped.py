@@ -1,6 +1,5 @@
 """Data shipped with the program: cases, studies, tables, and the names of the cases and studies."""
 
-import sysconfig
 from pathlib import Path
 
 from signorini_fenicsx.base.errors import InputError
@@ -8,9 +7,8 @@ from signorini_fenicsx.base.text import did_you_mean
 
 
 def data_folder(kind: str) -> Path:
-    """Folder of the shipped data (`cases`, `tables`), in the checkout or in the installed package."""
-    checkout = Path(__file__).parents[2] / "data" / kind
-    return checkout if checkout.is_dir() else Path(sysconfig.get_path("data"), "share", "signorini_fenicsx", kind)
+    """Folder of the shipped data (`cases`, `tables`)."""
+    return (Path(__file__).parents[1] / "data").resolve() / kind
 
 
 def case_names() -> list[str]:
