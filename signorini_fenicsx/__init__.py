@@ -50,4 +50,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *importlib.import_module("signorini_fenicsx.api").__all__})
+    return sorted({"__doc__", "__version__", "extend", *importlib.import_module("signorini_fenicsx.api").__all__})
