@@ -315,7 +315,7 @@ def refuse_incomplete(place: Path | str) -> None:
     """
     until = time.monotonic() + PATIENCE
     for target in _targets(place):
-        while any((area_of(target) / end / MANIFEST).is_file() for end in (DONE, FAILED)):
+        while any(os.path.isfile(area_of(target) / end / MANIFEST) for end in (DONE, FAILED)):
             if time.monotonic() > until:
                 raise InputError(
                     f"{place}: a run was ended while it moved its files here; `signorini export {place}` finishes this"
