@@ -89,7 +89,7 @@ def series(folder: Path) -> dict[str, np.ndarray]:
         last = {name: file.read(name, step_selection=[steps - 1, 1]) for name in ("u", "sigma")}
         times = [float(file.read("step", step_selection=[i, 1]).ravel()[0]) for i in range(steps)]
     with meshio.xdmf.TimeSeriesReader(folder / "solution.xdmf") as reader:
-        points, cells = reader.read_points_cells()
+        _, cells = reader.read_points_cells()
         shown = [reader.read_data(step) for step in range(reader.num_steps)]
     assert [t for t, _, _ in shown] == times
     means = {f"mean of {name}": values[0] for name, values in shown[-1][2].items()}

@@ -152,7 +152,7 @@ class Area:
                 time.sleep(0.01)
 
     def _try(self, tried: contextlib.ExitStack) -> bool:
-        """Lock the folder if no process has the lock; return whether the locked one is still the folder of that name."""
+        """Lock the folder if no process has the lock; return whether it is still the folder of that name."""
         self._at = tried.enter_context(folder_below(self._parent, self.path.name, make=True))
         entries = os.listdir(self._at)
         if entries and LOCK not in entries:
