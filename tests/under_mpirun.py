@@ -44,7 +44,7 @@ class Launches:
         ranks = number_of_ranks(item)
         if ranks not in self._ended:
             tests = [other.nodeid for other in self._items if number_of_ranks(other) == ranks]
-            with in_turn(f"{ranks}.json") as file:
+            with in_turn("launches"), in_turn(f"{ranks}.json") as file:  # ranks of two launches would wait for cores
                 if file.stat().st_size == 0:
                     file.write_text(json.dumps(launch(item.config.rootpath, ranks, tests)), encoding="utf-8")
                 passed, output = json.loads(file.read_text(encoding="utf-8"))
