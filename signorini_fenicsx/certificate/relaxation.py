@@ -41,6 +41,8 @@ ROUNDS = 16
 WORTH = 0.05
 """There is another round if it may gain this share of the gap: by more steps like the last one, by regaining what the
 projection lost, or by nodes that leave their bound."""
+NOTHING = 1e-28
+"""A round ends early where the squared residual is this share of the first one, which is rounding."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def relax(
     """
     gap = _Gap(w.function_space, psi, y, kappa, excess, robin, jumps)
     best = w.x.array.copy()
-    present, descent = gap.at(w)
+    present, descent, size_of_gap = gap.at(w)
     lowest, steps = present, STEPS
     size = len(descent)
     loose = np.ones(size, dtype=bool)
@@ -185,12 +187,12 @@ def relax(
         w.x.array[:size] += change
         w.x.scatter_forward()
         obstacle.project(w.x.array)
-        before, (present, descent) = present, gap.at(w)
+        before, (present, descent, size_of_gap) = present, gap.at(w)
         if present < lowest:
             best[:], lowest = w.x.array, present
         taken_back = present - (before - gained)
         steps = min(2 * steps, MOST_STEPS)
-        if taken_back + steps * last + gap.alone(descent, loose & ~free) < WORTH * present:
+        if taken_back + steps * last + gap.alone(descent, loose & ~free) < WORTH * size_of_gap:
             break
     w.x.array[:] = best
     gap.destroy()
@@ -217,6 +219,11 @@ def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, part: str = "full"
     if robin is not None:
         form, maps = form + robin[1] * u * v * robin[0].ds, [robin[0].entity_map]
     return fenicsx.form(form, options={"part": part}, entity_maps=maps)
+
+
+def _robin_form(u: Expr, v: Expr, robin: Robin) -> fem.Form:
+    """⟨βu, v⟩ on Γ_S (collective)."""
+    return fenicsx.form(robin[1] * u * v * robin[0].ds, entity_maps=[robin[0].entity_map])
 
 
 def _assembled(form: fem.Form) -> PETSc.Mat:
@@ -249,6 +256,7 @@ class _Gap:
         self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
         self._given = fem.Function(space)
         self._image = _form(self._given, test, kappa, robin)
+        self._rubbing = None if robin is None else _robin_form(self._given, test, robin)
         self._make = partial(_matrix, space, kappa, robin, jumps)
         self._matrix: PETSc.Mat | None = None
         if jumps is None:
@@ -263,13 +271,21 @@ class _Gap:
             self._matrix = self._make()
         return self._matrix
 
-    def at(self, w: fem.Function) -> tuple[float, Array]:
-        """The gap, and its negative derivative by each owned node (collective)."""
+    def at(self, w: fem.Function) -> tuple[float, Array, float]:
+        """The gap, its negative derivative by each owned node, and its size (collective).
+
+        With laws the gap is known up to a constant. Then its size is at least ½‖κ_h∇v − y‖².
+        """
         above = w.x.array[: len(self._psi)]
         v = above + self._psi
         stiff = self._times(v)
-        value = self._comm.allreduce(v @ (stiff / 2 - self._flux) + self._excess @ above)
-        return value + self._constant, self._flux - self._excess - stiff
+        on_signorini, inside = self._excess @ above, v @ (stiff / 2 - self._flux)
+        if self._rubbing is not None:
+            rubbing = v @ self._applied(self._rubbing, v) / 2
+            on_signorini, inside = on_signorini + rubbing, inside - rubbing
+        on_signorini, inside = self._comm.allreduce(np.array([on_signorini, inside])).tolist()
+        inside += self._constant
+        return inside + on_signorini, self._flux - self._excess - stiff, max(inside, inside + on_signorini)
 
     def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
         """The sum of the gains if each of these nodes alone is raised as far as is best (collective)."""
@@ -290,11 +306,12 @@ class _Gap:
         if steps >= MANY_STEPS:
             self.assemble()
         change, direction = np.zeros_like(residual), np.zeros_like(residual)
-        gained, last, size = 0.0, 0.0, np.inf
+        gained, last, size, least = 0.0, 0.0, np.inf, 0.0
         for _ in range(steps):
             scaled = residual / self._diagonal
             earlier, size = size, self._comm.allreduce(residual @ scaled)
-            if size == 0:
+            least = least or NOTHING * size
+            if size <= least:
                 break
             direction *= size / earlier
             direction += scaled
@@ -310,9 +327,7 @@ class _Gap:
     def _times(self, values: Array) -> Array:
         """The matrix times values (collective)."""
         if self._matrix is None:
-            self._given.x.array[: len(values)] = values
-            self._given.x.scatter_forward()
-            return assembled(self._image)[: len(values)]
+            return self._applied(self._image, values)
         known, image = self._matrix.createVecs()
         known.array_w[:] = values
         self._matrix.mult(known, image)
@@ -320,6 +335,12 @@ class _Gap:
         for vector in (known, image):
             vector.destroy()
         return found
+
+    def _applied(self, image: fem.Form, values: Array) -> Array:
+        """A form of `_given` and a test function for these values (collective)."""
+        self._given.x.array[: len(values)] = values
+        self._given.x.scatter_forward()
+        return assembled(image)[: len(values)]
 
     def destroy(self) -> None:
         """Free what PETSc holds (collective)."""
