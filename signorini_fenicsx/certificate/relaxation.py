@@ -181,8 +181,8 @@ def relax(
     size = len(descent)
     loose = np.ones(size, dtype=bool)
     loose[fixed[fixed < size]] = False
+    free = loose & obstacle.free(w.x.array, descent)
     for _ in range(ROUNDS):
-        free = loose & obstacle.free(w.x.array, descent)
         change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
         w.x.array[:size] += change
         w.x.scatter_forward()
@@ -192,7 +192,8 @@ def relax(
             best[:], lowest = w.x.array, present
         taken_back = present - (before - gained)
         steps = min(2 * steps, MOST_STEPS)
-        if taken_back + steps * last + gap.alone(descent, loose & ~free) < WORTH * size_of_gap:
+        kept, free = free, loose & obstacle.free(w.x.array, descent)
+        if taken_back + steps * last + gap.alone(descent, free & ~kept) < WORTH * size_of_gap:
             break
     w.x.array[:] = best
     gap.destroy()
@@ -288,9 +289,9 @@ class _Gap:
         return inside + on_signorini, self._flux - self._excess - stiff, max(inside, inside + on_signorini)
 
     def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
-        """The sum of the gains if each of these nodes alone is raised as far as is best (collective)."""
-        upwards = np.where(nodes, np.maximum(descent, 0.0), 0.0)
-        return float(self._comm.allreduce(upwards @ (upwards / self._diagonal)) / 2)
+        """The sum of the gains if each of these nodes alone is moved as far as is best (collective)."""
+        chosen = np.where(nodes, descent, 0.0)
+        return float(self._comm.allreduce(chosen @ (chosen / self._diagonal)) / 2)
 
     def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> tuple[Array, float, float]:
         """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).
