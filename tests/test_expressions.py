@@ -12,6 +12,7 @@ from fuzz_expressions import check_enclosures, outcome, texts
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
 from signorini_fenicsx.expressions.evaluation import (
+    difference,
     interval,
     interval_and_gradient,
     linear_terms,
@@ -239,6 +240,20 @@ def test_polynomials():
     degrees |= {"x^-2": None, "1 if x > 0 else 1": None, "(x^2)^3": 6, "max(1, 2)": 0}
     for text, degree in degrees.items():
         assert polynomial_degree(read(text, "xy")) == degree, text
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "rest"),
+    [
+        ("sin(x)/3 + y", "y + sin(x)/3", "0"),
+        ("-0.1 + 0.3*y", "-0.1", "0.3*y"),
+        ("x - (y - exp(x))", "exp(x) + 2*y", "x - y - 2*y"),
+        ("x + x", "x", "x"),
+        ("x", "y", "x - y"),
+    ],
+)
+def test_differences_without_common_summands(left: str, right: str, rest: str):
+    assert difference(read(left, "xy"), read(right, "xy")) == read(rest, "xy")
 
 
 @pytest.mark.parametrize(

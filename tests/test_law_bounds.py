@@ -14,6 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.certificate import relaxation
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
@@ -131,6 +132,21 @@ def test_ranks_do_not_matter(folder: Path):
     adapt_case(load_case("friction").with_values({"solve.h": 0.25}), COMM, max_cells=600, on_row=rows.append)
     assert rows[-1].bound < 0.6 * rows[0].bound
     collect_garbage(COMM)
+
+
+@pytest.mark.parametrize("name", ["friction", "regulator", "two_sided", "staircase"])
+def test_few_rounds(name: str, monkeypatch: pytest.MonkeyPatch):
+    """The function v is found in few steps of CG, although the gap is known up to a constant, and v at its bounds."""
+    steps = []
+    lowered = relaxation._Gap.lowered
+
+    def counted(self: object, residual: object, free: object, number: int) -> object:
+        steps.append(number)
+        return lowered(self, residual, free, number)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(relaxation._Gap, "lowered", counted)
+    certify(solve_case(load_case(name), MPI.COMM_SELF))
+    assert 0 < sum(steps) <= 40
 
 
 def test_bounds_that_contradict():

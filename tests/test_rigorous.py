@@ -310,6 +310,14 @@ def test_seam():
         prove(discrete, dataclasses.replace(given, psi=read("1.5", "xy")))
 
 
+@pytest.mark.parametrize("above", ["0", "0.3*y", "0.2*sin(x*(1 - x))^2", "y*exp(x)"])
+def test_seam_where_u_D_is_psi(above: str):
+    """Equal data meet without rounding: summands that both have are left out."""
+    psi = "0.05*sin(3*x)*cos(2*y) - 0.1"
+    solution = solve_case(make(4, ["bottom"], problem__u_D=f"{psi} + {above}", problem__psi=psi), MPI.COMM_SELF)
+    assert math.isfinite(prove(*discrete_of(solution)).bound)
+
+
 def test_data_from_python_and_large_meshes():
     solution = solve_case(make(4, ["bottom"]), MPI.COMM_SELF)
     with pytest.raises(InputError, match="f must be an expression"):

@@ -5,6 +5,7 @@ Each function of the language is one row of the table in `functions`.
 """
 
 from signorini_fenicsx.expressions.evaluation import (
+    difference,
     interval,
     interval_and_gradient,
     linear_terms,
@@ -19,6 +20,7 @@ __all__ = [
     "TREES",
     "Binary",
     "Tree",
+    "difference",
     "exactly",
     "interval",
     "interval_and_gradient",

@@ -7,7 +7,8 @@ which the mean value theorem holds), and all numbers otherwise.
 """
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,34 @@ def linear_terms(tree: Tree) -> list[tuple[float, Tree]]:
             with np.errstate(all="ignore"):
                 return [(float(np.float64(factor) / value), term) for factor, term in linear_terms(left)]
     return [(1.0, tree)]
+
+
+def difference(left: Tree, right: Tree) -> Tree:
+    """The difference of two trees without the summands that both have, of which rounding would leave something."""
+    number = Counter({term: 0 for tree in (left, right) for _, term in _summands(tree, 1)})
+    for tree, factor in ((left, 1), (right, -1)):
+        for sign, term in _summands(tree, factor):
+            number[term] += sign
+    terms = [(count > 0, term) for term, count in number.items() for _ in range(abs(count))]
+    terms.sort(key=lambda entry: not entry[0])  # one that is added comes first, if there is one
+    if not terms:
+        return exactly(0.0)
+    (added, first), *others = terms
+    found = first if added else Negative(first)
+    for added, term in others:
+        found = Binary("+" if added else "-", found, term)
+    return found
+
+
+def _summands(tree: Tree, sign: int) -> Iterator[tuple[int, Tree]]:
+    match tree:
+        case Negative(operand=operand):
+            yield from _summands(operand, -sign)
+        case Binary(sign="+" | "-" as between, left=left, right=right):
+            yield from _summands(left, sign)
+            yield from _summands(right, sign if between == "+" else -sign)
+        case _:
+            yield sign, tree
 
 
 def _product(left: list[tuple[float, Tree]], right: list[tuple[float, Tree]]) -> list[tuple[float, Tree]] | None:

@@ -24,9 +24,8 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import values
+from signorini_fenicsx.expressions import difference, values
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, larger
-from signorini_fenicsx.expressions.tree import Binary
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
 from signorini_fenicsx.rigorous.discrete import (
     DIRICHLET,
@@ -149,18 +148,15 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
     Raises:
         InputError: If u_D ≥ ψ is not certain there.
     """
-    count, width = fixed.shape
+    width = fixed.shape[1]
     found = np.where(fixed.any(axis=1), np.inf, 0.0)
-    if given.u_D == given.psi:
-        return np.zeros(count)
+    above = difference(given.u_D, given.psi)
     for size in range(1, width + 1):
         for face in itertools.combinations(range(width), size):
             chosen = fixed[:, face].all(axis=1)
             if chosen.any():
                 corners = facets.corners[chosen][:, face]
-                found[chosen] = np.minimum(
-                    found[chosen], smallest(Binary("-", given.u_D, given.psi), corners, given.elementary)
-                )
+                found[chosen] = np.minimum(found[chosen], smallest(above, corners, given.elementary))
     if not (found >= 0).all():
         where = ", ".join(f"{x:.4g}" for x in facets.corners[np.argmin(found)].mean(axis=0))
         raise InputError(f"where Γ_D meets Γ_S, u_D ≥ psi is not certain near ({where})")
