@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 MOST_BEFORE = 2
 """Steps before a step that its bound needs: after a restart these are done again."""
+TRUST = ("guaranteed", "relies_on")
+"""What `largest` has that is no number."""
 
 
 class EvolutionReport(CaseReport):
@@ -60,7 +62,7 @@ class EvolutionReport(CaseReport):
             "steps": f"{about['steps']} to t = {about['end']:g}, {summary['iterations']} linear problems",
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
             "contact": f"at the end {summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
-            "largest": named({name: each for name, each in about["largest"].items() if name != "guaranteed"}, ".3e"),
+            "largest": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
         }
         if "obstacle" in summary:
             found = summary["obstacle"]
@@ -70,9 +72,17 @@ class EvolutionReport(CaseReport):
         if certified:
             lines["certified"] = (
                 "each bound is that of the distance to the exact solution of the step's elliptic problem, with the "
-                "computed earlier steps" + ("" if about["largest"]["guaranteed"] else "; not all are guaranteed")
+                "computed earlier steps" + _reservation(about["largest"])
             )
         self.entries(lines)
+
+
+def _reservation(about: Mapping[str, Any]) -> str:
+    """Why not all bounds are guaranteed, if they are not."""
+    if about["guaranteed"]:
+        return ""
+    data = about["relies_on"]
+    return "; not all are guaranteed" + (f": {data} not known between the points of quadratures" if data else "")
 
 
 def solve_in_time(

@@ -34,7 +34,7 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
     facets, measure = solution.contact
     history = solution.outcome.history
     bounds = {} if certificate is None else {name: certificate.numbers()[name] for name in BOUNDS}
-    guaranteed = {} if certificate is None else {"guaranteed": certificate.guaranteed}
+    trust = {} if certificate is None else {"guaranteed": certificate.guaranteed, "relies_on": _relies_on(certificate)}
     return {
         "step": instant.step,
         "t": instant.t,
@@ -46,9 +46,15 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
         "kkt": max(vars(solution.kkt).values()),
         **(solution.errors() or {}),
         **bounds,
-        **guaranteed,
+        **trust,
         "seconds": seconds,
     }
+
+
+def _relies_on(certificate: Certificate) -> str:
+    """The data that a bound knows in the points of quadratures only, or does not resolve."""
+    unresolved = (name for name, _ in certificate.unresolved)
+    return ", ".join(dict.fromkeys([*certificate.by_quadrature, *unresolved]))
 
 
 def _on_obstacle(solution: Solution) -> dict[str, float]:
@@ -96,7 +102,10 @@ def _along(rows: Sequence[Row]) -> dict[str, Any]:
     bounds = [name for name in ("bound", "sigma_bound") if name in rows[0]]
     largest = {name: max(row[name] for row in rows) for name in ("kkt", *errors, *bounds)}
     iterations = sum(row["iterations"] for row in rows)
-    guaranteed = {"guaranteed": all(row["guaranteed"] for row in rows)} if bounds else {}
+    guaranteed: dict[str, Any] = {"guaranteed": all(row["guaranteed"] for row in rows)} if bounds else {}
+    if bounds:
+        names = (name for row in rows for name in row.get("relies_on", "").split(", ") if name)
+        guaranteed["relies_on"] = ", ".join(dict.fromkeys(names))
     end = {"steps": len(rows), "end": rows[-1]["t"], "seconds": sum(row["seconds"] for row in rows)}
     return {"iterations": iterations, "time": end | {"largest": largest | guaranteed}}
 
