@@ -61,11 +61,12 @@ class SolutionReport(CaseReport):
             facets, touching = f"{summary['contact_facets']} Γ_C", f"{summary['touching_vertices']} facet vertices"
         else:
             facets, touching = f"{summary['signorini_facets']} Γ_S", f"{summary['contact_facets']} facets"
+        on_facets = {"contact": f"{touching}, measure {summary['contact_measure']:.6g}"}
         lines = {
             "converged": f"{summary['reason']} after {counted(summary['iterations'], 'iteration')}{rough}",
             "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
-            "contact": f"{touching}, measure {summary['contact_measure']:.6g}",
+            **(on_facets if elastic or summary["signorini_facets"] else {}),
             **_on_obstacle(summary, result),
             "norms": named(summary["norms"], ".6g"),
             **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),

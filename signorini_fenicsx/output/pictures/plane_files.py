@@ -117,7 +117,7 @@ def _overview(plane: Plane) -> Sheet:
     first, last = (number + 1, number) if plane.wide else (number, number + 2 * len(parts))
     for part in parts:
         _draw_part(sheet, scene, part, maps + part, first + 2 * part)
-    handles = [*plane.handles(), *(traces.handles(scene) if scene.labels else [])]
+    handles = [*plane.handles(), *(traces.handles(scene, shades=False) if scene.labels else [])]
     if with_steps:
         if plane.wide:
             axes = sheet.panel(*slots[3])

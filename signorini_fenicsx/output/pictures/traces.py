@@ -24,6 +24,7 @@ PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     },
 }
 """For each panel the columns of the table, with their labels and styles."""
+BOUNDS = ("psi", "q_S")
 MARKERS = 40
 """Largest number of markers on a line."""
 SHADE = 0.13
@@ -86,7 +87,7 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> N
                 if inside[run[0]]:
                     ends = line.ends[run[0]], line.ends[run[-1] + 1]
                     axes.axvspan(*ends, color=group.colour, alpha=SHADE, linewidth=0)
-        for column, (_, look) in PANELS[panel].items():
+        for column, (_, look) in columns_of(scene, panel).items():
             values = getattr(scene.facets, column)[line.rows]
             if "marker" in look:
                 some = slice(None, None, 1 + len(values) // MARKERS)
@@ -104,12 +105,19 @@ def shaded(scene: Scene) -> list[Group]:
     return scene.groups if scene.segments else [Group("contact", style.CONTACT, scene.touching)]
 
 
-def handles(scene: Scene) -> list:
-    """The entries of the legend of these panels."""
-    columns = {name: column for panel in PANELS.values() for name, column in panel.items()}
-    columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])  # they look alike, each in its panel
+def columns_of(scene: Scene, panel: str) -> dict[str, tuple[str, dict[str, Any]]]:
+    """The columns of a panel; under laws with segments of their own there are no ψ and q_S."""
+    return {name: column for name, column in PANELS[panel].items() if not (scene.segments and name in BOUNDS)}
+
+
+def handles(scene: Scene, *, shades: bool = True) -> list:
+    """The entries of the legend of these panels; without shades beside lines of the same colours."""
+    columns = {name: column for panel in PANELS for name, column in columns_of(scene, panel).items()}
+    if "psi" in columns:
+        columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])  # they look alike, each in its panel
     lines = [Line2D([], [], label=label, **look) for label, look in columns.values()]
-    return [*lines, *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in shaded(scene))]
+    groups = shaded(scene) if shades else []
+    return [*lines, *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in groups)]
 
 
 def _pi_ticks(angles: Array) -> tuple[list[float], list[str]]:
