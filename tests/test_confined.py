@@ -30,6 +30,21 @@ def test_a_sealed_process_touches_nothing(tmp_path: Path):
     assert (tmp_path / "there").stat().st_mtime == 1
 
 
+def test_what_killed_processes_left_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Their folders, once they are older than any process may be; links and younger ones stay."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    long_ago = time.time() - 3 * confined.SECONDS
+    for name, when in (("signorini-old", long_ago), ("signorini-new", time.time()), ("others-old", long_ago)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+        os.utime(tmp_path / name, (when, when))
+    (tmp_path / "signorini-link").symlink_to("others-old")
+    os.utime(tmp_path / "signorini-link", (long_ago, long_ago), follow_symlinks=False)
+    confined._tidy()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["others-old", "signorini-link", "signorini-new"]
+    assert (tmp_path / "others-old" / "file").exists()
+
+
 @pytest.mark.parametrize(
     ("what", "message"),
     [

@@ -111,6 +111,20 @@ def assert_same_results(one: Path, other: Path) -> None:
         np.testing.assert_allclose(values, others[name], atol=1e-12)
 
 
+@pytest.mark.parametrize("restart", [False, True])
+def test_steps_are_written_through_no_link(tmp_path: Path, restart: bool):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "x.steps").symlink_to("mine")
+    with pytest.raises(InputError, match=r"x\.steps is a link or has one"):
+        run(case(), tmp_path / "x", restart=restart)
+    (tmp_path / "x.steps").unlink()
+    (tmp_path / "x.steps").mkdir()
+    (tmp_path / "x.steps" / "000001").symlink_to("../mine")
+    with pytest.raises(InputError, match=r"x\.steps is a link or has one"):
+        run(case(), tmp_path / "x", restart=restart)
+    assert list((tmp_path / "mine").iterdir()) == []
+
+
 def test_a_killed_run_goes_on(tmp_path: Path):
     """After SIGKILL on two ranks one rank goes on after the last complete step; all results are as without a kill."""
     script = tmp_path / "killed.py"
