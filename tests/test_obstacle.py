@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -264,3 +265,11 @@ def test_contact_on_another_mesh():
         (everywhere,) = sampled([numbers], fine.mesh, coarse.domain, degree=0)
         found = Segments.of_sites(coarse, segment, obstacle=True).on(fine)
         assert np.array_equal(found, np.rint(everywhere.x.array))
+
+
+def test_no_contact_is_told_where_there_is_no_contact_boundary(tmp_path: Path):
+    done = signorini(tmp_path, "solve", "sphere", "--h", "1", "--output", "x")
+    assert done.returncode == 0
+    names = [line.split()[0] for line in done.stdout.splitlines() if line]
+    assert "obstacle" in names
+    assert "contact" not in names

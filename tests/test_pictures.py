@@ -28,7 +28,7 @@ from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rou
 from signorini_fenicsx.output.pictures.evolution import draw_sets
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
-from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.output.pictures.sheet import Sheet, _wrapped
 from signorini_fenicsx.output.pictures.streams import on_grid
 from signorini_fenicsx.output.pictures.water import Water
 from signorini_fenicsx.output.writing import write_solution
@@ -293,6 +293,22 @@ def test_only_a_guaranteed_bound_is_called_certified():
     assert "%" not in words  # of a norm that is not above the bound
     of_penalty = caption(solution, fields, replace(certificate, of_penalty=True))
     assert "penalty problem" in of_penalty
+
+
+@pytest.mark.parametrize(("name", "bounds"), [("fault", False), ("example2", True)])
+def test_entries_of_the_legend(name: str, bounds: bool):
+    """ψ and q_S are there where the law has them; shades, whose colours the lines of Γ_S have too, on their own."""
+    shown = scene(name, **({"h": 0.4} if bounds else {}))
+    found = [str(entry.get_label()) for entry in traces.handles(shown, shades=False)]
+    assert any("q_S" in label for label in found) == bounds
+    shades = [str(entry.get_label()) for entry in traces.handles(shown)][len(found) :]
+    assert sorted(shades) == (["contact"] if bounds else ["slip+", "slip-", "stick"])
+
+
+def test_titles_are_broken_where_they_are_too_wide():
+    title = r"one, two three four $\|a b\| \leq 3$, five"
+    assert _wrapped(title, 100.0) == [title]
+    assert _wrapped(title, 1.0) == ["one,", "two three", "four", r"$\|a b\| \leq 3$,", "five"]
 
 
 @pytest.mark.parametrize("name", ["example1", "example5", "cube", "sphere"])
