@@ -152,27 +152,30 @@ def _drop_normal(values: Array, facets: BoundaryFacets) -> None:
 
 
 def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[dict[str, Array], Array]:
-    """Forces and moments about the origin: on each part of the boundary, and the total, which is 0 (collective).
+    """Forces and moments about the origin on each part of the boundary, and the total, which is 0 (collective).
+
+    The moments of the total are about the middle of the domain: about a far origin rounding would be most of them.
 
     Returns:
         By part, and the sum of all on the boundary and of f; each row has the forces and, after them, the moments.
     """
     comm = spaces.mesh.comm
+    middle = spaces.domain.box().mean(axis=0)[: spaces.dim]
     everything = [spaces.contact, spaces.neumann, spaces.dirichlet]
-    total = np.sum([_resultant(spaces, stresses, facets) for facets in everything], axis=0)
+    total = np.sum([_resultant(spaces, stresses, facets, middle) for facets in everything], axis=0)
     for cells in blocks_of_cells(spaces):
         measure = Cells(spaces.vertices[cells]).measure
-        total += _wrench(spaces.vertices[cells], data.moments_of_f(spaces, cells, measure))
+        total += _wrench(spaces.vertices[cells] - middle, data.moments_of_f(spaces, cells, measure))
     parts = {name: comm.allreduce(_resultant(spaces, stresses, spaces.part(name))) for name in spaces.domain.parts}
     return parts, comm.allreduce(total)
 
 
-def _resultant(spaces: ElasticSpaces, stresses: Array, facets: BoundaryFacets) -> Array:
-    """∫ σn and ∫ x × σn over facets of this rank."""
+def _resultant(spaces: ElasticSpaces, stresses: Array, facets: BoundaryFacets, about: Array | float = 0.0) -> Array:
+    """∫ σn and ∫ (x − about) × σn over facets of this rank."""
     dim = spaces.dim
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
     moments = np.einsum("ab,nbi,n->nai", mass, spaces.tractions(facets, stresses), facets.measure)
-    return _wrench(facets.vertices, moments)
+    return _wrench(facets.vertices - about, moments)
 
 
 def _wrench(vertices: Array, moments: Array) -> Array:
