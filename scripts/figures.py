@@ -329,7 +329,7 @@ def _make(folder: Path, names: Sequence[str] | None) -> None:
         if item["draw"] == "table":
             lines = table_rows(runs[0], item["slides"])
             with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([list(COLUMNS.values()), *lines])
+                csv.writer(file).writerows([["h", *list(COLUMNS)[1:]], *lines])  # each name once
             shown = _html_table(lines)
         else:
             if names is None or name in names:

@@ -26,6 +26,8 @@ def test_reproduce_and_draw_again(tmp_path: Path):
         (folder / f"{name}.png").unlink()
     rows = read_rows(folder / "table5.csv")
     assert [row["h"] for row in rows] == ["2^-2", "2^-3", "2^-4"]
+    names_of_columns = (folder / "table5.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert len(set(names_of_columns)) == len(names_of_columns) == 9
     assert "<td>0.311</td>" in page  # the slides' error beside ours
     again = subprocess.run(
         [
