@@ -8,7 +8,7 @@ while a function of this module runs; forms that the user makes are compiled as 
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,13 @@ from ufl.finiteelement import AbstractFiniteElement
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.compiling import patiently
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.local_options import unseen
+from signorini_fenicsx.base.local_options import JSON, unseen
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import COMPILING, doing
 
 OWN = "signorini_fenicsx"
 """Folder of the cache for the forms of this program."""
-FFCX = "ffcx_options.json"
+OF_DOLFINX, OF_FFCX = JSON
 NEEDED = {"language": "C", "scalar_type": "float64", "sum_factorization": False, "part": "full"}
 """Options of FFCx without which no form of this program is compiled, or not all of it."""
 LOADED: dict[str, Any] = {}
@@ -144,7 +144,8 @@ def compiled(
         OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
             process does not end.
     """
-    options = _checked_options(jit_options) | {"timeout": 1}
+    _check_files()
+    options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
     if "cache_dir" not in (jit_options or {}):
         options["cache_dir"] = Path(options["cache_dir"]) / OWN
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
@@ -164,21 +165,21 @@ def compiled(
     return found[0]
 
 
-def _checked_options(jit_options: dict[str, Any] | None) -> dict[str, Any]:
-    """The options of DOLFINx's compiler; those of FFCx are checked too, since both would end with a traceback."""
+@cache  # both libraries read their files once too
+def _check_files() -> None:
+    """Refuse what configuration files of DOLFINx and FFCx say if compiling would end with a traceback."""
     kinds = {key: type(value) for key, (value, _) in dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS.items()}
-    with unseen():  # both libraries look for their files once
-        options = dolfinx.jit.get_options(jit_options)
-        _check_options("dolfinx_jit_options.json", options, kinds | {"cache_dir": Path, "cffi_libraries": object})
+    with unseen():
+        options = dolfinx.jit.get_options()
         try:
             of_forms = ffcx.options.get_options()
         except (TypeError, ValueError) as error:
-            raise InputError(f"ffcx_options.json: {error}") from None
-    _check_options(FFCX, of_forms, {key: kind for key, (kind, *_) in ffcx.options.FFCX_DEFAULT_OPTIONS.items()})
+            raise InputError(f"{OF_FFCX}: {error}") from None
+    _check_options(OF_DOLFINX, options, kinds | {"cache_dir": Path, "cffi_libraries": object})
+    _check_options(OF_FFCX, of_forms, {key: kind for key, (kind, *_) in ffcx.options.FFCX_DEFAULT_OPTIONS.items()})
     for key, value in NEEDED.items():
         if of_forms[key] != value:
-            raise InputError(f"{FFCX}: this program needs {key} = {value}")
-    return options
+            raise InputError(f"{OF_FFCX}: this program needs {key} = {value}")
 
 
 def _check_options(file: str, options: dict[str, Any], kinds: dict[str, Any]) -> None:
