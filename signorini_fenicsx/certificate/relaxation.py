@@ -206,8 +206,7 @@ def _matrix(space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, jumps: J
         return _assembled(_form(trial, test, kappa, robin))
     matrix = _assembled(_form(trial, test, kappa, None)).ptap(jumps.basis)
     if robin is not None:
-        spaces, beta = robin
-        more, size = _assembled(spaces.form(beta * trial * test * spaces.ds)), space.dofmap.index_map.size_local
+        more, size = _assembled(robin[0].form(_rubbing(trial, test, robin))), space.dofmap.index_map.size_local
         tips = jumps.tips[jumps.tips < size].astype(np.int32)
         more.zeroRowsColumns(tips + more.getOwnershipRange()[0], diag=0.0)
         matrix.axpy(1.0, more)
@@ -218,13 +217,14 @@ def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, part: str = "full"
     """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S, or the diagonal of its matrix (collective)."""
     form, maps = stiffness(u, v, ufl.dx, kappa), []
     if robin is not None:
-        form, maps = form + robin[1] * u * v * robin[0].ds, [robin[0].entity_map]
+        form, maps = form + _rubbing(u, v, robin), [robin[0].entity_map]
     return fenicsx.form(form, options={"part": part}, entity_maps=maps)
 
 
-def _robin_form(u: Expr, v: Expr, robin: Robin) -> fem.Form:
-    """⟨βu, v⟩ on Γ_S (collective)."""
-    return fenicsx.form(robin[1] * u * v * robin[0].ds, entity_maps=[robin[0].entity_map])
+def _rubbing(u: Expr, v: Expr, robin: Robin) -> ufl.Form:
+    """⟨βu, v⟩ on Γ_S."""
+    spaces, beta = robin
+    return beta * u * v * spaces.ds
 
 
 def _assembled(form: fem.Form) -> PETSc.Mat:
@@ -257,7 +257,7 @@ class _Gap:
         self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
         self._given = fem.Function(space)
         self._image = _form(self._given, test, kappa, robin)
-        self._rubbing = None if robin is None else _robin_form(self._given, test, robin)
+        self._rubbing = None if robin is None else robin[0].form(_rubbing(self._given, test, robin))
         self._make = partial(_matrix, space, kappa, robin, jumps)
         self._matrix: PETSc.Mat | None = None
         if jumps is None:
