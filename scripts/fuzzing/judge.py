@@ -155,9 +155,8 @@ def _files(broken: Broken, code: int, before: Files, after: Files) -> tuple[list
     outside = [name for name in new if not any(name == place or name.startswith(place + "/") for place in own)]
     if code not in ENDINGS:  # after a crash there may be a file that it was writing
         outside = [name for name in outside if not name.startswith(f"work/.{OUTPUT}.")]
-    changed = [name for name, digest in before.items() if after.get(name) != digest]
+    changed = [name for name, of in before.items() if after.get(name) != of and not name.startswith(broken.forged)]
     replaced = code == 0 or broken.words[0] == "study"
-    changed = [name for name in changed if not name.startswith(broken.forged)] if broken.forged else changed
     lost = [name for name in changed if not (replaced and name.startswith(out + "/") and _is_result(name, out))]
     return outside, lost
 

@@ -106,10 +106,8 @@ def is_file(at: int, name: str) -> bool:
 
 def delete(path: Path) -> None:
     """Remove a file or a link, or a folder with all that is in it; links in it are not followed."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
+    with folder_below(path.parent) as above:
+        _delete(above, path.name)
 
 
 class Area:

@@ -146,12 +146,11 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
     mesh = solution.spaces.mesh
     comm, dim = mesh.comm, mesh.geometry.dim
 
-    def functions(degree: int) -> tuple[fem.Function, fem.Function]:
-        spaces = (fenicsx.function_space(mesh, ("DG", degree, *shape)) for shape in (((dim,),), ()))
-        sigma, u = (fem.Function(space, name=name) for space, name in zip(spaces, ("sigma", "u"), strict=True))
-        return sigma, u
-
-    (sigma, u), means = functions(1), functions(0)
+    sigma, u, *means = (
+        fem.Function(fenicsx.function_space(mesh, ("DG", degree, *shape)), name=name)
+        for degree in (1, 0)
+        for name, shape in (("sigma", ((dim,),)), ("u", ()))
+    )
     from_centroid = arms(mesh)
     cells, points = solution.spaces.domain.cells, mesh.geometry.index_map().size_global
     size = cells * (dim + 1) * 8 * (len(times) * 4 + 8) + 12_000 + 3_000 * (comm.size + len(times))
@@ -170,9 +169,7 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
             )
             file.write(t)
             for mean in means:
-                mean.x.array[:] = found[
-                    mean.name
-                ].ravel()  # no ghost cells, a degree of freedom per cell in their order
+                mean.x.array[:] = found[mean.name].ravel()  # no ghost cells, one value per cell in their order
                 xdmf.write_function(mean, t)
         file.close()
         xdmf.close()
