@@ -8,7 +8,7 @@ from typing import Any
 
 from signorini_fenicsx import extend
 from signorini_fenicsx.meshes.domain import Boundary
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, CoulombLaw, ElasticBoundary
 
 IN_DIFFUSION = "Diffusion(…, conditions=[…])"
 IN_ELASTICITY = "Elasticity(…, conditions=[…])"
@@ -55,3 +55,16 @@ def taking_old_calls[**P, R](function: Callable[P, R]) -> Callable[P, R]:
         return function(*given, **named)
 
     return wrapped
+
+
+def _coulomb(kind: type[Coulomb], *given: Any, **named: Any) -> Coulomb | CoulombLaw:
+    """Coulomb's law, on parts if there are two arguments, with a warning."""
+    if len(given) + len(named) < 2:
+        return object.__new__(kind)
+    warnings.warn(
+        "Coulomb's law on parts is Contact(parts, friction=Coulomb(mu)) now", DeprecationWarning, stacklevel=2
+    )
+    return CoulombLaw(*given, **named)
+
+
+Coulomb.__new__ = _coulomb  # type: ignore[method-assign, assignment]

@@ -230,6 +230,22 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     assert compare(finest, solution).hausdorff < 0.2
 
 
+def test_an_elastic_problem_is_written_and_read(folder: Path):
+    """Also conditions of Neumann without a value."""
+    walls = {side: WALLS[side] for side in ("bottom", "right")}
+    walls |= {"top": lambda x: np.isclose(x[1], 1), "left": lambda x: np.isclose(x[0], 0)}
+    conditions = [
+        api.Contact("bottom", gap="0.1*x^2"),
+        api.Neumann(["right", "left"]),
+        api.Dirichlet("top", ["0", "-0.3"]),
+    ]
+    body = solve(domain_of(square()[0], walls), api.Elasticity(young=1.0, poisson=0.3, conditions=conditions))
+    write_solution(body, folder)
+    read = load_solution(folder, COMM)
+    assert read.problem == body.problem
+    assert read.norms() == pytest.approx(body.norms(), rel=1e-12)
+
+
 @pytest.mark.parallel(2)
 def test_refusals():
     mesh, parts = square()

@@ -13,11 +13,13 @@ import typer
 from pydantic import BaseModel
 
 import signorini_fenicsx.api
+from signorini_fenicsx import extend
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cli.app import app
 from signorini_fenicsx.contact.laws import LAWS
 
+PUBLIC = {"signorini_fenicsx": signorini_fenicsx, "signorini_fenicsx.extend": extend}
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"```\{?(sh|toml|python|code-cell)\b[^\n]*\n(.*?)```", re.DOTALL)
@@ -68,8 +70,8 @@ def test_names_in_python():
     """Blocks of Python can be parsed; the names that they import exist, and the keywords of calls are known."""
     for page, text in blocks("python") + blocks("code-cell"):
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.ImportFrom) and node.module == "signorini_fenicsx":
-                assert [alias.name for alias in node.names if not hasattr(signorini_fenicsx, alias.name)] == [], page
+            if isinstance(node, ast.ImportFrom) and node.module in PUBLIC:
+                assert [alias.name for alias in node.names if alias.name not in dir(PUBLIC[node.module])] == [], page
             name = getattr(getattr(node, "func", None), "id", "")
             if isinstance(node, ast.Call) and name in signorini_fenicsx.__all__:
                 signature = inspect.signature(getattr(signorini_fenicsx, name))

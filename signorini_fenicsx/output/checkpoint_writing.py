@@ -190,7 +190,9 @@ def _problem(solution: AnySolution) -> dict[str, Any]:
 
 
 def _storable(given: object) -> bool:
-    """Whether a datum consists of numbers and texts."""
+    """Whether a datum consists of numbers, texts, and None for none."""
     if isinstance(given, Mapping):
         return all(map(_storable, given.values()))
-    return all(map(_storable, given)) if isinstance(given, tuple | list) else isinstance(given, str | int | float)
+    return (
+        all(map(_storable, given)) if isinstance(given, tuple | list) else isinstance(given, str | int | float | None)
+    )

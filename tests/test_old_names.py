@@ -1,0 +1,89 @@
+"""The Python names of 0.4 work, warn, and give what the names give into which the changelog translates them."""
+
+import builtins
+import warnings
+from pathlib import Path
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+from dolfinx.mesh import GhostMode, create_unit_square
+from mpi4py import MPI
+
+import signorini_fenicsx
+from signorini_fenicsx import extend
+from signorini_fenicsx.old_names import OLD
+from signorini_fenicsx.solving.solved import Solved
+
+SIDES = {"bottom": (1, 0.0), "right": (0, 1.0), "top": (1, 1.0), "left": (0, 0.0)}
+
+
+def translations() -> list[tuple[str, str]]:
+    """The rows of the changelog's table: how something was written in 0.4, and how in 0.5."""
+    text = Path(__file__).parents[1].joinpath("CHANGELOG.md").read_text(encoding="utf-8")
+    lines = text.split("## 0.4.0")[0].splitlines()
+    rows = [line.strip().strip("|").split(" | ") for line in lines if line.strip().startswith("| `")]
+    return [(old.strip(" `"), new.strip(" `")) for old, new in rows]
+
+
+class Names(dict[str, Any]):
+    """The names of a program that uses `signorini_fenicsx`, old ones too."""
+
+    def __missing__(self, name: str) -> Any:
+        """What the package has of this name."""
+        if hasattr(builtins, name):
+            raise KeyError(name)
+        return getattr(signorini_fenicsx, name)
+
+
+@pytest.fixture(scope="module")
+def names() -> Names:
+    """Names with the unit square, a scalar and an elastic solution on it."""
+    mesh = create_unit_square(MPI.COMM_WORLD, 6, 6, ghost_mode=GhostMode.none)
+    found = Names(extend=extend)
+    found["domain"] = signorini_fenicsx.domain_of(
+        mesh,
+        {
+            side: dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x, i=i, at=at: np.isclose(x[i], at))
+            for side, (i, at) in SIDES.items()
+        },
+    )
+    found["solution"], found["body"] = (value(new, found) for _, new in (translations()[0], translations()[5]))
+    return found
+
+
+def value(text: str, names: Names) -> Any:
+    """The value of an expression of the table, of our own file."""
+    return eval(text.replace("`", ""), names)
+
+
+def comparable(found: Any) -> Any:
+    """Norms of a solution, which are equal if it is; the object itself otherwise."""
+    return found.norms() if isinstance(found, Solved) else found
+
+
+@pytest.mark.parametrize(("old", "new"), translations())
+def test_the_table_of_old_and_new_names(
+    old: str, new: str, names: Names, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "results" in old:
+        names["body"].write("results/body")
+    with pytest.warns(DeprecationWarning, match=" now"):
+        before = comparable(value(old, names))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        after = comparable(value(new, names))
+    assert before == after
+
+
+def test_every_old_name_is_in_the_table_or_moved() -> None:
+    table = " ".join(old for old, _ in translations())
+    assert [name for name in OLD if name not in table and name not in extend.__all__] == []
+
+
+@pytest.mark.parametrize("name", OLD)
+def test_old_names_warn(name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=f"signorini_fenicsx.{name} is "):
+        assert getattr(signorini_fenicsx, name) is not None
