@@ -18,6 +18,7 @@ import io
 import json
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -127,12 +128,12 @@ def _shipped() -> Iterator[Capability]:
     for case in ("example3", "example6", "crack"):
         yield solved(case, h="1/4")
     for case in ("cube", "singular3d", "transition3d"):
-        yield solved(case, *STRUCTURED, h="1/3")
+        yield solved(case, *STRUCTURED, h="1/3", slow=case == "singular3d")
     for case in ("lprism", "edge"):
         yield solved(case, *STRUCTURED, h="1/2")
     yield solved("ball", h="1/2")
     for case in ("dam", "electropainting", "fault"):
-        yield solved(case)
+        yield solved(case, beside=PATH)
     yield solved("sphere", *STRUCTURED, h="1/2")
     yield solved("dam_baiocchi", *STRUCTURED, h="2", beside=PATH)
     yield solved("hertz", *STRUCTURED, h="1/8")
@@ -151,7 +152,7 @@ def _methods() -> Iterator[Capability]:
     for algorithm in ("primal-pdas", "primal-penalty", "psor", "mixed-uzawa1", "mixed-uzawa2", "mixed-uzawa-h12"):
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6")
     for algorithm in ("uzawa", "mixed-uzawa-wang", "slimane"):
-        yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6")
+        yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6", beside={"violation"})
     for case in ("example2", "friction", "sphere"):
         yield solved(case, *STRUCTURED, "--backend", "mixed", h="1/2")
     yield solved("fault", "--algorithm", "alg2", "--backend", "mixed")
@@ -161,7 +162,7 @@ def _methods() -> Iterator[Capability]:
     yield solved("example1", *STRUCTURED, "--set", "solve.max_iterations=1", h="1/8", status=1)
     yield solved("example1", *STRUCTURED, "--algorithm", "alg9", h="1/8", status=2)
     yield solved("hertz", "--algorithm", "qp", status=2)
-    yield solved("transition", *STRUCTURED, h="2^-7", slow=True)
+    yield solved("transition", *STRUCTURED, h="2^-7", slow=True, beside=PATH)
     yield solved("example1", *STRUCTURED, h="2^-7", slow=True)
 
 
@@ -176,7 +177,7 @@ def _rare() -> Iterator[Capability]:
     yield replace(own("tresca", FRICTION="mu = 0.3"), name="solve coulomb")
     yield solved("example1", *STRUCTURED, "--rigorous", h="1/8")
     yield solved("cube", *STRUCTURED, "--rigorous", h="1/2")
-    yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2")
+    yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2", slow=True)
     yield solved("hertz", *STRUCTURED, "--plot", h="1/4")
     yield then(
         solved("example1", *STRUCTURED, h="1/4"), "solve", "example1", *STRUCTURED, "--h", "1/8", "--start-from", "out"
@@ -212,7 +213,7 @@ def _of_0_4() -> Iterator[Capability]:
         if folder.name != "moving_transition":
             finer = ("solve", folder.name, *STRUCTURED, "--h", "1/3", "--output", "finer")
             both = ("compare", str(folder), "finer", "--output", "out")
-            yield Capability(f"compare {folder.name} of 0.4", (finer, both))
+            yield Capability(f"compare {folder.name} of 0.4", (finer, both), slow=folder.name == "lprism")
 
 
 def capabilities() -> list[Capability]:
@@ -307,13 +308,13 @@ def _of_table(path: Path, name: str) -> dict[str, list[float]]:
         rows = list(csv.DictReader(file))
     found: dict[str, list[float]] = {f"{name}/rows": [float(len(rows))]}
     for column in rows[0] if rows else ():
-        texts = [row[column] for row in rows]
+        texts, place = [row[column] for row in rows], f"{name}/{column.replace('.', '/')}"
         if column in OF_ONE_RUN:
             continue
         try:
-            found |= _of_array(np.array([float(text) for text in texts if text]), f"{name}/{column}")
+            found |= _of_array(np.array([float(text) for text in texts if text]), place)
         except ValueError:
-            found |= {f"{name}/{column}={text}": [float(texts.count(text))] for text in sorted(set(texts))}
+            found |= {f"{place}={text}": [float(texts.count(text))] for text in sorted(set(texts))}
     return found
 
 
@@ -365,12 +366,18 @@ def record(path: Path, word: str) -> None:
     found = {}
     for capability in capabilities():
         if word in capability.name:
+            start = time.perf_counter()
             with tempfile.TemporaryDirectory() as place:
                 found[capability.name] = run(capability, Path(COMM.bcast(place)))
                 COMM.Barrier()
             collect_garbage(COMM)
             if COMM.rank == 0:
-                print(found[capability.name]["status"], capability.name, flush=True)
+                print(
+                    f"{time.perf_counter() - start:6.1f} s",
+                    found[capability.name]["status"],
+                    capability.name,
+                    flush=True,
+                )
     if COMM.rank == 0:
         path.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n", encoding="utf-8")
 

@@ -1,0 +1,38 @@
+"""What the program can do gives the results that were recorded, see `capabilities`."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from capabilities import GOLDEN, TOLERANCE, Capability, capabilities, differences, run
+
+
+@pytest.fixture(scope="module")
+def recorded() -> dict[str, Any]:
+    """The recorded results of all capabilities, by their names."""
+    return json.loads(GOLDEN.read_text(encoding="utf-8"))
+
+
+def test_each_capability_has_a_name_and_a_record(recorded: dict[str, Any]) -> None:
+    names = [capability.name for capability in capabilities()]
+    assert sorted(names) == sorted(recorded)
+
+
+@pytest.mark.parametrize(
+    "capability",
+    [pytest.param(each, id=each.name, marks=pytest.mark.slow if each.slow else ()) for each in capabilities()],
+)
+def test_results_are_those_recorded(capability: Capability, recorded: dict[str, Any], tmp_path: Path) -> None:
+    found = differences(recorded[capability.name], run(capability, tmp_path), capability.beside)
+    assert [each for each in found if each[0] > TOLERANCE] == []
+
+
+def test_differences_are_found() -> None:
+    one = {"status": [0], "numbers": {"summary.json/norms/u": [1.0], "summary.json/norms/p": [1e-3], "u.npy": [1, 2]}}
+    other = {"status": [0], "numbers": {**one["numbers"], "summary.json/norms/p": [1.001e-3]}}
+    assert differences(one, one) == []
+    assert differences(one, other) == [(pytest.approx(1e-6), "summary.json/norms/p")]
+    assert differences(one, {**one, "status": [1]})[0][0] == float("inf")
+    assert differences(one, {"status": [0], "numbers": {}})[0][0] == float("inf")
+    assert differences(one, other, {"p"}) == []
