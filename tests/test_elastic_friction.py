@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
@@ -204,3 +206,19 @@ def test_a_body_that_friction_alone_holds():
     slides = r"the body slides away, along \(1, .*the loads do the work 0.04, and friction .* takes at most 0.03"
     with pytest.raises(NumericalFailure, match=slides):
         solved(0.04, CoulombLaw(["y0"], mu=0.3))
+
+
+@pytest.mark.parametrize("gap", [2.0, 1e9])
+def test_nothing_rubs_where_nothing_touches(gap: float):
+    """Above a foundation that it does not reach a body with Coulomb's friction is free, and so is it in its bound."""
+    domain = build_domain(COMM, "square", 0.5, mesh="structured")
+    boundary = ElasticBoundary(["bottom"], ["top"], {"left": "x"})
+    problem = ElasticProblem(2.0, 0.3, f=["0", "-x"], g_N={"top": ["0", "-x"]}, gap=gap)
+    rough, smooth = (
+        solve(domain, (boundary, replace(problem, laws=laws))) for laws in ((CoulombLaw(["bottom"], 0.3),), ())
+    )
+    assert rough.norms() == pytest.approx(smooth.norms(), rel=1e-9, abs=1e-9)
+    assert np.all(rough.data.friction.bound == 0)
+    bounds = [certify_elastic(solution) for solution in (rough, smooth)]
+    assert bounds[0].bound == pytest.approx(bounds[1].bound, rel=1e-3)
+    assert bounds[0].relative < 0.5

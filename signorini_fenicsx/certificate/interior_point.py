@@ -23,6 +23,8 @@ ENOUGH = 1e-5
 """The products of all terms add up to at most this share of the minimum at the end,"""
 LEAST = 1e-16
 """or to this share of the scale of the minimum, which is rounding."""
+HUGE = 1e140
+"""Numbers from which a step has failed: their squares are hardly floats."""
 BACK = 0.995
 """Share of the way to the nearest bound that a step goes."""
 TOUCHES = 1e-3
@@ -84,7 +86,10 @@ def minimise(terms: Terms, forces: Array) -> Array:
     for _ in range(MOST):
         if path.is_at_end():
             break
+        before = path.x
         path.step()
+        if not path.is_finite():
+            return before
     return path.x
 
 
@@ -141,6 +146,10 @@ class _Path:
         apart = self._largest(self._off) <= LEAST**0.5 * self._largest(self.x)
         lowest = max(ENOUGH * (terms.constant + value + rubbing), LEAST * terms.scale)
         return self._pairs == 0 or not np.isfinite(self._products) or (apart and self._products <= lowest)
+
+    def is_finite(self) -> bool:
+        """Whether the squares of all numbers are floats, too (collective)."""
+        return self._largest(self.x) < HUGE and self._largest(self._force) < HUGE
 
     def step(self) -> None:
         """Predict where the products vanish, then go towards where they all have a smaller value (collective)."""

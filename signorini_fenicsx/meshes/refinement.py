@@ -48,12 +48,12 @@ def dorfler(indicator: Array, theta: float, comm: MPI.Comm) -> npt.NDArray[np.in
         comm: Communicator of the mesh.
 
     Returns:
-        Owned cells with η_T above a threshold that is the same on all ranks.
+        Owned cells with η_T above a threshold that is the same on all ranks; all if a square of η_T is no float.
     """
     squares = indicator**2
     wanted = theta * comm.allreduce(squares.sum())
     high = comm.allreduce(squares.max(initial=0.0), MPI.MAX)
-    if theta >= 1 or high == 0:
+    if theta >= 1 or high == 0 or not np.isfinite(high):
         return np.arange(len(squares), dtype=np.int32)
     low = NEGLIGIBLE * high
     while high > (1 + SAME) * low:

@@ -58,12 +58,17 @@ class FrictionBounds:
         return replace(self, bound=np.where(self.coulomb[:, None], of_pressure, self.bound))
 
     def change(self, other: FrictionBounds, spaces: ElasticSpaces) -> float:
-        """‖g' − g‖/‖g'‖ on Coulomb's facets, where g = 0 in the place of the start (collective)."""
-        before = np.where(self.bound < STICKS, self.bound, 0.0)
+        """‖g' − g‖/‖g'‖ on Coulomb's facets, where g = 0 in the place of the start (collective).
+
+        Away from the start it is 1 also if nothing is pressed, so that g' = 0.
+        """
+        start = self.bound >= STICKS
+        before = np.where(start, 0.0, self.bound)
         squares = [(values[self.coulomb] ** 2).sum(axis=1) for values in (other.bound - before, other.bound)]
         weights = spaces.rough.measure[self.coulomb]
-        change, size = spaces.mesh.comm.allreduce(np.array([weights @ values for values in squares])).tolist()
-        return float(np.sqrt(change / size)) if size > 0 else float(change > 0)
+        sums = np.array([*(weights @ values for values in squares), np.count_nonzero(start)])
+        change, size, left = spaces.mesh.comm.allreduce(sums).tolist()
+        return float(np.sqrt(change / size)) if size > 0 else float(change > 0 or left > 0)
 
 
 def friction_chains(g: Array) -> Chains:
