@@ -105,7 +105,7 @@ PARTS = (
     '["fault"]',
     '["nowhere"]',
 )
-STEPS = ("0", "1", "3", "1e-9", "1000", '"1/3"')
+STEPS = ("0", "1", "3", "1e-9", "60", '"1/3"')
 SCHEMES = ('"bdf2"', '"implicit-euler"', '"euler"')
 SIDES = (
     "{}",
