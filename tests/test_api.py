@@ -246,6 +246,23 @@ def test_an_elastic_problem_is_written_and_read(folder: Path):
     assert read.norms() == pytest.approx(body.norms(), rel=1e-12)
 
 
+def test_a_problem_that_no_file_can_hold_is_passed_when_its_solution_is_read(folder: Path):
+    """With its conditions, as it was given to `solve`; one of another physics is refused."""
+    domain = domain_of(square()[0], {side: WALLS[side] for side in ("bottom", "right")})
+    unilateral = api.Signorini("bottom", psi=lambda x: 0.1 * x[0] - 0.05)
+    given = api.Diffusion(f=lambda x: 40 * (x[0] - 0.6), conditions=[unilateral, api.Neumann("right")])
+    pressed = [api.Contact("bottom", gap=lambda x: 0.1 * x[0]), api.Neumann("right")]
+    of_body = api.Elasticity(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], conditions=pressed)
+    for problem, other in ((given, of_body), (of_body, given)):
+        solution = solve(domain, problem)
+        write_solution(solution, folder)
+        with pytest.raises(InputError, match="pass the problem to load_solution"):
+            load_solution(folder, COMM)
+        assert load_solution(folder, COMM, problem=problem).norms() == pytest.approx(solution.norms(), rel=1e-12)
+        with pytest.raises(InputError, match=f"of {type(problem).__name__}, not of {type(other).__name__}"):
+            load_solution(folder, COMM, problem=other)
+
+
 @pytest.mark.parallel(2)
 def test_refusals():
     mesh, parts = square()

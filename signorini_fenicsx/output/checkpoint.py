@@ -38,6 +38,7 @@ from signorini_fenicsx.physics.diffusion.solving import gamma_s
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, ElasticProblem
 from signorini_fenicsx.solving.options import OWN, Options
+from signorini_fenicsx.solving.system import sorted_on
 
 
 @collector_off()
@@ -54,7 +55,8 @@ def load_solution(
     Args:
         folder: The results folder.
         comm: Communicator.
-        problem: The data, needed if some were given in Python in a form that no file can hold.
+        problem: A `Diffusion` or `Elasticity`, needed if some data were given in Python in a form that no file can
+            hold. The mesh that is read is a new one, so data are then numbers, texts or functions of points.
         options: The options, needed if the algorithm was given in Python.
 
     Raises:
@@ -65,10 +67,16 @@ def load_solution(
     check_kind("folder", folder, str, Path)
     on_root(comm, lambda: refuse_incomplete(folder))
     found = read_checkpoint(comm, Path(folder))
+    given, name = problem, "Diffusion" if found.about.physics is None else "Elasticity"
+    if hasattr(problem, "on"):
+        _, problem = sorted_on(read_domain(found, comm, {}), problem)
+    fits = problem is None or isinstance(problem, Problem if found.about.physics is None else ElasticProblem)
+    if not fits:
+        raise InputError(f"problem: {folder} is the solution of a problem of {name}, not of {type(given).__name__}")
     if found.about.physics is None:
-        scalar = problem if isinstance(problem, Problem) else _read_problem(found, found.dim)
+        scalar = problem or _read_problem(found, found.dim)
         return _read_solution(found, comm, scalar, options or _read_options(found))
-    elastic = problem if isinstance(problem, ElasticProblem) else _read_elastic_problem(found)
+    elastic = problem or _read_elastic_problem(found)
     return read_elastic_solution(found, comm, elastic, options or _read_options(found))
 
 
