@@ -11,7 +11,7 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.solving import evolve_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.physics.diffusion.bodies import bodies, spread
+from signorini_fenicsx.discrete.bodies import bodies, spread
 
 COMM = MPI.COMM_WORLD
 APART = """

@@ -212,12 +212,8 @@ class Case(CaseFile):
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
         self.parts.refuse_repetition()
-        for part in self.boundary.inner:
-            if part not in self.law_parts:
-                raise ValueError(f"[boundary] inner: '{part}' needs a [[law]] between the jump of u and σ·n")
-        for part in self.boundary.sides:
-            if part not in self.boundary.inner or self.geometry.file is None:
-                raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
+        law = "a [[law]] between the jump of u and σ·n"
+        self.boundary.check_inner(self.law_parts, self.geometry.file, law)
         if not self.boundary.signorini and not self.law and self.problem.obstacle is None:
             raise ValueError("[boundary] signorini: lists no part, and there is no [[law]] and no obstacle")
         return self

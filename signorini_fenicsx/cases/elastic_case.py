@@ -1,20 +1,26 @@
 """Case files of elastic contact, `physics = "elasticity"`."""
 
+from collections import Counter
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, CaseFile
-from signorini_fenicsx.cases.parts import Parts, Section
+from signorini_fenicsx.cases.parts import PartsInside, Section
 from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice
 from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
 from signorini_fenicsx.physics.elasticity.solving import RULES
 
 
-class ElasticParts(Parts):
-    """`[boundary]`: the parts in contact, with given traction, and fixed in some components; the rest is Γ_D."""
+class ElasticParts(PartsInside):
+    """`[boundary]`: the parts in contact, with given traction, and fixed in some components; the rest is Γ_D.
+
+    Where two bodies touch, the part is one of "inner" as well.
+    """
 
     contact: list[str] = Field(default=[])
     neumann: list[str] = Field(default=[])
@@ -35,30 +41,37 @@ class ElasticParts(Parts):
         Raises:
             InputError: If a component is unknown.
         """
-        return ElasticBoundary(self.contact, self.neumann, self.fixed)
+        return ElasticBoundary(self.contact, self.neumann, self.fixed, self.inner)
 
 
-class FrictionTexts(Section):
-    """`[[law]]`: friction on parts of Γ_C, with g, the bound of the shear, or with μ, Coulomb's coefficient."""
+class ContactTexts(Section):
+    """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number."""
 
-    kind: Annotated[str, choice("law of elastic contact", ("friction",))]
+    kind: Annotated[str, choice("law of elastic contact", ("contact", "friction"))]
     parts: list[str] = Field(min_length=1)
+    gap: Expression | None = None
     g: Expression | None = None
     mu: Expression | None = None
 
     @model_validator(mode="after")
     def _one_bound(self) -> Self:
-        if (self.g is None) == (self.mu is None):
+        if self.kind == "friction" and (self.g is None) == (self.mu is None):
             raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
+        if self.kind == "contact" and (self.g or self.mu) is not None:
+            key = "mu" if self.g is None else "g"
+            raise ValueError(f"unknown key '{key}' of the law 'contact', which has no friction; use kind \"friction\"")
         return self
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        return [(key, text) for key, text in (("g", self.g), ("mu", self.mu)) if text is not None]
+        found = (("gap", self.gap), ("g", self.g), ("mu", self.mu))
+        return [(key, text) for key, text in found if text is not None]
 
-    def law(self) -> ElasticLaw:
-        """The law."""
-        return Friction(self.parts, self.g) if self.g is not None else CoulombLaw(self.parts, self.mu or "0")
+    def law(self) -> ElasticLaw | None:
+        """The law of friction, if there is friction."""
+        if self.g is not None:
+            return Friction(self.parts, self.g)
+        return None if self.mu is None else CoulombLaw(self.parts, self.mu)
 
 
 class ElasticTexts(Section):
@@ -67,7 +80,7 @@ class ElasticTexts(Section):
     young: ExpressionByRegion
     poisson: ExpressionByRegion
     f: Vector | None = None
-    u_D: Vector | None = None
+    u_D: VectorByPart | None = None
     g_N: VectorByPart | None = None
     gap: Expression = "0"
     plane: Annotated[str, choice("plane", tuple(Plane))] = Plane.STRAIN
@@ -75,9 +88,10 @@ class ElasticTexts(Section):
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         found = [("gap", self.gap)]
-        vectors = {"f": self.f, "u_D": self.u_D}
-        by_part = self.g_N if isinstance(self.g_N, dict) else {"": self.g_N}
-        vectors |= {f"g_N.{part}".rstrip("."): each for part, each in by_part.items()}
+        vectors = {"f": self.f}
+        for name, given in (("u_D", self.u_D), ("g_N", self.g_N)):
+            by_part = given if isinstance(given, dict) else {"": given}
+            vectors |= {f"{name}.{part}".rstrip("."): each for part, each in by_part.items()}
         found += [(name, entry) for name, entries in vectors.items() for entry in entries or []]
         for name, value in (("young", self.young), ("poisson", self.poisson)):
             entries = value.items() if isinstance(value, dict) else [("", value)]
@@ -97,7 +111,7 @@ class ElasticCase(CaseFile):
     physics: Literal["elasticity"]
     boundary: ElasticParts
     problem: ElasticTexts
-    law: Annotated[list[FrictionTexts], Field(default=[], exclude_if=lambda laws: not laws)]
+    law: Annotated[list[ContactTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: ElasticExact = ElasticExact()
 
     @property
@@ -108,7 +122,7 @@ class ElasticCase(CaseFile):
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
-        rough = any(part in law.parts for law in self.law)
+        rough = any(part in law.parts for law in self.law if law.kind == "friction")
         return "contact with friction" if rough else super().condition_of(part)
 
     @property
@@ -127,6 +141,12 @@ class ElasticCase(CaseFile):
         self.parts.refuse_repetition()
         if not self.parts.named["contact"]:
             raise ValueError("[boundary] contact: lists no part, and there is no [[law]]")
+        in_laws = Counter(part for law in self.law for part in law.parts)
+        twice = [part for part, times in in_laws.items() if times > 1]
+        if twice:
+            raise ValueError(f"[[law]]: part '{twice[0]}' has two laws")
+        law = "contact: list it there as well, or in a [[law]]"
+        self.boundary.check_inner(self.parts.contact, self.geometry.file, law)
         if self.solve.algorithm not in RULES:
             raise ValueError(f"[solve] algorithm: elastic contact is solved by {' or '.join(RULES)}")
         for key in ("backend", "rho", "eps"):
@@ -136,12 +156,21 @@ class ElasticCase(CaseFile):
 
     def posed(self, dim: int) -> tuple[ElasticBoundary, ElasticProblem]:
         """The parts and the data, see `CaseFile.posed`."""
-        return self.boundary.read(), self.data()
+        return self.parts.read(), self.data()
+
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of some of the parts inside the domain."""
+        return self.boundary.sides
 
     def data(self) -> ElasticProblem:
         """The data as they are given."""
         values: dict[str, Any] = {key: getattr(self.problem, key) for key in type(self.problem).model_fields}
-        return ElasticProblem(**values, exact=self.exact.u, laws=[law.law() for law in self.law])
+        own = {part: law.gap for law in self.law for part in law.parts if law.gap is not None}
+        if own:
+            values["gap"] = {part: own.get(part, self.problem.gap) for part in self.parts.contact}
+        friction = [found for law in self.law if (found := law.law()) is not None]
+        return ElasticProblem(**values, exact=self.exact.u, laws=friction)
 
 
 type AnyCase = Case | ElasticCase

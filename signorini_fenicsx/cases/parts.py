@@ -71,31 +71,60 @@ class Parts(Section):
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
-        return next((key for key, parts in self.named.items() if part in parts), "dirichlet")
+        return next((key for key, parts in self.named.items() if part in parts and key != "inner"), "dirichlet")
 
     def listed(self) -> list[str]:
         """All parts that the section names."""
         return [part for parts in self.named.values() for part in parts]
 
 
-class Boundary(Parts):
-    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
+class PartsInside(Parts):
+    """`[boundary]` with parts inside the domain, across which u may jump.
 
-    Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
     "sides" tells the named side of an inner part: the region of cells there, or a direction that points to it.
     """
 
-    signorini: list[str] = []
-    neumann: list[str] = []
-    dirichlet: list[str] | None = None
     inner: list[str] = []
     sides: dict[str, str | list[float]] = {}
 
     @property
     def named(self) -> dict[str, list[str]]:
         """The lists that are given, by their keys."""
-        lists = {key: list(value) for key, value in self if isinstance(value, list)}
+        lists = {key: list(value) for key, value in self if value is not None and key != "sides"}
         return lists if self.inner else {key: parts for key, parts in lists.items() if key != "inner"}
+
+    def listed(self) -> list[str]:
+        """All parts that the section names; inner ones have a condition, too."""
+        return [part for key, parts in self.named.items() for part in parts if key != "inner"]
+
+    def check_inner(self, with_law: Collection[str], file: str | None, law: str) -> None:
+        """Make sure that inner parts have laws, and that sides are told of inner parts of a mesh file.
+
+        Args:
+            with_law: The parts with a law.
+            file: The mesh file.
+            law: What the law is, in words.
+
+        Raises:
+            ValueError: If not.
+        """
+        for part in self.inner:
+            if part not in with_law:
+                raise ValueError(f"[boundary] inner: '{part}' needs {law}")
+        for part in self.sides:
+            if part not in self.inner or file is None:
+                raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
+
+
+class Boundary(PartsInside):
+    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
+
+    Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
+    """
+
+    signorini: list[str] = []
+    neumann: list[str] = []
+    dirichlet: list[str] | None = None
 
 
 class PartsWithLaws(Boundary):
@@ -106,8 +135,5 @@ class PartsWithLaws(Boundary):
     @property
     def named(self) -> dict[str, list[str]]:
         """The lists that are given, by their keys."""
-        return super().named | self.laws
-
-    def listed(self) -> list[str]:
-        """All parts that the section names; inner ones are also those of a law."""
-        return [part for key, parts in self.named.items() for part in parts if key != "inner"]
+        lists = {key: parts for key, parts in super().named.items() if key != "laws"}
+        return lists | self.laws

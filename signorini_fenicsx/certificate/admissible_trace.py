@@ -29,6 +29,7 @@ from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Edges, Obstacle, all_edges, relax
 from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import (
     Points,
     facet_lattice,
@@ -40,7 +41,7 @@ from signorini_fenicsx.discrete.points import (
 )
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jets import cut_off, larger
-from signorini_fenicsx.physics.diffusion.nodes import extreme_around, facet_nodes, largest_around
+from signorini_fenicsx.physics.diffusion.nodes import facet_nodes, largest_around
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

@@ -1,8 +1,8 @@
 """The conforming displacement nearest to a stress: polynomials on the split mesh that stay off the foundation.
 
 It minimises the gap of `forms/elasticity.py` for given y over the displacements whose coefficients in Bernstein's basis
-stay off: at each node of Γ_C there is a condition for each facet. With friction, |v_t| is bounded by its coefficients,
-and there is one more term for each. `interior_point` finds the minimum.
+stay off: at each node of Γ_C there is a condition for each facet, between two nodes where two bodies touch. With
+friction, |v_t| is bounded by its coefficients, and there is one more term for each. `interior_point` finds the minimum.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from signorini_fenicsx.certificate.interior_point import minimise
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.forms.elasticity import strain, strain_energy, stress_product
 from signorini_fenicsx.linear.petsc import direct_solver
-from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, facet_coefficients, given_nodes
+from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_rule
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -80,7 +80,7 @@ class BestDisplacement:
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
         self.space = fenicsx.function_space(mesh, element)
         self._numbers = self.space.dofmap.index_map
-        self.contact = facet_coefficients(split, self.space, spaces.contact)
+        self.contact = contact_coefficients(spaces, split, self.space)
         self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
         self._collect_terms()
@@ -105,23 +105,27 @@ class BestDisplacement:
         contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
         gap, weights = contact.of(self.spaces.mesh, self._data.gap), self._rubbing_weights()
         rubs = weights > 0
-        normals = np.broadcast_to(contact.facets.normals[:, None], (*gap.shape, dim)).reshape(-1, dim)
-        tangents = np.broadcast_to(self.spaces.tangents[here][:, None], (*rubs.shape, dim))[rubs]
-        nodes = np.concatenate([contact.nodes.ravel(), contact.nodes[rough][rubs]])
-        axes = np.einsum("kij,ki->kj", self._given.frames[nodes], np.concatenate([normals, tangents]))
-        bound = np.append(gap.ravel(), np.zeros(len(tangents))) - (axes * self._given.values[nodes]).sum(axis=1)
+        rows = np.append(np.repeat(np.arange(len(gap)), gap.shape[1]), rough[np.nonzero(rubs)[0]])
+        places = np.append(np.tile(np.arange(gap.shape[1]), len(gap)), np.nonzero(rubs)[1])
+        tangents = self.spaces.tangents[here][np.nonzero(rubs)[0]]
+        directions = np.append(np.repeat(contact.facets.normals, gap.shape[1], axis=0), tangents.reshape(-1, dim), 0)
+        nodes, signs = contact.pairs(rows, places)
+        axes = signs[:, :, None] * np.einsum("ksij,ki->ksj", self._given.frames[nodes], directions)
+        bound = np.append(gap.ravel(), np.zeros(len(tangents))) - (axes * self._given.values[nodes]).sum(axis=(1, 2))
         axes[self._given.given[nodes]] = 0.0
         high = np.append(np.full(gap.size, np.inf), weights[rubs])
-        self._gap, free = gap, (axes**2).sum(axis=1) > FREE
-        self._term_nodes, self._axes, self.bound, self.high = nodes[free], axes[free], bound[free], high[free]
+        self._gap, free = gap, (axes**2).sum(axis=(1, 2)) > FREE
+        self._nodes, self._axes, self.bound, self.high = nodes[free], axes[free], bound[free], high[free]
         self.low = np.where(np.isinf(self.high), 0.0, -self.high)
         forces = self._in_coefficients(self._y.pressure[contact.rows], contact.facets.measure)
         rubbing = -self._in_coefficients(self._y.shear[here], contact.facets.measure[rough])
         self._forces = np.append(forces.ravel(), rubbing[rubs])[free]
 
         pull = fem.assemble_vector(fenicsx.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
-        add_at(pull, contact.nodes, forces[:, :, None] * contact.facets.normals[:, None])
-        add_at(pull, contact.nodes[rough], rubbing[:, :, None] * self.spaces.tangents[here][:, None])
+        on_facets = forces[:, :, None] * contact.facets.normals[:, None]
+        on_facets[rough] += rubbing[:, :, None] * self.spaces.tangents[here][:, None]
+        add_at(pull, contact.nodes, on_facets)
+        add_at(pull, contact.across, -on_facets[contact.touched])
         pull.scatter_reverse(la.InsertMode.add)
         self._pull, self._apart = pull, float((forces * gap).sum())
 
@@ -132,6 +136,8 @@ class BestDisplacement:
         natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
         natural.assemble()
         self._natural = natural.ptap(self._turn(natural))
+        if self.spaces.inner.present:
+            self._natural.axpy(1.0, self._coupling(natural), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self._lift = self._given.values[:size].ravel()
         load = np.einsum("nij,ni->nj", self._given.frames[:size], self._pull.array.reshape(-1, dim)[:size]).ravel()
         image = self.times(self._lift)
@@ -150,10 +156,10 @@ class BestDisplacement:
         stiffness = la.vector(self._numbers, dim)
         stiffness.array[: size * dim] = diagonal.array_r
         stiffness.scatter_forward()
-        self.unit = stiffness.array.reshape(-1, dim)[self._term_nodes].max(axis=1, initial=0.0)
+        self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0)
         self._shift = (1 + SHIFT) * self._natural.getDiagonal()
         self._solver = direct_solver(self._matrix, "cholesky", "facet_")
-        self._touched = np.flatnonzero(self._summed(np.ones(len(self.bound))))
+        self._touched = np.flatnonzero(self._summed(np.ones(self._nodes.shape)))
 
     def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
         """From coefficients in the frames of the nodes to those in coordinates."""
@@ -174,6 +180,25 @@ class BestDisplacement:
         pairs = np.broadcast_to(number[:, :, None], shape), np.broadcast_to(number[:, None, :], shape)
         return pairs[0].ravel().astype(PETSc.IntType), pairs[1].ravel().astype(PETSc.IntType)
 
+    def _coupling(self, natural: PETSc.Mat) -> PETSc.Mat:
+        """Zeros where terms between two nodes will have entries (collective)."""
+        coupling = PETSc.Mat().create(self.comm)
+        coupling.setSizes(natural.getSizes(), bsize=self.spaces.dim)
+        coupling.setType("aij")
+        rows, columns = self._between(self._nodes)
+        coupling.setPreallocationCOO(rows, columns)
+        coupling.setValuesCOO(np.zeros(len(rows)), PETSc.InsertMode.INSERT_VALUES)
+        return coupling
+
+    def _between(self, pairs: Indices) -> tuple[npt.NDArray, npt.NDArray]:
+        """Rows and columns of the blocks of pairs of nodes of this rank, ghosts too, each in both orders."""
+        dim = self.spaces.dim
+        both = np.concatenate([pairs, pairs[:, ::-1]])
+        first = dim * self._numbers.local_to_global(both.ravel().astype(np.int32)).reshape(both.shape)
+        number, shape = first[:, :, None] + np.arange(dim), (len(both), dim, dim)
+        rows, columns = np.broadcast_to(number[:, 0, :, None], shape), np.broadcast_to(number[:, 1, None, :], shape)
+        return rows.ravel().astype(PETSc.IntType), columns.ravel().astype(PETSc.IntType)
+
     def times(self, x: Array) -> Array:
         """Kx (collective)."""
         known, image = self._natural.createVecs()
@@ -186,17 +211,17 @@ class BestDisplacement:
         everywhere = la.vector(self._numbers, self.spaces.dim)
         everywhere.array[: len(x)] = x
         everywhere.scatter_forward()
-        return (self._axes * everywhere.array.reshape(-1, self.spaces.dim)[self._term_nodes]).sum(axis=1)
+        return (self._axes * everywhere.array.reshape(-1, self.spaces.dim)[self._nodes]).sum(axis=(1, 2))
 
     def spread(self, forces: Array) -> Array:
         """Σ τa (collective)."""
-        return self._summed(forces[:, None] * self._axes)
+        return self._summed(forces[:, None, None] * self._axes)
 
     def _summed(self, values: Array) -> Array:
-        """Sums over the terms of each owned node, from values of shape (terms, …) (collective)."""
-        size = math.prod(values.shape[1:])
+        """Sums over the terms of each owned node, from values of shape (terms, 2, …) (collective)."""
+        size = math.prod(values.shape[2:])
         sums = la.vector(self._numbers, size)
-        add_at(sums, self._term_nodes, values)
+        add_at(sums, self._nodes, values)
         sums.scatter_reverse(la.InsertMode.add)
         found: Array = sums.array[: size * self._numbers.size_local]
         return found
@@ -204,12 +229,19 @@ class BestDisplacement:
     def factorise(self, stiffness: Array) -> None:
         """Get ready to solve with K + Σ d aaᵀ (collective)."""
         dim = self.spaces.dim
-        blocks = self._summed(stiffness[:, None, None] * self._axes[:, :, None] * self._axes[:, None, :])
+        stiff = stiffness[:, None, None, None] * self._axes[:, :, :, None]
+        blocks = self._summed(stiff * self._axes[:, :, None])
         self._natural.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._matrix.setDiagonal(self._shift)
         places = self._places(self._touched, self._matrix)
         values = blocks.reshape(-1, dim * dim)[self._touched]
         self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in (*places, values.ravel())), addv=True)
+        if self.spaces.inner.present:
+            two = np.flatnonzero(self._nodes[:, 0] != self._nodes[:, 1])
+            block = stiff[two, 0] * self._axes[two, 1, None]
+            both = np.concatenate([block, block.swapaxes(1, 2)]).ravel()
+            places = self._between(self._nodes[two])
+            self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in (*places, both)), addv=True)
         self._matrix.assemble()
 
     def solve(self, load: Array) -> Array:
@@ -223,7 +255,7 @@ class BestDisplacement:
         """The best v, and why it is not admissible; empty if it is (collective)."""
         x = minimise(self, self._forces)
         feet = np.isinf(self.high)
-        lengths = (self._axes**2).sum(axis=1)
+        lengths = (self._axes**2).sum(axis=(1, 2))
         for _ in range(PUSHES):
             past = np.where(feet, np.maximum(self.along(x) - self.bound, 0.0), 0.0)
             if not self.comm.allreduce(bool((past > 0).any()), MPI.LOR):
@@ -240,7 +272,7 @@ class BestDisplacement:
     def _past_foundation(self, v: fem.Function) -> str:
         """Where and how far v passes the foundation, in words; empty if it does not, up to rounding (collective)."""
         contact, coefficients = self.contact, v.x.array.reshape(-1, self.spaces.dim)
-        past = np.einsum("nki,ni->nk", coefficients[contact.nodes], contact.facets.normals) - self._gap
+        past = np.einsum("nki,ni->nk", contact.jump(coefficients), contact.facets.normals) - self._gap
         largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self._gap)])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         worst = float(past.max(initial=0.0)), ""
@@ -259,8 +291,8 @@ class BestDisplacement:
         return f"at ({where}), along the normal ({along}) of the facet of the mesh"
 
     def moments_on_contact(self, v: fem.Function) -> Array:
-        """∫ v φ_a over the facets `contact`, shape (facets, d, d)."""
-        coefficients = v.x.array.reshape(-1, self.spaces.dim)[self.contact.nodes]
+        """∫ v φ_a over the facets `contact`, of the jump where two bodies touch, shape (facets, d, d)."""
+        coefficients = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
         return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self._moments, coefficients)
 
     @cached_property
@@ -283,8 +315,8 @@ class BestDisplacement:
 
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t| over the facets with friction: |v_t| is at most the mean of its |coefficients|."""
-        nodes, tangents = self.contact.nodes[self.rough[0]], self.spaces.tangents[self.rough[1]]
-        along = np.einsum("nki,ni->nk", v.x.array.reshape(-1, self.spaces.dim)[nodes], tangents)
+        slips, tangents = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim)), self.spaces.tangents[self.rough[1]]
+        along = np.einsum("nki,ni->nk", slips[self.rough[0]], tangents)
         return (self._rubbing_weights() * np.abs(along)).sum(axis=1)
 
 

@@ -166,7 +166,11 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     near.array[nodes[large]] = 1.0
     near.scatter_reverse(la.InsertMode.add)
     near.scatter_forward()
-    return np.flatnonzero((near.array[nodes] > 0).any(axis=1))
+    chosen = (near.array[nodes] > 0).any(axis=1)
+    cells = spaces.contact.cells[spaces.inner.rows], spaces.across.cells
+    for one, other in (cells, cells[::-1]):  # v may jump between both sides, so both are there
+        chosen[other[chosen[one]]] = True
+    return np.flatnonzero(chosen)
 
 
 def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function) -> Array:

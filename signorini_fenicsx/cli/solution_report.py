@@ -79,7 +79,7 @@ class SolutionReport(CaseReport):
             states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
             lines["friction"] = f"facet vertices: {', '.join(states)}"
         if "coulomb" in summary:
-            lines["CoulombLaw"] = _fixed_point(summary["coulomb"]["changes"])
+            lines["Coulomb"] = _fixed_point(summary["coulomb"]["changes"])
         for part, segments in summary.get("segments", {}).items():
             counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
             lines[f"on {part}"] = f"facets on each segment: {counts}"

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
@@ -90,6 +91,11 @@ class MeshSpaces:
     def outer_rows(self) -> npt.NDArray[np.intp]:
         """The rows of `facets` that are on the boundary of the domain, not inside it."""
         return np.setdiff1d(np.arange(len(self.facets)), self.inner.rows)
+
+    @cached_property
+    def crouzeix_raviart(self) -> fem.FunctionSpace:
+        """Crouzeix-Raviart functions, with one unknown per facet."""
+        return fenicsx.function_space(self.mesh, ("CR", 1))
 
     @cached_property
     def cell_measures(self) -> Array:
@@ -215,6 +221,17 @@ def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> 
     """Owned degrees of freedom on these facets, those that other ranks pass included (collective)."""
     dofs = fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, facets)
     return dofs[dofs < space.dofmap.index_map.size_local]
+
+
+def extreme_around(space: fem.FunctionSpace, nodes: npt.NDArray[np.integer], values: Array, *, largest: bool) -> Array:
+    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
+    sign = 1.0 if largest else -1.0
+    found = fem.Function(space)
+    found.x.array[:] = -np.inf
+    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
+    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    found.x.scatter_forward()
+    return np.asarray(sign * found.x.array, dtype=np.float64)
 
 
 def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:

@@ -157,7 +157,7 @@ def check_parts(domain: Domain, named: Mapping[str, Sequence[str]]) -> None:
     for part in domain.parts:
         if part in inner and other_side(part) not in domain.parts:
             raise InputError(f"inner: the mesh is not cut along '{part}'")
-        if part in inner and part not in named["signorini"]:
+        if part in inner and not any(part in names for key, names in named.items() if key != "inner"):
             raise InputError(f"inner: '{part}' needs a law: a part of Γ_S is what has one")
         if part not in inner and other_side(part) in domain.parts:
             raise InputError(f"'{part}' is inside the domain: it belongs to inner, with a law")

@@ -14,6 +14,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.discrete.bodies import spread
 from signorini_fenicsx.discrete.data_values import (
     check_finite,
     check_means,
@@ -29,7 +30,6 @@ from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.given import Given, Rows
-from signorini_fenicsx.physics.diffusion.bodies import spread
 from signorini_fenicsx.physics.diffusion.boundary_laws import BoundaryLaws, boundary_laws
 from signorini_fenicsx.physics.diffusion.obstacle import Obstacle, obstacle_of
 from signorini_fenicsx.physics.diffusion.problem import Problem

@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.matrices import identity_with
+from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import (
     Entities,
     facet_lattice,
@@ -44,17 +45,6 @@ def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> 
     vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
     largest.x.scatter_forward()
     return np.asarray(largest.x.array, dtype=np.float64)
-
-
-def extreme_around(space: fem.FunctionSpace, nodes: Entities, values: Array, *, largest: bool) -> Array:
-    """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
-    sign = 1.0 if largest else -1.0
-    found = fem.Function(space)
-    found.x.array[:] = -np.inf
-    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
-    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    found.x.scatter_forward()
-    return np.asarray(sign * found.x.array, dtype=np.float64)
 
 
 def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:

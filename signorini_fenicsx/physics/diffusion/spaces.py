@@ -105,11 +105,6 @@ class Spaces(MeshSpaces):
         return centroid
 
     @cached_property
-    def crouzeix_raviart(self) -> fem.FunctionSpace:
-        """Crouzeix-Raviart functions, for lifts and the facet system."""
-        return fenicsx.function_space(self.mesh, ("CR", 1))
-
-    @cached_property
     def broken_crouzeix_raviart(self) -> fem.FunctionSpace:
         """The same without continuity: each cell has an unknown of its own for each of its facets."""
         return fenicsx.function_space(self.mesh, basix.ufl.element("CR", self.mesh.basix_cell(), 1, discontinuous=True))

@@ -115,6 +115,47 @@ def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: Bound
     return FacetCoefficients(facets.take(rows), rows, behind[rows], nodes, element.degree)
 
 
+@dataclass(frozen=True)
+class ContactCoefficients(FacetCoefficients):
+    """The facets of Γ_C; where two bodies touch they are those of the named side.
+
+    Attributes:
+        touched: Which of them are inside the domain, ascending.
+        across: The nodes of their other sides, in the same places, shape (touched, coefficients).
+    """
+
+    touched: Indices
+    across: npt.NDArray[np.int32]
+
+    def jump(self, values: Array) -> Array:
+        """Values of nodes on the facets, less those of the other side where there is one: (facets, coefficients, …)."""
+        found = values[self.nodes]
+        found[self.touched] -= values[self.across]
+        return found
+
+    def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
+        """The two nodes whose values make the jump at some places of facets, and their signs, shape (places, 2) each.
+
+        Where there is only one node, on a foundation or at the edge of a cut, it is there twice, with signs 1 and 0 or
+        0 and 0.
+        """
+        nodes = np.repeat(self.nodes[rows, places][:, None], 2, axis=1).astype(np.int64)
+        inside = np.isin(rows, self.touched)
+        nodes[inside, 1] = self.across[np.searchsorted(self.touched, rows[inside]), places[inside]]
+        signs = np.column_stack([np.ones(len(rows)), np.where(inside, -1.0, 0.0)])
+        signs[inside & (nodes[:, 0] == nodes[:, 1])] = 0.0
+        return nodes, signs
+
+
+def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> ContactCoefficients:
+    """The nodes of Γ_C on the split mesh, or on a part of it that has both sides of a facet or none."""
+    named = facet_coefficients(split, space, spaces.contact)
+    other = facet_coefficients(split, space, spaces.across)
+    touched = np.searchsorted(named.rows, spaces.inner.rows[other.rows])
+    order = np.argsort(touched)
+    return ContactCoefficients(**vars(named), touched=touched[order], across=other.nodes[order])
+
+
 def given_nodes(
     spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, space: fem.FunctionSpace, v: fem.Function | None = None
 ) -> GivenNodes:
@@ -152,7 +193,7 @@ def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> 
     dim, topology = spaces.dim, split.mesh.topology
     topology.create_connectivity(dim - 1, dim)
     topology.create_connectivity(dim, dim - 1)
-    boundary = [spaces.contact, spaces.neumann, spaces.dirichlet]
+    boundary = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
     behind = np.concatenate([facet_coefficients(split, space, facets).cells for facets in boundary])
     of_domain = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[behind, dim]
     ends = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), of_domain)
@@ -190,19 +231,22 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     split, dim, comm = spaces.split, spaces.dim, spaces.mesh.comm
     element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
     space = fenicsx.function_space(split.mesh, element)
-    at, contact = given_nodes(spaces, data, split, space), facet_coefficients(split, space, spaces.contact)
-    gap = contact.of(spaces.mesh, data.gap)
-    axes = np.einsum("nkij,ni->nkj", at.frames[contact.nodes], contact.facets.normals)
-    free = np.where(at.given[contact.nodes], 0.0, axes**2).sum(axis=2)
-    values = at.values[contact.nodes]
-    past = np.where(free <= ALONG, (axes * values).sum(axis=2) - gap, -np.inf)
-    past -= TURNED * np.linalg.norm(values, axis=2)
+    at, contact = given_nodes(spaces, data, split, space), contact_coefficients(spaces, split, space)
+    gap, normals = contact.of(spaces.mesh, data.gap), contact.facets.normals
+    values = np.einsum("nij,nj->ni", at.frames, at.values)
+    left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
+    sums = left[contact.nodes]
+    sums[contact.touched] += left[contact.across]
+    free = np.einsum("nkij,ni,nj->nk", sums, normals, normals)
+    jump = contact.jump(values)
+    passed = np.einsum("nki,ni->nk", jump, normals)
+    past = np.where(free <= ALONG, passed - gap, -np.inf) - TURNED * np.linalg.norm(jump, axis=2)
     size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), np.abs(gap).max(initial=0.0))), MPI.MAX)
     worst = float(past.max(initial=-np.inf)), ""
     if worst[0] > LINEAR * size:
         facet, place = np.unravel_index(int(past.argmax()), past.shape)
         x = ", ".join(f"{entry:.4g}" for entry in contact.places()[facet, place])
-        u_n, g = (axes * values).sum(axis=2)[facet, place], gap[facet, place]
+        u_n, g = passed[facet, place], gap[facet, place]
         worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at ({x})"
     _, told = max(comm.allgather(worst))
     if told:

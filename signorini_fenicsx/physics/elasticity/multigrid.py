@@ -16,7 +16,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, node_ranks
+from signorini_fenicsx.physics.elasticity.system import jumps_to_sides
 
 DEFAULTS = {
     "mg_levels_ksp_max_it": "4",
@@ -111,7 +112,7 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
     of_facet = facet_vertices(displacements, spaces.traces)
     rows, columns = spaces.traces.dofmap.index_map, displacements.dofmap.index_map
     number = np.empty(columns.size_local + columns.num_ghosts, dtype=np.int64)
-    number[displacements.dofmap.list] = mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0]]
+    number[displacements.dofmap.list] = node_ranks(mesh, cut=spaces.inner.present)[mesh.geometry.dofmaps[0]]
     of_facet = np.take_along_axis(of_facet, np.argsort(number[of_facet], axis=1), axis=1)
 
     size, count = dim**2, len(of_facet)
@@ -133,7 +134,7 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
     begins = np.concatenate([[0], np.cumsum(used.sum(axis=2).ravel())]).astype(PETSc.IntType)
     indices = np.broadcast_to(places, values.shape)[used].astype(PETSc.IntType)
     own, of_all = columns.size_local, columns.size_global
-    return PETSc.Mat().createAIJ(
+    of_sides = PETSc.Mat().createAIJ(
         [
             (size * rows.size_local, size * rows.size_global),
             (dim * own + normals * rows.size_local, dim * of_all + normals * rows.size_global),
@@ -142,6 +143,8 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
         csr=(begins, indices, values[used]),
         comm=mesh.comm,
     )
+    to_jumps = jumps_to_sides(spaces, back=True)
+    return of_sides if to_jumps is None else to_jumps.matMult(of_sides)
 
 
 def _normals_at_vertices(spaces: ElasticSpaces) -> Array:

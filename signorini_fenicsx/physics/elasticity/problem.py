@@ -17,7 +17,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, OnParts
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.meshes.domain import AXES, Domain
+from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
 
 type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 """A number, text or UFL expression for each component; a UFL vector on the mesh; or a function of points of shape
@@ -161,6 +161,7 @@ class Elasticity:
             contact=[part for each in touching for part in each.parts],
             neumann=[part for each in loads for part in each.parts if part not in fixed],
             fixed=fixed,
+            inner=[part for each in touching for part in each.parts if other_side(part) in domain.parts],
         )
         u_D = {part: nothing_for_0(each.value) for each in given for part in each.parts}
         if not names_all(domain, self.conditions):
@@ -237,17 +238,21 @@ class ElasticBoundary:
         neumann: Names of the parts of Γ_N.
         fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one: a plane
             of symmetry is fixed in "n". In the others σn is given.
+        inner: Names of the parts of Γ_C inside the domain, where two bodies touch: u_n is then the jump of u along n,
+            which is outward from the named side.
     """
 
     contact: Sequence[str]
     neumann: Sequence[str] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
+    inner: Sequence[str] = ()
     physics: ClassVar[str] = "elasticity"
 
     def __post_init__(self) -> None:
         """Refuse strings in the place of lists, and unknown components."""
         check_names("contact", self.contact)
         check_names("neumann", self.neumann)
+        check_names("inner", self.inner)
         check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
             check_kind(f"fixed: part '{part}'", components, str)
@@ -262,4 +267,4 @@ class ElasticBoundary:
     @property
     def named(self) -> dict[str, Sequence[str]]:
         """The parts of each kind."""
-        return {"contact": self.contact, "neumann": self.neumann, "fixed": list(self.fixed)}
+        return {"contact": self.contact, "neumann": self.neumann, "fixed": list(self.fixed), "inner": self.inner}

@@ -137,6 +137,7 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
             _drop_normal(left, facets)
         else:
             left[facets.blocks, :, k] = 0.0
+    left[spaces.across.blocks] += left[spaces.contact.blocks[spaces.inner.rows]]
     _drop_normal(left, spaces.contact)
     left[spaces.rough.blocks] = 0.0
     size = np.zeros(len(left))
@@ -161,7 +162,7 @@ def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tup
     """
     comm = spaces.mesh.comm
     middle = spaces.domain.box().mean(axis=0)[: spaces.dim]
-    everything = [spaces.contact, spaces.neumann, spaces.dirichlet]
+    everything = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
     total = np.sum([_resultant(spaces, stresses, facets, middle) for facets in everything], axis=0)
     for cells in blocks_of_cells(spaces):
         measure = Cells(spaces.vertices[cells]).measure

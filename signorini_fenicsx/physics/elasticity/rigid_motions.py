@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.bodies import bodies
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.friction import STICKS
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-
-type Moved = Callable[[Array], Array]
 
 FREE = 1e-8
 """A motion of size 1 that moves what is given by less is free."""
@@ -31,9 +30,10 @@ MOST_CUTS = 200
 def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """Make sure that each rigid motion is prevented, by what is given of u or by contact under the loads (collective).
 
-    For a motion r that what is given of u lets free, and that does not go into the foundation, r_n ≤ 0 on Γ_C, the work
-    of the loads must be negative, with friction less than ∫ g|r_t|: then contact holds the body against it. Coulomb's g
-    is not known, and counts as ∞ before the first solve; if it is too small, see `slides`.
+    Each body has motions of its own. For a motion r that what is given of u lets free, and that does not go into the
+    foundation, r_n ≤ 0 on Γ_C, the work of the loads must be negative, with friction less than ∫ g|r_t|: then contact
+    holds the bodies against it. Where two bodies touch, r is the jump of both motions. Coulomb's g is not known, and
+    counts as ∞ before the first solve; if it is too small, see `slides`.
 
     Returns:
         The motions that contact has to prevent, a basis: means of r_n at the sites, and of r_t at those with friction,
@@ -65,28 +65,24 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
 
     Collective. Both are those of a unit translation, or of the rotation by a unit angle.
     """
-    low, high = spaces.domain.box()[:, : spaces.dim]
-    middle, size = (low + high) / 2, float((high - low).max())
-
-    def moved(x: Array) -> Array:
-        """The basis of all rigid motions in points of shape (…, d): shape (…, d, motions)."""
-        return _motions((x - middle) / size)
-
-    free = _not_given(spaces, moved)
+    bodies = Bodies.of(spaces)
+    free = bodies.not_given()
     if free.shape[1] == 0:
         return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0)), None
-    work, most = _work(spaces, data, moved)
+    work, most = bodies.work(data)
     work = work @ free / most
-    into = np.einsum("nai,nair->nar", _at(spaces.contact.normals, spaces.dim), moved(spaces.contact.vertices)) @ free
-    rough = spaces.rough
-    along = np.einsum("nai,nair->nar", _at(spaces.tangents, spaces.dim), moved(rough.vertices)) @ free
+    rough = spaces.rough_rows
+    into = bodies.relative(_at(spaces.contact.normals, spaces.dim)) @ free
+    tangents = np.zeros_like(spaces.contact.normals)
+    tangents[rough] = spaces.tangents
+    along = (bodies.relative(_at(tangents, spaces.dim)) @ free)[rough]
     slips, shears = along.reshape(-1, free.shape[1]), np.empty(0)
     if data.friction is not None:
-        shears = np.repeat(rough.measure, 2) / 2 * data.friction.bound.ravel() / most
+        shears = np.repeat(spaces.rough.measure, 2) / 2 * data.friction.bound.ravel() / most
     limits = Limits(spaces.mesh.comm, work, into.reshape(-1, free.shape[1]), slips, shears)
     motion, told = limits.unprevented(), None
     if motion is not None:
-        words, unit = _in_words(free @ motion, middle, size)
+        words, unit = bodies.in_words(free @ motion)
         rubbed = float(shears @ np.abs(slips @ motion)) if len(shears) else 0.0
         told = words, float(work @ motion) * most / unit, spaces.mesh.comm.allreduce(rubbed) * most / unit
     found = np.concatenate([into, along])
@@ -112,31 +108,103 @@ def _at(normals: Array, dim: int) -> Array:
     return np.repeat(normals[:, None], dim, axis=1)
 
 
-def _not_given(spaces: ElasticSpaces, moved: Moved) -> Array:
-    """A basis of the motions that are 0 where u is given (collective)."""
-    dim = spaces.dim
-    number = dim * (dim + 1) // 2
-    gram, total = np.zeros((number, number)), 0.0
-    for facets, k, letter in spaces.fixed:
-        motions = moved(facets.vertices)
-        along = np.einsum("nai,nair->nar", _at(facets.normals, dim), motions) if letter == NORMAL else motions[:, :, k]
-        gram += np.einsum("nar,nas,n->rs", along, along, facets.measure)
-        total += float(facets.measure.sum())
-    gram, total = spaces.mesh.comm.allreduce(gram), spaces.mesh.comm.allreduce(total)
-    sizes, vectors = np.linalg.eigh(gram)
-    return vectors[:, sizes <= FREE**2 * max(total, 1e-300)]
+@dataclass(frozen=True)
+class Bodies:
+    """The rigid motions of all bodies: for each body the translations, then the rotations about the middle.
 
+    Attributes:
+        spaces: The spaces.
+        of_cell: Number of its body for each owned cell.
+        number: Number of bodies.
+        middle: The middle of the domain.
+        size: Its size, by which rotations are scaled.
+    """
 
-def _work(spaces: ElasticSpaces, data: ElasticData, moved: Moved) -> tuple[Array, float]:
-    """What f and g_N do on the motions, and what they could do, 1 if they are 0 (collective)."""
-    pairs = [(spaces.neumann.vertices, data.tractions)]
-    for cells in blocks_of_cells(spaces):
-        vertices = spaces.vertices[cells]
-        pairs.append((vertices, data.moments_of_f(spaces, cells, Cells(vertices).measure)))
-    work = sum(np.einsum("nvi,nvir->r", moments, moved(vertices)) for vertices, moments in pairs)
-    most = sum(float(np.abs(moments).sum()) for _, moments in pairs)
-    work, most = spaces.mesh.comm.allreduce(work), spaces.mesh.comm.allreduce(most)
-    return work, most if most > 0 else 1.0
+    spaces: ElasticSpaces
+    of_cell: Indices
+    number: int
+    middle: Array
+    size: float
+
+    @classmethod
+    def of(cls, spaces: ElasticSpaces) -> Self:
+        """The bodies of a mesh (collective)."""
+        of_cell, comm = bodies(spaces), spaces.mesh.comm
+        low, high = spaces.domain.box()[:, : spaces.dim]
+        number = comm.allreduce(int(of_cell.max(initial=-1)), MPI.MAX) + 1
+        return cls(spaces, of_cell, number, (low + high) / 2, float((high - low).max()))
+
+    def _moved(self, x: Array) -> Array:
+        """The basis of the motions of one body in points of shape (…, d): shape (…, d, motions)."""
+        return _motions((x - self.middle) / self.size)
+
+    def _summed(self, of: Indices, rows: Array) -> Array:
+        """The sums of rows over each body, shape (bodies, …) (collective)."""
+        sums = np.zeros((self.number, *rows.shape[1:]))
+        np.add.at(sums, of, rows)
+        return np.asarray(self.spaces.mesh.comm.allreduce(sums))
+
+    def not_given(self) -> Array:
+        """A basis of the motions that are 0 where u is given, shape (motions of all bodies, free ones) (collective)."""
+        spaces, dim = self.spaces, self.spaces.dim
+        size = dim * (dim + 1) // 2
+        grams, totals = np.zeros((self.number, size, size)), np.zeros(self.number)
+        for facets, k, letter in spaces.fixed:
+            motions, of = self._moved(facets.vertices), self.of_cell[facets.cells]
+            normals = _at(facets.normals, dim)
+            along = np.einsum("nai,nair->nar", normals, motions) if letter == NORMAL else motions[:, :, k]
+            grams += self._summed(of, np.einsum("nar,nas,n->nrs", along, along, facets.measure))
+            totals += self._summed(of, facets.measure)
+        free = []
+        for body, (gram, total) in enumerate(zip(grams, totals, strict=True)):
+            sizes, vectors = np.linalg.eigh(gram)
+            kept = vectors[:, sizes <= FREE**2 * max(float(total), 1e-300)]
+            free.append(np.zeros((self.number, size, kept.shape[1])))
+            free[-1][body] = kept
+        return np.concatenate(free, axis=2).reshape(self.number * size, -1)
+
+    def relative(self, directions: Array) -> Array:
+        """The motions along directions at the vertices of the facets of Γ_C, shape (facets, d, motions of all bodies).
+
+        On a part inside the domain they are those of the named side less those of the other one.
+
+        Args:
+            directions: One for each vertex, shape (facets, d, d).
+        """
+        spaces, rows = self.spaces, self.spaces.inner.rows
+        along = np.einsum("nai,nair->nar", directions, self._moved(spaces.contact.vertices))
+        found = np.zeros((*along.shape[:2], self.number, along.shape[2]))
+        each = np.arange(len(along))
+        found[each, :, self.of_cell[spaces.contact.cells]] = along
+        found[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
+        return found.reshape(*along.shape[:2], self.number * along.shape[2])
+
+    def work(self, data: ElasticData) -> tuple[Array, float]:
+        """What f and g_N do on the motions, and what they could do, 1 if they are 0 (collective)."""
+        spaces, neumann = self.spaces, self.spaces.neumann
+        pairs = [(self.of_cell[neumann.cells], neumann.vertices, data.tractions)]
+        for cells in blocks_of_cells(spaces):
+            vertices = spaces.vertices[cells]
+            moments = data.moments_of_f(spaces, cells, Cells(vertices).measure)
+            pairs.append((self.of_cell[cells], vertices, moments))
+        rows = [np.einsum("nvi,nvir->nr", moments, self._moved(x)) for _, x, moments in pairs]
+        work = self._summed(np.concatenate([of for of, _, _ in pairs]), np.concatenate(rows)).ravel()
+        most = spaces.mesh.comm.allreduce(sum(float(np.abs(moments).sum()) for _, _, moments in pairs))
+        return work, most if most > 0 else 1.0
+
+    def in_words(self, motion: Array) -> tuple[str, float]:
+        """The motion of the body that moves most, in words, and its length or its angle (collective)."""
+        by_body = motion.reshape(self.number, -1)
+        body = int(np.abs(by_body).max(axis=1).argmax())
+        words, unit = _in_words(by_body[body], self.middle, self.size)
+        if self.number == 1:
+            return words, unit
+        spaces, mine = self.spaces, self.of_cell == body
+        measure = Cells(spaces.vertices).measure
+        weighed = np.column_stack([measure[:, None] * spaces.vertices.mean(axis=1), measure])[mine].sum(axis=0)
+        *sums, total = spaces.mesh.comm.allreduce(weighed).tolist()
+        place = ", ".join(f"{x / total:.3g}" for x in sums)
+        return f"{words}, that is the body around ({place})", unit
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
+import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -22,7 +23,7 @@ from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh, split_mes
 
 @dataclass(frozen=True)
 class BoundaryFacets:
-    """Some boundary facets of this rank, all owned. Their vertices are in the order of their global numbers.
+    """Some boundary facets of this rank, all owned. Their vertices are in the order of `ElasticSpaces.order`.
 
     Attributes:
         facets: Their numbers.
@@ -67,18 +68,21 @@ def linear_values(moments: Array, measure: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticSpaces(MeshSpaces):
-    """Spaces on one domain, with the cells' vertices in the order of their global numbers on any rank.
+    """Spaces on one domain, with the cells' vertices in an order that is the same on any rank, see `node_ranks`.
 
     Unknown (a, k) of a facet is at its vertex a. On Γ_C and on parts that are fixed in the normal component k = 0 is
     that along n, in other places k is a coordinate. On Γ_C the normal part is in the basis dual to the hats φ_a, so
     that its coefficient is the φ_a-weighted mean of u_n, and the residual that belongs to it |e|/d times σ_nn at the
     vertex a.
 
+    On a part inside the domain the unknowns of the named side are the jump, û of this side less û of the other one;
+    those of the other side are in the same frame.
+
     Attributes:
         boundary: The parts.
         traces: A block of d² unknowns per facet.
         displacements: Linear on each cell.
-        order: Vertices of the owned cells in the order of their global numbers.
+        order: Vertices of the owned cells in this order.
         dofs: Blocks of the facets opposite to them, shape (cells, d + 1).
         contact: The facets of Γ_C, in the order of `facets`.
         rough_rows: Which of them have friction; there the tangential part has the dual basis, too.
@@ -134,6 +138,19 @@ class ElasticSpaces(MeshSpaces):
         return self.boundary_facets(self.dirichlet_facets)
 
     @cached_property
+    def across(self) -> BoundaryFacets:
+        """The other sides of the facets inside the domain, in the order of `inner.rows`."""
+        return self.boundary_facets(self.inner.facets)
+
+    @cached_property
+    def sides(self) -> tuple[Indices, Indices]:
+        """The unknowns of the facets inside the domain: those of the named sides, and of the other ones."""
+        blocks = self.contact.blocks[self.inner.rows], self.across.blocks
+        size = self.dim**2
+        named, across = ((each[:, None].astype(np.int64) * size + np.arange(size)).ravel() for each in blocks)
+        return named, across
+
+    @cached_property
     def frames(self) -> list[tuple[BoundaryFacets, Array]]:
         """Facets whose unknowns are no coordinates, and the values at the vertices that the unknowns stand for.
 
@@ -142,6 +159,7 @@ class ElasticSpaces(MeshSpaces):
         dual = (self.dim + 1) * np.eye(self.dim) - 1
         found = [(self.contact, _frame_matrices(self.contact.normals, dual))]
         found[0][1][self.rough_rows] = _frame_matrices(self.rough.normals, dual, dual)
+        found.append((self.across, found[0][1][self.inner.rows]))
         for name, components in self.boundary.fixed.items():
             if components == NORMAL:
                 part = self.part(name)
@@ -232,12 +250,12 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     flat = [part for part, components in boundary.fixed.items() if "z" in components]
     if domain.mesh.geometry.dim == 2 and flat:
         raise InputError(f"[boundary] fixed: part '{flat[0]}' is fixed in z, which there is only in space")
-    on_mesh = build_mesh_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed])
+    on_mesh = build_mesh_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed], boundary.inner)
     mesh = domain.mesh
     dim = mesh.topology.dim
     traces = fenicsx.function_space(mesh, ("CR", 1, (dim, dim)))
     size = mesh.topology.index_map(dim).size_local
-    order = np.argsort(mesh.geometry.input_global_indices[mesh.geometry.dofmaps[0][:size]], axis=1)
+    order = np.argsort(node_ranks(mesh, cut=on_mesh.inner.present)[mesh.geometry.dofmaps[0][:size]], axis=1)
     dofs = np.take_along_axis(traces.dofmap.list[:size], order, axis=1)
     displacements = fenicsx.function_space(mesh, ("DG", 1, (dim,)))
     names = [index for index, name in enumerate(on_mesh.part_names) if name in rough]
@@ -251,6 +269,19 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
         contact=_boundary_facets(traces, order, on_mesh.facets),
         rough_rows=np.flatnonzero(np.isin(on_mesh.part_of_facet, names)),
     )
+
+
+def node_ranks(mesh: dolfinx.mesh.Mesh, *, cut: bool) -> Indices:
+    """The numbers by which the nodes of this rank are ordered: their global ones.
+
+    Of a mesh that is cut inside the domain they are the places among the nodes sorted by x, then y, then z. So vertices
+    that lie on each other have the same order in the cells of both sides.
+    """
+    if not cut:
+        return mesh.geometry.input_global_indices
+    places = np.empty(len(mesh.geometry.x), dtype=np.int64)
+    places[np.lexsort(mesh.geometry.x.T[::-1])] = np.arange(len(places))
+    return places
 
 
 def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDArray[np.int32]) -> BoundaryFacets:

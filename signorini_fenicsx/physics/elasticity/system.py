@@ -14,6 +14,7 @@ from dolfinx import la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     Cells,
@@ -101,17 +102,19 @@ class ElasticSystem:
         self.spaces, self._data = spaces, data
         self.element = reference(spaces.dim)
         self._blocks = list(self._eliminated())
-        self.matrix = self._assembled()
+        jumps = jumps_to_sides(spaces)
+        self.matrix = self._assembled() if jumps is None else self._assembled().ptap(jumps)
         space = spaces.traces
         index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
         load = la.vector(index_map, size)
+        lift = self._on_sides(data.lift)
         for block in self._blocks:
             unknowns = self._unknowns(block.cells)
-            of_cells = block.load - np.einsum("nij,nj->ni", block.matrix, data.lift[unknowns])
+            of_cells = block.load - np.einsum("nij,nj->ni", block.matrix, lift[unknowns])
             load.array[:] += np.bincount(unknowns.ravel(), of_cells.ravel(), len(load.array))
         load.scatter_reverse(la.InsertMode.add)
         self.tractions = data.load[: size * index_map.size_local]
-        self.load = load.array[: size * index_map.size_local] + self.tractions
+        self.load = self._of_jumps(load.array[: size * index_map.size_local]) + self.tractions
 
     def _eliminated(self) -> Iterator[Eliminated]:
         spaces, data = self.spaces, self._data
@@ -134,6 +137,20 @@ class ElasticSystem:
         size = self.spaces.dim**2
         blocks = self.spaces.dofs[cells].astype(np.int64)
         return (blocks[:, :, None] * size + np.arange(size)).reshape(len(cells), -1)
+
+    def _on_sides(self, x: Array) -> Array:
+        """Traces on both sides of facets inside the domain, from the jumps and those of the other side."""
+        named, across = self.spaces.sides
+        found = x.copy()
+        found[named] += x[across]
+        return found
+
+    def _of_jumps(self, forces: Array) -> Array:
+        """The forces on the jumps and on the traces of the other side, from those on both sides."""
+        named, across = self.spaces.sides
+        found = forces.copy()
+        found[across] += forces[named]
+        return found
 
     def _assembled(self) -> PETSc.Mat:
         space = self.spaces.traces
@@ -167,7 +184,7 @@ class ElasticSystem:
         Returns:
             Shapes (cells, d + 1, d + 1, d, d) and (cells, d + 1, d), with the vertices as in `ElasticSpaces.order`.
         """
-        spaces, dim = self.spaces, self.spaces.dim
+        spaces, dim, x = self.spaces, self.spaces.dim, self._on_sides(x)
         sigma = np.empty((len(spaces.order), dim + 1, dim + 1, dim, dim))
         u = np.empty((len(spaces.order), dim + 1, dim))
         for block in self._blocks:
@@ -194,8 +211,24 @@ class ElasticSystem:
         by_block = sums.array.reshape(-1, dim**2)
         for facets, matrices in spaces.frames:
             by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
-        found: Array = sums.array[: len(self.load)]
-        return found
+        return self._of_jumps(sums.array[: len(self.load)])
+
+
+def jumps_to_sides(spaces: ElasticSpaces, *, back: bool = False) -> PETSc.Mat | None:
+    """The matrix from (jump, û⁻) to (û⁺, û⁻) on facets inside the domain, or its inverse (collective).
+
+    None without such facets.
+
+    Args:
+        spaces: The spaces.
+        back: Whether it is the inverse.
+    """
+    if not spaces.inner.present:
+        return None
+    numbers, size = spaces.traces.dofmap.index_map, spaces.dim**2
+    named, across = (size * numbers.local_range[0] + each for each in spaces.sides)
+    values = np.full(len(named), -1.0 if back else 1.0)
+    return identity_with(spaces.mesh.comm, size * numbers.size_local, named, across, values)
 
 
 def _transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:

@@ -7,12 +7,11 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.physics.diffusion.nodes import extreme_around
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, cells_and_dofs
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, extreme_around
 
 
-def bodies(spaces: Spaces) -> Indices:
-    """A number of its body for each owned cell, below the number of the pieces of all ranks (collective)."""
+def bodies(spaces: MeshSpaces) -> Indices:
+    """A number of its body for each owned cell, from 0 without gaps over all ranks (collective)."""
     from scipy.sparse import coo_array  # slow to import, and rarely needed
     from scipy.sparse.csgraph import connected_components
 
@@ -29,11 +28,12 @@ def bodies(spaces: Spaces) -> Indices:
         largest = np.zeros(number)
         np.maximum.at(largest, piece, around[facets].max(axis=1, initial=0.0))
         if not comm.allreduce(bool((largest[piece] > body).any()), MPI.LOR):
-            return body.astype(np.int64)
+            of_all = np.unique(np.concatenate(comm.allgather(np.unique(body))))
+            return np.searchsorted(of_all, body)
         body = largest[piece]
 
 
-def spread(spaces: Spaces, facets: npt.NDArray[np.int32], values: Array) -> float:
+def spread(spaces: MeshSpaces, facets: npt.NDArray[np.int32], values: Array) -> float:
     """The largest difference of values on facets of the boundary of the same body (collective)."""
     body = bodies(spaces)
     number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
