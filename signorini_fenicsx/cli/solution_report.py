@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from decimal import ROUND_CEILING, Context, Decimal
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +80,7 @@ class SolutionReport(CaseReport):
             states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
             lines["friction"] = f"facet vertices: {', '.join(states)}"
         if "coulomb" in summary:
-            lines["Coulomb"] = _fixed_point(summary["coulomb"]["changes"])
+            lines["Coulomb"] = _fixed_point(summary["coulomb"])
         for part, segments in summary.get("segments", {}).items():
             counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
             lines[f"on {part}"] = f"facets on each segment: {counts}"
@@ -109,11 +110,12 @@ def bound(certificate: Certificate) -> str:
     return f"energy error{certificate.of} {bounds_in_words(certificate)}{_reservation(certificate)}"
 
 
-def _fixed_point(changes: list[float]) -> str:
-    """How Coulomb's fixed point converged."""
-    few = ", ".join(f"{change:.0e}" for change in changes[1:4])
-    rate = (changes[-1] / changes[1]) ** (1 / (len(changes) - 2)) if len(changes) > 2 and changes[1] > 0 else 0.0
-    return f"the bound of the shear changed by {few} … {changes[-1]:.0e} in {len(changes)} steps, rate {rate:.2f}"
+def _fixed_point(about: Mapping[str, Any]) -> str:
+    """How the bound of Coulomb's friction was found, and whether there may be others."""
+    changes = about["changes"]
+    few = ", ".join(f"{change:.0e}" for change in changes[-3:])
+    others = "" if about["other_solutions"] == "none" else "; other solutions are not excluded"
+    return f"the bound of the shear, in {len(changes)} steps that last changed it by {few}{others}"
 
 
 def _on_obstacle(summary: dict[str, Any], result: AnySolution) -> dict[str, str]:

@@ -143,8 +143,7 @@ class ElasticBackend:
         forces = x.duplicate()
         self._operator.natural.mult(x, forces)
         left = (forces.array_r - self.system.load)[self._unknowns] / self._measure
-        signs = np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
-        return conditions.clean(signs * x.array_r[self._unknowns], signs * left, 1.0)
+        return conditions.clean(self._signs * x.array_r[self._unknowns], self._signs * left, 1.0)
 
     def _loose(self, contact: Mask) -> bool:
         """Whether these sites leave a rigid motion free (collective)."""
@@ -169,20 +168,74 @@ class ElasticBackend:
             self._factors.forget()
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
         if not self._factors.solve(load, self._x, contact):
-            self._solve_anew(load, contact, sprung=~contact & loose)
+            self._solve_anew(load, self._x, contact, sprung=~contact & loose)
         self._applied, self._sprung = conditions, loose
 
-    def _solve_anew(self, load: Array, contact: Mask, *, sprung: Mask) -> None:
+    def response(self, conditions: SiteConditions, forces: Array) -> Array:
+        """How the flux at all sites changes under forces per area at those that are not held (collective)."""
+        contact = conditions.kind == Condition.ZERO_TRACE
+        load = np.zeros(len(self.system.load))
+        load[self._unknowns] = np.where(contact, 0.0, self._measure * forces)
+        x, image = self._x.duplicate(), self._x.duplicate()
+        x.set(0.0)
+        if not self._factors.solve(load, x, contact):
+            self._solve_anew(load, x, contact, sprung=np.zeros_like(contact))
+        self._operator.natural.mult(x, image)
+        return self._signs * image.array_r[self._unknowns] / self._measure
+
+    def reactions(self) -> tuple[Array, Array]:
+        """The flux at the sites of this rank as `matrix @ p + force`, for any p at the sites of all (collective).
+
+        Costs a factorisation, and a linear solve for each site.
+
+        Returns:
+            The matrix, with the sites of all ranks one rank after another, and the force.
+        """
+        counts, held = self.comm.allgather(self.sites), np.ones(self.sites, dtype=bool)
+        x, image = self._x.duplicate(), self._x.duplicate()
+        x.set(0.0)
+        self._applied = None
+        self._factors.forget()
+        self._solve_anew(self.system.load.copy(), x, held, sprung=~held)
+        self._operator.natural.mult(x, image)
+        force = self._signs * (image.array_r - self.system.load)[self._unknowns] / self._measure
+        columns = []
+        for rank, count in enumerate(counts):
+            for site in range(count):
+                own = slice(site, site + 1) if rank == self.comm.rank else slice(0)
+                moved = image.duplicate()
+                moved.set(0.0)
+                moved.array_w[self._unknowns[own]] = self._signs[own]
+                self._operator.natural.mult(moved, image)
+                self._factors.solve(-image.array_r, x, held)
+                x.axpy(1.0, moved)
+                self._operator.natural.mult(x, image)
+                columns.append(self._signs * image.array_r[self._unknowns] / self._measure)
+                moved.destroy()
+        self._factors.forget()
+        return np.column_stack([*columns, np.empty((self.sites, 0))]), force
+
+    @property
+    def factorises(self) -> bool:
+        """Whether linear solves are by a factorisation."""
+        return not self._solver.iterates
+
+    @property
+    def _signs(self) -> Array:
+        """−1 for normal sites, where p and the flux are those of −u_n and −σ_nn, and 1 for those with friction."""
+        return np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
+
+    def _solve_anew(self, load: Array, x: PETSc.Vec, contact: Mask, *, sprung: Mask) -> None:
         """Set the solver up and solve (collective)."""
         essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
         self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
         self._b.array_w[:] = load
-        for vector in (self._b, self._x):
+        for vector in (self._b, x):
             vector.array_w[essential] = 0.0
         if self._solver.levels is not None:
             with self._solver.options():
                 self._solver.levels.update(self._data.fixed, essential)
-        self._solver.solve(self._b, self._x)
+        self._solver.solve(self._b, x)
         self._factors.keep(essential, contact)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:

@@ -3,7 +3,7 @@
 |σ_t| ≤ g, and u_t = 0 where it is less; σ_t = −g where u_t > 0, σ_t = g where u_t < 0 (Tresca). Both are linear on a
 facet if û_t has the basis that û_n has. So a facet vertex is a site with three states, and with bounds g_i at the
 vertices such that Σ g_i φ_i ≤ g the shear is admissible on the whole facet. In Coulomb's law g is μ times the pressure,
-which is not known before; it is found as a fixed point of the problems with given g, from u_t = 0 everywhere.
+which is not known before; see `coulomb`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
 
 STICKS = 1e300
-"""The bound where nothing slips, from which Coulomb's fixed point starts."""
+"""The bound where nothing slips, with which Coulomb's friction starts."""
 SAMPLES = 8
 """Parts of a facet at whose ends a bound that is not linear is compared with its interpolant."""
 
@@ -57,18 +57,32 @@ class FrictionBounds:
         of_pressure = self.mu * np.maximum(pressure, 0.0)
         return replace(self, bound=np.where(self.coulomb[:, None], of_pressure, self.bound))
 
+    def moved(self, step: Array) -> FrictionBounds:
+        """The bounds after a step of those by the pressure; none is negative."""
+        return replace(self, bound=np.where(self.coulomb[:, None], np.maximum(self.bound + step, 0.0), self.bound))
+
+    def distance(self, other: FrictionBounds, spaces: ElasticSpaces) -> float:
+        """‖g' − g‖ on Coulomb's facets (collective)."""
+        change, _ = self._norms(other, spaces)
+        return change
+
     def change(self, other: FrictionBounds, spaces: ElasticSpaces) -> float:
         """‖g' − g‖/‖g'‖ on Coulomb's facets, where g = 0 in the place of the start (collective).
 
         Away from the start it is 1 also if nothing is pressed, so that g' = 0.
         """
-        start = self.bound >= STICKS
-        before = np.where(start, 0.0, self.bound)
+        change, size = self._norms(other, spaces)
+        left = spaces.mesh.comm.allreduce(int(np.count_nonzero(self.bound >= STICKS)))
+        return change / size if size > 0 else float(change > 0 or left > 0)
+
+    def _norms(self, other: FrictionBounds, spaces: ElasticSpaces) -> tuple[float, float]:
+        """‖g' − g‖ and ‖g'‖ on Coulomb's facets, where g = 0 in the place of the start (collective)."""
+        before = np.where(self.bound >= STICKS, 0.0, self.bound)
         squares = [(values[self.coulomb] ** 2).sum(axis=1) for values in (other.bound - before, other.bound)]
         weights = spaces.rough.measure[self.coulomb]
-        sums = np.array([*(weights @ values for values in squares), np.count_nonzero(start)])
-        change, size, left = spaces.mesh.comm.allreduce(sums).tolist()
-        return float(np.sqrt(change / size)) if size > 0 else float(change > 0 or left > 0)
+        sums = spaces.mesh.comm.allreduce(np.array([weights @ values for values in squares]))
+        change, size = np.sqrt(sums).tolist()
+        return change, size
 
 
 def friction_chains(g: Array) -> Chains:

@@ -11,6 +11,7 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
@@ -266,8 +267,14 @@ class ElasticSolution(Solved):
             "touching_vertices": self.touching_vertices,
             "contact_measure": self.contact.measure,
             **({} if self.data.friction is None else {"friction": self.friction_states()}),
-            **({"coulomb": {"changes": list(self.bound_changes)}} if self.bound_changes else {}),
+            **({"coulomb": self._fixed_point()} if self.bound_changes else {}),
         }
+
+    def _fixed_point(self) -> dict[str, Any]:
+        """How the bound of Coulomb's friction was found, and whether this is the only one (collective)."""
+        assert self.data.friction is not None
+        rubs = self.spaces.mesh.comm.allreduce(bool((self.data.friction.bound > 0).any()), MPI.LOR)
+        return {"changes": list(self.bound_changes), "other_solutions": "not excluded" if rubs else "none"}
 
     def _particular(self) -> dict[str, Any]:
         own = self.data.lift[self.spaces.sites].min(initial=np.inf)  # means of g

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
@@ -25,6 +25,7 @@ from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
+from signorini_fenicsx.physics.elasticity.coulomb import balanced
 from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
@@ -37,9 +38,6 @@ from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
 
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
-BOUND_CHANGE = 1e-9
-"""Coulomb's fixed point ends where the bound of the shear changes by this share of itself."""
-MOST_BOUNDS = 100
 MORE_WITH_FRICTION = 4
 """By default so many times the iterations of problems without friction are allowed for each bound."""
 
@@ -242,23 +240,17 @@ def _with_friction(
     rule = RULES[str(options.algorithm)]
     most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
     parameters = Parameters(max_iterations=options.max_iterations or most)
-    spaces = backend.spaces
-    while True:
-        outcome = iterate_sets(backend, rule, parameters, start=first, before=before, history=history)
-        present = backend.friction
-        if present is None or not present.by_pressure or not outcome.converged:
-            return outcome
-        pressure = outcome.iterate.flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
-        following = present.following(pressure)
-        changes.append(present.change(following, spaces))
-        if changes[-1] <= BOUND_CHANGE:
-            return outcome
-        if len(changes) == MOST_BOUNDS:
-            reason = f"the bound of the friction still changes by {changes[-1]:.1e} after {MOST_BOUNDS} steps"
-            return outcome.ended(reason)
-        segments = backend.chains.segments(outcome.conditions)
-        backend.friction, before = following, outcome.iterate
-        first = backend.chains.conditions(segments)
+    last: Indices | None = None
+
+    def tresca(segments: Indices | None) -> Outcome:
+        nonlocal before, last
+        segments = last if segments is None else segments
+        start = first if segments is None else backend.chains.conditions(segments)  # with the values of this bound
+        outcome = iterate_sets(backend, rule, parameters, start=start, before=before, history=history)
+        before, last = outcome.iterate, backend.chains.segments(outcome.conditions)
+        return outcome
+
+    return balanced(backend, tresca, changes)
 
 
 def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:

@@ -1,0 +1,193 @@
+"""Coulomb's friction as an equation for the bound of the shear, solved by Newton's method.
+
+Let T(g) be μ times the pressure of Tresca's problem with the bound g. Coulomb's law is g = T(g). The sequence g, T(g),
+T(T(g)), … tends to a solution if μ is small, with a rate that grows with μ, and to none if μ is large. Newton's method
+needs few steps in both cases: under the sets of the last problem its solution is linear in g, so the product of T' and
+a vector is one linear solve with these sets, and GMRES finds (I − T')⁻¹ of what is left of the equation. A step that
+leaves more than there was is halved. The first g is T(∞), where nothing slips.
+
+For large μ there may be several solutions, and no theorem known to us tells where there is one only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
+
+CHANGE = 1e-9
+"""The bound is found when it differs from μ times the pressure by this share of itself,"""
+ROUNDING = 1e-12
+"""or by this share of the largest pressure times μ, which the linear solver may leave."""
+MOST = 20
+"""Problems of Tresca at most, before a path is followed."""
+MOST_SITES = 2000
+"""No path is followed with more sites: its matrix would be too large."""
+SHORTEST = 1 / 64
+"""Share of Newton's step below which a step is taken as it is."""
+GOLDEN = (np.sqrt(5) - 1) / 2
+EXACT = 1e-8
+"""GMRES stops at this share of what was left."""
+DIRECTIONS = 200
+"""Steps of GMRES at most."""
+
+
+type Tresca = Callable[[Indices | None], Outcome]
+"""Solves with the present bound of the backend, from given segments or from the sets of the last time."""
+
+
+def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> Outcome:
+    """Find the bound of the shear that is μ times the pressure (collective).
+
+    Args:
+        backend: The backend; its friction ends with this bound.
+        tresca: Solves Tresca's problem.
+        changes: Gets, for each problem, how much the bound still differs from μ times the pressure, relative to that.
+
+    Returns:
+        The outcome of the last problem.
+    """
+    spaces, accepted, step, share, least = backend.spaces, backend.friction, np.empty(0), 1.0, np.inf
+    while True:
+        outcome, present = tresca(None), backend.friction
+        if present is None or not present.by_pressure or not outcome.converged:
+            return outcome
+        following = present.following(_pressure(backend, outcome.iterate.flux))
+        changes.append(present.change(following, spaces))
+        if changes[-1] <= CHANGE:
+            return outcome
+        if len(changes) == MOST:
+            return _by_path(backend, tresca, changes)
+        left = present.distance(following, spaces)
+        if len(changes) == 1:
+            accepted = backend.friction = following  # nothing slipped before
+            step = np.zeros_like(following.bound)
+        elif left < least or share <= SHORTEST:
+            accepted, least, share = present, left, 1.0
+            step = _newton(backend, outcome, following.bound - present.bound)
+            backend.friction = accepted.moved(step)
+        else:
+            assert accepted is not None
+            share /= 2
+            backend.friction = accepted.moved(share * step)
+
+
+def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> Outcome:
+    """Follow the path from no friction; the outcome of the problem at its end, or of that at its begin (collective)."""
+    friction, comm, spaces = backend.friction, backend.comm, backend.spaces
+    assert friction is not None
+    backend.friction = friction.moved(-friction.bound)
+    outcome = tresca(None)
+    if not outcome.converged or not backend.factorises or comm.allreduce(backend.sites) > MOST_SITES:
+        return outcome.ended(
+            f"the bound of the friction still changes by {min(changes):.1e} after {len(changes)} steps"
+        )
+    normal, kind = len(spaces.sites), outcome.conditions.kind
+    coulomb = np.repeat(friction.coulomb, 2)
+    segments = backend.friction.chains.segments(outcome.conditions.take(slice(normal, None)))
+    slips = np.array([State.MINUS, State.STICK, State.PLUS])[segments]
+    state = np.concatenate(
+        [
+            np.where(kind[:normal] == Condition.ZERO_TRACE, State.PRESSED, State.OPEN),
+            np.where(coulomb, State.FREE, slips),
+        ]
+    )
+    first = comm.exscan(backend.sites) or 0
+    vertex = (spaces.rough_rows[:, None] * spaces.dim + np.arange(spaces.dim)).ravel()
+    zeros = np.zeros(normal)
+    own = (
+        *backend.reactions(),
+        _shares(backend),
+        np.concatenate([np.full(normal, -1), first + vertex]),
+        np.concatenate([zeros, np.where(coulomb, friction.mu.ravel(), 0.0)]),
+        np.concatenate([zeros, np.where(coulomb, 0.0, friction.bound.ravel())]),
+        state,
+        outcome.iterate.flux,
+    )
+    *parts, state, flux = (np.concatenate(each) for each in zip(*comm.allgather(own), strict=True))
+    end = Sites(*parts).follow(state, flux)
+    if end is None:
+        return outcome.ended("no solution with this friction was found, neither by Newton's method nor along a path")
+    own_sites = slice(first, first + backend.sites)
+    state, p, flux = end[0][own_sites], end[1][own_sites], end[2][own_sites]
+    backend.friction = friction.following(_pressure(backend, flux))
+    segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
+    segments[normal:][(state[normal:] == State.FREE) & (p[normal:] > 0)] = 2
+    outcome = tresca(segments)
+    changes.append(
+        backend.friction.change(backend.friction.following(_pressure(backend, outcome.iterate.flux)), spaces)
+    )
+    if changes[-1] > CHANGE:
+        return outcome.ended(f"the bound of the friction still changes by {changes[-1]:.1e} at the end of a path")
+    return outcome
+
+
+def _shares(backend: ElasticBackend) -> Array:
+    """A number from 1 to 2 for each site, not the same for two, on any number of ranks (collective)."""
+    comm, places = backend.comm, backend.places()
+    order = np.lexsort(in_digits(np.concatenate(comm.allgather(places))).T)
+    found = np.empty(len(order))
+    found[order] = 1 + (GOLDEN * np.arange(1, len(order) + 1)) % 1
+    first = comm.exscan(backend.sites) or 0
+    return found[first : first + backend.sites]
+
+
+def _pressure(backend: ElasticBackend, flux: Array) -> Array:
+    """The pressure at the vertices of the facets with friction, of values at all sites."""
+    spaces = backend.spaces
+    return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
+
+
+def _newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
+    """(I − T')⁻¹ of what is left, shape (facets, 2), under the sets of the outcome (collective)."""
+    friction, conditions, normal = backend.friction, outcome.conditions, len(backend.spaces.sites)
+    assert friction is not None
+    segments = friction.chains.segments(conditions.take(slice(normal, None)))
+    signs = np.concatenate([np.zeros(normal), 1.0 - segments])  # σ_t is g, less than g, −g on the segments
+    pressed = _pressure(backend, outcome.iterate.flux) > 0
+    slope = np.where(friction.coulomb[:, None] & pressed, friction.mu, 0.0)
+
+    def without_response(values: Array) -> Array:
+        forces = signs * np.concatenate([np.zeros(normal), values])
+        pressure = _pressure(backend, backend.response(conditions, forces))
+        return values - (slope * pressure.reshape(slope.shape)).ravel()
+
+    return _gmres(backend, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(left.shape)
+
+
+class _Product:
+    """What PETSc asks of a matrix."""
+
+    def __init__(self, product: Callable[[Array], Array]):
+        self._product = product
+
+    def mult(self, _matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        y.array_w[:] = self._product(np.array(x.array_r))
+
+
+def _gmres(backend: ElasticBackend, product: Callable[[Array], Array], right: Array) -> Array:
+    """Solve with a matrix that is known by its products (collective)."""
+    b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=backend.comm)
+    b.array_w[:] = right
+    x = b.duplicate()
+    matrix = PETSc.Mat().createPython((b.getSizes(), b.getSizes()), _Product(product), comm=backend.comm)
+    matrix.setUp()
+    solver = PETSc.KSP().create(backend.comm)
+    solver.setOperators(matrix)
+    solver.setType("gmres")
+    solver.setGMRESRestart(DIRECTIONS)
+    solver.getPC().setType("none")
+    solver.setTolerances(rtol=EXACT, max_it=DIRECTIONS)
+    solver.solve(b, x)
+    found = np.array(x.array_r)
+    for each in (solver, matrix, b, x):
+        each.destroy()
+    return found
