@@ -1,4 +1,4 @@
-"""Texts of `.geo` files: usual ones, which Gmsh meshes, and hostile ones, which must be refused; they write hacked."""
+"""Texts of `.geo` files: usual ones that Gmsh meshes and hostile ones that must touch nothing: they write hacked."""
 
 SQUARE = """Point(1) = {0, 0, 0, 0.3}; Point(2) = {1, 0, 0, 0.3}; Point(3) = {1, 1, 0, 0.3}; Point(4) = {0, 1, 0, 0.3};
 Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1};
@@ -236,7 +236,7 @@ HOSTILE = [
     "Exit;",
     "Exit 0;",
     "Abort;",
-    "Sleep 1000;",
+    "Sleep 1;",
     "Draw;",
     "NewModel;",
     "SyncModel;",

@@ -66,13 +66,13 @@ HOSTILE = (
     'Plugin(CutPlane).Run; Plugin(NewView).Run; Save View [0] "hacked.pos";',
     'View "x" { SP(0, 0, 0){1}; }; Save View [0] "hacked.pos";',
     "Abort;",
-    "Sleep 100;",
+    "Sleep 1;",
     'SetString("General.LogFileName", "hacked");',
     'DefineString[ s = {"", Name "a", Kind "file", ServerAction "touch hacked"} ];',
     'General.DefaultFileName = "hacked"; General.TmpFileName = "hacked"; General.ErrorFileName = "hacked";',
     'General.RecentFile0 = "hacked"; General.SessionFileName = "hacked"; General.SaveSession = 1;',
 )  # fmt: skip
-"""Text that runs programs, uses other files, or ends the program: it must be refused."""
+"""Text that runs programs, uses other files, or ends the program: it must touch nothing."""
 ODD = (
     "// \\\n" + CALL,
     "// \r" + CALL,
@@ -106,7 +106,7 @@ ODD = (
     "Periodic Curve {1} = {3}; Transfinite Curve {1} = 1e9;",
     "Extrude {0, 0, 1} { Surface{1}; Layers{500}; }",
 )  # fmt: skip
-"""Text that no geometry needs. It need not be refused if it is harmless or no command."""
+"""Text that no geometry needs."""
 TOKENS = (
     *"(){}[]=;,:?+-*/%^<>!&|~#.'\"", "==", "!=", "<=", "&&", "||", "+=", "++", "...", "Point", "Line", "Curve", "Loop",
     *("Surface", "Volume", "Physical", "Plane", "Circle", "Spline", "Extrude", "Rotate", "Translate", "Delete", "For"),
@@ -142,7 +142,7 @@ def geometry(rng: random.Random, folder: Path, valid: Valid) -> Broken:
         words = ["info", "case.toml"]
     elif rng.random() < 0.15:
         words = ["solve", "case.toml", "--set", "solve.h=0.8", "--output", OUTPUT]
-    return Broken(words, about, refused=way is _hostile, earlier=words[0] == "solve" and rng.random() < 0.5)
+    return Broken(words, about, earlier=words[0] == "solve" and rng.random() < 0.5)
 
 
 def _hostile(rng: random.Random, text: str) -> tuple[bytes, str]:

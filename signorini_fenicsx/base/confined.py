@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import printable
 
 SECONDS = 600
 """Limit of wall time, and of CPU time."""
@@ -69,9 +70,7 @@ def run(module: str, arguments: list[str], result: BinaryIO) -> None:
         except subprocess.TimeoutExpired:
             raise InputError(SLOW) from None
         said.seek(max(said.seek(0, os.SEEK_END) - LAST_WORDS, 0))
-        words = "".join(
-            c if c.isprintable() or c == "\n" else "?" for c in said.read().decode(errors="replace")
-        ).strip()
+        words = said.read().decode(errors="replace").strip()
     if status != 0:
         raise InputError(_reason(status, words))
 
@@ -103,7 +102,7 @@ def _reason(status: int, words: str) -> str:
         return "was ended by the system while it was read or meshed, most often for want of memory"
     if "File too large" in words:
         return f"gives more than {LARGEST_RESULT >> 30} GB of data, the limit for one file"
-    return words.splitlines()[-1] if status > 0 and words else f"makes its reader crash ({_name(-status)})"
+    return printable(words.splitlines()[-1]) if status > 0 and words else f"makes its reader crash ({_name(-status)})"
 
 
 def _name(number: int) -> str:
@@ -221,11 +220,15 @@ NEW_THREAD = 0x10000
 """The flag of clone that makes a thread, not a process."""
 
 
-def seal() -> None:
-    """Give up for good all rights that reading a file does not need; no effect on systems that cannot do this."""
+def seal() -> bool:
+    """Give up for good all rights that reading a file does not need.
+
+    Returns:
+        Whether this was possible; some systems cannot do it.
+    """
     machine = MACHINES.get(platform.machine())
     if sys.platform != "linux" or machine is None:
-        return
+        return False
     column, architecture, call = machine
     code = _filter(column, architecture)
     program = ctypes.create_string_buffer(code, len(code))
@@ -236,7 +239,8 @@ def seal() -> None:
     given = Program(len(code) // 8, ctypes.addressof(program))
     _prctl(PR_SET_NO_NEW_PRIVS, 1)
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.syscall(*map(ctypes.c_long, (call, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC)), ctypes.byref(given))
+    wanted = map(ctypes.c_long, (call, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC))
+    return bool(libc.syscall(*wanted, ctypes.byref(given)) == 0)
 
 
 LOAD, EQUAL, AT_LEAST, ANY_BIT, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06

@@ -38,6 +38,11 @@ def did_you_mean(wrong: str, known: Iterable[str]) -> str:
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
+def printable(text: str) -> str:
+    """A text from outside, safe to print on a terminal."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
 def counted(number: int, noun: str) -> str:
     """A number with its noun, in the plural but for one."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -6,7 +6,6 @@ Only here Gmsh, meshio, XML and HDF5 read the file. Its contents go back as arra
 import json
 import shutil
 import zipfile
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import printable
 from signorini_fenicsx.meshes.checks import Contents
 
 
@@ -36,23 +36,20 @@ def main(arguments: list[str], result: BinaryIO) -> None:
 
 
 def _by_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
-    """Let Gmsh read a copy; beside the original it would also read an `.opt` file."""
-    from signorini_fenicsx.meshes.geo_text import allowed_tokens, text_for_gmsh, with_lines_of
+    """Let Gmsh read a copy; beside the original it would also read an `.opt` file.
+
+    A `.geo` file is a program that may start others and write files, and Gmsh takes all else for one.
+    """
     from signorini_fenicsx.meshes.gmsh_worker import read_with_gmsh
 
-    copy = Path.cwd() / ("mesh" + source.suffix)
-    if source.suffix == ".geo":
-        tokens = allowed_tokens(source.read_bytes())
-        copy.write_text(text_for_gmsh(tokens), encoding="utf-8")
-        confined.seal()
-        words = partial(with_lines_of, tokens)
-        return read_with_gmsh(copy, h, max_cells, lambda message: words(message).replace(copy.name, source.name))
     with source.open("rb") as file:
-        if not file.read(64).startswith(b"$MeshFormat"):  # Gmsh would read it as a .geo file
+        if source.suffix == ".msh" and not file.read(64).startswith(b"$MeshFormat"):
             raise InputError("is not a mesh of Gmsh, because it does not begin with $MeshFormat")
+    copy = Path.cwd() / source.name
     shutil.copyfile(source, copy)
-    confined.seal()
-    return read_with_gmsh(copy, None, max_cells)
+    if not confined.seal() and source.suffix == ".geo":
+        raise InputError("is a program, which this system cannot confine; mesh it with Gmsh and give the .msh file")
+    return read_with_gmsh(copy, h, max_cells)
 
 
 def pack(contents: Contents, result: BinaryIO) -> None:
@@ -83,7 +80,7 @@ def unpack(result: BinaryIO) -> Contents:
             groups = []
             for name, dim, members, key in about["groups"]:
                 parts = np.split(arrays[f"rows_{key}"], np.cumsum(arrays[f"sizes_{key}"])[:-1])
-                groups.append((str(name), int(dim), list(zip(members, parts, strict=False))))
+                groups.append((printable(name), int(dim), list(zip(members, parts, strict=False))))
             return Contents(arrays["points"], blocks, groups, bool(about["straight"]))
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InputError("makes its reader fail") from error

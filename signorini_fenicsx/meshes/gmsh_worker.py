@@ -2,7 +2,6 @@
 
 import itertools
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import gmsh
@@ -19,14 +18,13 @@ STRAIGHT = ("Point", "Line", "Plane", "Volume")
 """Types of entities without curvature."""
 
 
-def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: Callable[[str], str] = str) -> Contents:
-    """Read a mesh, or make one from a `.geo` file that has been checked.
+def read_with_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
+    """Read a mesh, or make one from a `.geo` file, in a sealed process.
 
     Args:
         source: The file, in a folder without other files that Gmsh would read too.
         h: Largest cell diameter of a mesh that is made; None for the file's own sizes.
         max_cells: Largest number of cells of a mesh that is made.
-        translate: Maps Gmsh's messages to messages for the user.
 
     Raises:
         InputError: If Gmsh cannot do it.
@@ -41,9 +39,7 @@ def read_with_gmsh(source: Path, h: float | None, max_cells: float, translate: C
         return model_contents()
     except Exception as error:  # Gmsh raises plain exceptions
         words = " ".join((str(error) or gmsh.logger.getLastError()).split()) or "it does not say why"
-        raise InputError(
-            f"Gmsh cannot use it: {translate(re.sub(re.escape(str(source)), source.name, words))}"
-        ) from error
+        raise InputError(f"Gmsh cannot use it: {re.sub(re.escape(str(source)), source.name, words)}") from error
 
 
 def generate(h: float | None, max_cells: float) -> None:
