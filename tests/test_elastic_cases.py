@@ -22,8 +22,9 @@ from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.elastic import contact_table
-from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
+from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.gather import PARTLY_FIXED
+from signorini_fenicsx.physics.elasticity.fields import in_space, von_mises
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve

@@ -8,17 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, io
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.output.elastic_body import gather_body, in_space, von_mises
-from signorini_fenicsx.output.field_files import write_vtx
+from signorini_fenicsx.output.elastic_body import gather_body
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
-from signorini_fenicsx.physics.elasticity.residuals import imbalance
 from signorini_fenicsx.physics.elasticity.solution import STATES, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets
 
@@ -150,58 +146,3 @@ def _in_order(rows: Array) -> ContactTable:
         state=np.nan_to_num(rows[:, 13], nan=-1.0).astype(np.int64),
         forward=rows[:, 14].astype(np.int64),
     )
-
-
-def sizes_of_files(solution: ElasticSolution) -> dict[str, int]:
-    """About the largest sizes that the files of fields may have, in bytes (collective)."""
-    spaces, dim = solution.spaces, solution.spaces.dim
-    mesh = spaces.mesh
-    cells = spaces.domain.cells
-    points = mesh.geometry.index_map().size_global
-    facets = mesh.comm.allreduce(len(spaces.contact.facets))
-    number, tensor, head = 8, 9 * 8, 12_000 + 3_000 * mesh.comm.size
-    corners = (dim + 1) ** 2
-    return {
-        "solution.bp": cells * corners * (tensor + 8 * number + 9) + head,
-        "contact.bp": facets * dim * (11 * number + 9) + head,
-        "solution.h5": cells * ((dim + 1) * number + tensor + 7 * number) + points * dim * number + head,
-    }
-
-
-def write_fields(solution: ElasticSolution, folder: Path, certificate: Certificate | None) -> None:
-    """Write `solution.bp` on the subcells, `contact.bp` on Γ_C, `solution.xdmf` of means over cells (collective)."""
-    spaces, split = solution.spaces, solution.spaces.split
-    comm, dim, mesh = spaces.mesh.comm, spaces.dim, spaces.mesh
-    stresses = in_space(solution)  # VTX takes no others
-    equivalent = von_mises(stresses)
-    at_vertices = spaces.displacement_values(solution.u)
-    corners = np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
-    centroids = np.broadcast_to(at_vertices.mean(axis=1)[:, None, None], (len(at_vertices), dim + 1, 1, dim))
-    in_subcells = np.concatenate([at_vertices[:, corners], centroids], axis=2)
-    linear = {"sigma": stresses, "u": in_subcells, "von_mises": equivalent}
-    functions = [
-        split.function(fenicsx.function_space(split.mesh, ("DG", 1, values.shape[3:])), values, name)
-        for name, values in linear.items()
-    ]
-    write_vtx(comm, folder / "solution.bp", functions)
-
-    values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
-    if solution.data.friction is not None:
-        values |= dict(zip(("shear", "slip", "friction"), solution.on_all_contact(), strict=True))
-    write_vtx(comm, folder / "contact.bp", [solution.on_contact(each, name) for name, each in values.items()])
-
-    left = np.linalg.norm(imbalance(spaces, solution.data, solution.stresses), axis=2).max(axis=1)
-    means = {
-        "u": at_vertices.mean(axis=1),
-        "sigma": stresses.mean(axis=(1, 2)),
-        "von_mises": von_mises(stresses.mean(axis=(1, 2))),
-        "equilibrium": left,
-    }
-    with io.XDMFFile(comm, folder / "solution.xdmf", "w") as file:
-        file.write_mesh(mesh)
-        for name, each in means.items():
-            function = fem.Function(fenicsx.function_space(mesh, ("DG", 0, each.shape[1:])), name=name)
-            function.x.array[:] = each.ravel()  # no ghost cells, and a degree of freedom per cell in their order
-            file.write_function(function)
-        if certificate is not None:
-            file.write_function(certificate.indicator)

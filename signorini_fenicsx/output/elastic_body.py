@@ -10,7 +10,7 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.gather import PARTLY_FIXED, Boundary, FacetTable, Fields, sample_of
-from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.fields import in_space, von_mises
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
@@ -62,28 +62,6 @@ def gather_body(solution: ElasticSolution, indicator: fem.Function | None = None
     facets.vertices[:] = sample.rows_of(facets.vertices)
     boundary.vertices[:] = sample.rows_of(boundary.vertices)
     return Body(fields, facets, boundary, at_points[:, :dim], normals, gaps)
-
-
-def in_space(solution: ElasticSolution) -> Array:
-    """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
-
-    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
-    """
-    spaces, data = solution.spaces, solution.data
-    missing = 3 - spaces.dim
-    found = np.pad(solution.stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
-    if missing and not data.in_space:
-        for cells in blocks_of_cells(spaces):
-            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
-            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", solution.stresses[cells])
-    return found
-
-
-def von_mises(stresses: Array) -> Array:
-    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
-    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
-    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
-    return found
 
 
 def _facets(solution: ElasticSolution) -> tuple[FacetTable | None, Array, Array]:

@@ -1,38 +1,21 @@
 """Files of fields for ParaView: VTX and XDMF, and the room that they take."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
+import dolfinx.mesh
 from dolfinx import fem, io
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import WriteFailure
-from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.parallel import give_back_memory, on_root
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
-
-
-def write_files(comm: MPI.Comm, folder: Path, sizes: Mapping[str, int], write: Callable[[], None]) -> None:
-    """Write `solution.xdmf` and others, if there is room for them (collective).
-
-    Args:
-        comm: Communicator.
-        folder: Where.
-        sizes: About the largest sizes of the files, in bytes.
-        write: Writes them (collective).
-
-    Raises:
-        OSError: On all ranks, if there is no room.
-        WriteFailure: If a library cannot write, on this rank at least.
-    """
-    on_root(comm, lambda: check_room(folder, sizes))
-    try:
-        write()
-    except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
-        raise WriteFailure("the fields for ParaView cannot be written") from error
-    on_root(comm, lambda: join_grids(folder / "solution.xdmf"))
+NUMBER, PLACE, VTX = 8, 24, 9
+"""Bytes of a number, of a point, and of what VTX adds to a point."""
 
 
 def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
@@ -55,14 +38,64 @@ def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
             place.unlink(missing_ok=True)
 
 
-def write_vtx(comm: MPI.Comm, path: Path, functions: list[fem.Function]) -> None:
-    """Write one file (collective). After a failure it is not closed: closing would wait for other ranks, or abort.
+def write_vtx(path: Path, functions: Sequence[fem.Function]) -> None:
+    """Write functions of one element, if there is room for the file (collective).
 
     The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
+
+    Raises:
+        OSError: On all ranks, if there is no room.
+        WriteFailure: If the library cannot write, on this rank at least.
     """
-    file = io.VTXWriter(comm, path, functions, engine="BP4")
-    file.write(0.0)
-    file.close()
+    mesh, layout = functions[0].function_space.mesh, functions[0].function_space.dofmap.dof_layout
+    points = max(layout.num_dofs, mesh.topology.dim + 1)
+    of_point = PLACE + VTX + NUMBER * sum(map(_width, functions))
+    give_back_memory()  # the file takes more than the fields
+    with _written(mesh.comm, path, _cells(mesh) * (points * of_point + (points + 1) * NUMBER)):
+        file = io.VTXWriter(mesh.comm, path, list(functions), engine="BP4")
+        file.write(0.0)
+        file.close()
+
+
+def write_xdmf(path: Path, functions: Sequence[fem.Function]) -> None:
+    """Write functions in P0 beside the mesh, if there is room for the file (collective).
+
+    Raises:
+        OSError: On all ranks, if there is no room.
+        WriteFailure: If the library cannot write, on this rank at least.
+    """
+    mesh = functions[0].function_space.mesh
+    points = mesh.geometry.index_map().size_global * mesh.geometry.dim * NUMBER
+    of_cell = NUMBER * (mesh.topology.dim + 1 + sum(map(_width, functions)))
+    with _written(mesh.comm, path.with_suffix(".h5"), _cells(mesh) * of_cell + points):
+        file = io.XDMFFile(mesh.comm, path, "w")
+        file.write_mesh(mesh)
+        for function in functions:
+            file.write_function(function)
+        file.close()
+    on_root(mesh.comm, lambda: join_grids(path))
+
+
+@contextmanager
+def _written(comm: MPI.Comm, path: Path, size: int) -> Iterator[None]:
+    """Make sure that there is room for a file of about this size, and tell if a library fails (collective).
+
+    After a failure the file is not closed: closing would wait for other ranks, or abort.
+    """
+    on_root(comm, lambda: check_room(path.parent, {path.name: size + 12_000 + 3_000 * comm.size}))
+    try:
+        yield
+    except RuntimeError as error:  # kept as the cause: it holds the open file
+        raise WriteFailure("the fields for ParaView cannot be written") from error
+
+
+def _cells(mesh: dolfinx.mesh.Mesh) -> int:
+    return int(mesh.topology.index_map(mesh.topology.dim).size_global)
+
+
+def _width(function: fem.Function) -> int:
+    """How many numbers the files have for a value: vectors and tensors are those in space."""
+    return 3 ** len(function.ufl_shape)
 
 
 def join_grids(path: Path) -> None:

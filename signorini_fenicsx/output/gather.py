@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
@@ -181,14 +180,6 @@ def gather_free_boundary(solution: Solution) -> Array | None:
     measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
     rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
     return None if rows is None else rows[np.lexsort(in_digits(rows[:, :3]).T[::-1])]
-
-
-def centroid_flux(solution: Solution) -> fem.Function:
-    """σ_h at the cell centroids, as a P0 vector field (collective)."""
-    mesh = solution.spaces.mesh
-    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 0, (mesh.geometry.dim,))), name="sigma")
-    sigma.x.array[:] = solution.cell_flux.centroid.ravel()  # no ghost cells
-    return sigma
 
 
 def cell_values(solution: Solution) -> dict[str, Array]:

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, io
 from mpi4py import MPI
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off, give_back_memory, on_root
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
@@ -29,13 +27,11 @@ from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.discrete.cell_shapes import some_at_a_time
 from signorini_fenicsx.output import elastic
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import write_files, write_vtx
+from signorini_fenicsx.output.field_files import write_vtx, write_xdmf
 from signorini_fenicsx.output.gather import (
     FacetTable,
-    centroid_flux,
     facet_table,
     gather_boundary,
     gather_facets,
@@ -251,90 +247,14 @@ def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable | No
 
 
 def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None) -> None:
-    """Write `solution.bp`, `multiplier.bp` or `contact.bp`, and `solution.xdmf` with η_T of the bound (collective).
-
-    A VTX file has one element for all its functions. So `solution.bp` uses DG1, in which u_h and σ_h are exact.
-    `solution.xdmf` uses P0, with σ_h at the centroids.
+    """Write the files of `Solved.fields`, `solution.xdmf` with η_T of the bound (collective).
 
     Raises:
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
-    comm = solution.spaces.mesh.comm
-    if isinstance(solution, ElasticSolution):
-        sizes = elastic.sizes_of_files(solution)
-        write_files(comm, folder, sizes, lambda: elastic.write_fields(solution, folder, certificate))
-    else:
-        write_files(comm, folder, _sizes(solution), lambda: _write_fields(solution, folder, certificate))
-
-
-def _sizes(solution: Solution) -> dict[str, int]:
-    """Rough upper bounds of the sizes of the files of `write_fields`, in bytes (collective)."""
-    spaces = solution.spaces
-    mesh, ranks = spaces.mesh, spaces.mesh.comm.size
-    dim = mesh.topology.dim
-    cells = spaces.domain.cells
-    points = mesh.geometry.index_map().size_global
-    facets = spaces.mesh.comm.allreduce(len(spaces.facets))
-    number, place, vtx = 8, 3 * 8, 9  # bytes of a value, of a point or vector, and of VTX's extra data per point
-    head = 12_000 + 3_000 * ranks
-    return {
-        "solution.bp": cells * ((dim + 1) * (2 * place + 4 * number + vtx) + (dim + 2) * number) + head,
-        "multiplier.bp": facets * (dim * (place + vtx) + (dim + 1) * number + 4 * number) + head,
-        "solution.h5": cells * ((dim + 1) * number + place + 5 * number) + points * dim * number + head,
-    }
-
-
-def _write_fields(solution: Solution, folder: Path, certificate: Certificate | None) -> None:
-    spaces = solution.spaces
-    mesh = spaces.mesh
-    comm, dim = mesh.comm, mesh.geometry.dim
-
-    linear = fenicsx.function_space(mesh, ("DG", 1))
-    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
-    u, magnitude = fem.Function(linear, name="u"), fem.Function(linear, name="sigma_norm")
-    nodes, vectors = linear.dofmap.list, sigma.x.array.reshape(-1, dim)
-    for some in some_at_a_time(mesh):
-        values = solution.cell_flux.in_vertices(some)
-        vectors[nodes[some]] = values
-        magnitude.x.array[nodes[some]] = np.sqrt(np.einsum("cvi,cvi->cv", values, values))
-        u.x.array[nodes[some]] = solution.u.x.array[some, None]
-    give_back_memory()  # the file takes more than the fields
-    on_obstacle = _on_obstacle(solution)
-    write_vtx(comm, folder / "solution.bp", [sigma, u, magnitude, *_in(linear, on_obstacle)])
-
-    flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
-    condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
-    segments = []
-    if solution.data.laws.listed:
-        segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
-    if spaces.part_names:
-        write_vtx(comm, folder / "multiplier.bp", [solution.p, flux, condition, *segments])
-
-    sigma = centroid_flux(solution)
-    magnitude = fem.Function(spaces.Q, name="sigma_norm")
-    magnitude.x.array[:] = np.linalg.norm(solution.cell_flux.centroid, axis=1)
-    file = io.XDMFFile(comm, folder / "solution.xdmf", "w")
-    file.write_mesh(mesh)
-    indicator = [] if certificate is None else [certificate.indicator]
-    for function in (solution.u, sigma, magnitude, *on_obstacle, *indicator):
-        file.write_function(function)
-    file.close()
-
-
-def _on_obstacle(solution: Solution) -> list[fem.Function]:
-    """1 in the cells in contact with the obstacle, and its force, in P0; none without one (collective)."""
-    inside = solution.outcome.iterate.contact
-    if inside is None:
-        return []
-    contact = fem.Function(solution.spaces.Q, name="contact")
-    contact.x.array[:] = inside
-    return [contact, solution.force()]
-
-
-def _in(space: fem.FunctionSpace, functions: list[fem.Function]) -> list[fem.Function]:
-    """The same functions in a larger space (collective)."""
-    found = [fem.Function(space, name=function.name) for function in functions]
-    for larger, function in zip(found, functions, strict=True):
-        larger.interpolate(function)
-    return found
+    for name, functions in solution.fields():
+        if name.endswith(".xdmf"):
+            write_xdmf(folder / name, [*functions, *([] if certificate is None else [certificate.indicator])])
+        else:
+            write_vtx(folder / name, functions)

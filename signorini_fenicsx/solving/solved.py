@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
@@ -172,6 +173,13 @@ class Solved(ABC):
     @abstractmethod
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective)."""
+
+    @abstractmethod
+    def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
+        """The files for ParaView, one after another (collective).
+
+        `<name>.bp` has functions of one element, `<name>.xdmf` functions in P0.
+        """
 
     @collector_off()
     def write(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,7 @@ from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
+from signorini_fenicsx.physics.diffusion.fields import fields_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
@@ -253,6 +254,10 @@ class Solution(Solved):
             imbalance = ufl.div(self.sigma) + data.source(self.u)
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
+
+    def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
+        """The files for ParaView, see `Solved.fields`."""
+        return fields_of(self)
 
     def _sets(self) -> dict[str, Any]:
         facets, measure = self.contact

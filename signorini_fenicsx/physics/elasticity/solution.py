@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -23,6 +23,7 @@ from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.physics.elasticity.fields import fields_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
@@ -258,6 +259,10 @@ class ElasticSolution(Solved):
         largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
         largest = max(spaces.mesh.comm.allgather(float(largest)))
         return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
+
+    def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
+        """The files for ParaView, see `Solved.fields`."""
+        return fields_of(self)
 
     def _sets(self) -> dict[str, Any]:
         return {
