@@ -14,11 +14,11 @@ from signorini_fenicsx.linear.petsc import LinearSolver
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion import data as data_module
-from signorini_fenicsx.physics.diffusion import evolving
-from signorini_fenicsx.physics.diffusion.evolution import Evolution
-from signorini_fenicsx.physics.diffusion.evolving import evolve
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving import evolving
+from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
 

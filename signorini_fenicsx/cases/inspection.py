@@ -22,8 +22,9 @@ from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.physics.diffusion.data import project_data
-from signorini_fenicsx.physics.diffusion.evolution import Evolution, Steps
+from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.solving import check_solvability
+from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.system import Wish, system_on
 
 START_SECONDS = 3.0
@@ -201,7 +202,7 @@ def _check_steps(case: Case, evolution: Evolution, spaces: Any) -> None:
     Raises:
         InputError: If a datum is not what it has to be, or there is not one solution.
     """
-    known, steps = Known(spaces.mesh.comm), Steps(spaces, case.data(spaces.mesh.geometry.dim), evolution)
+    known, steps = Known(spaces.mesh.comm), DiffusionSteps(spaces, case.data(spaces.mesh.geometry.dim), evolution)
     steps.start()
     for step in range(1, evolution.steps + 1):
         try:

@@ -14,8 +14,8 @@ from signorini_fenicsx.cases.values import (
     within,
 )
 from signorini_fenicsx.expressions.given import parsed
-from signorini_fenicsx.physics.diffusion.evolution import SCHEMES, Evolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.solving.evolution import SCHEMES, Evolution
 
 
 class ProblemTexts(Section):

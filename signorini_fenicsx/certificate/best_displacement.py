@@ -30,7 +30,7 @@ from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_rule
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 FREE = 1e-12
@@ -111,7 +111,8 @@ class BestDisplacement:
         directions = np.append(np.repeat(contact.facets.normals, gap.shape[1], axis=0), tangents.reshape(-1, dim), 0)
         nodes, signs = contact.pairs(rows, places)
         axes = signs[:, :, None] * np.einsum("ksij,ki->ksj", self._given.frames[nodes], directions)
-        bound = np.append(gap.ravel(), np.zeros(len(tangents))) - (axes * self._given.values[nodes]).sum(axis=(1, 2))
+        slipped = self._slipped()
+        bound = np.append(gap.ravel(), slipped[rubs]) - (axes * self._given.values[nodes]).sum(axis=(1, 2))
         axes[self._given.given[nodes]] = 0.0
         high = np.append(np.full(gap.size, np.inf), weights[rubs])
         self._gap, free = gap, (axes**2).sum(axis=(1, 2)) > FREE
@@ -127,7 +128,7 @@ class BestDisplacement:
         add_at(pull, contact.nodes, on_facets)
         add_at(pull, contact.across, -on_facets[contact.touched])
         pull.scatter_reverse(la.InsertMode.add)
-        self._pull, self._apart = pull, float((forces * gap).sum())
+        self._pull, self._apart = pull, float((forces * gap).sum() + (rubbing * slipped).sum())
 
     def _assemble(self) -> None:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
@@ -313,11 +314,32 @@ class BestDisplacement:
         bound = np.zeros((0, self.spaces.dim)) if self._data.friction is None else self._data.friction.bound[here]
         return self._in_coefficients(bound, self.contact.facets.measure[rough])
 
+    def _slipped(self) -> Array:
+        """The slip of the last step in time on the facets with friction, by its coefficients, shape (facets, nodes).
+
+        It is linear on each facet, so the coefficients are its values at equidistant points.
+        """
+        rough, here = self.rough
+        means = self._data.slipped.reshape(-1, 2)[here]
+        values = linear_values(means / 2, np.ones(len(means)))
+        ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
+        edges = ends[:, 1] - ends[:, 0]
+        along = np.einsum("nki,ni->nk", points - ends[:, :1], edges) / (edges**2).sum(axis=1)[:, None]
+        return values[:, :1] + along * (values[:, 1:] - values[:, :1])
+
+    def slips(self, v: fem.Function) -> Array:
+        """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d); w is the slip of the last step in time."""
+        coefficients = self._slips(v)
+        return np.einsum("n,ak,nk->na", self.contact.facets.measure[self.rough[0]], self._moments, coefficients)
+
     def rubbed(self, v: fem.Function) -> Array:
-        """A bound of ∫ g|v_t| over the facets with friction: |v_t| is at most the mean of its |coefficients|."""
-        slips, tangents = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim)), self.spaces.tangents[self.rough[1]]
-        along = np.einsum("nki,ni->nk", slips[self.rough[0]], tangents)
-        return (self._rubbing_weights() * np.abs(along)).sum(axis=1)
+        """A bound of ∫ g|v_t − w| over the facets with friction: |v_t − w| is at most a mean of its |coefficients|."""
+        return (self._rubbing_weights() * np.abs(self._slips(v))).sum(axis=1)
+
+    def _slips(self, v: fem.Function) -> Array:
+        """The coefficients of v_t − w on the facets with friction, shape (facets, nodes)."""
+        (rough, here), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
+        return np.einsum("nki,ni->nk", slips[rough], self.spaces.tangents[here]) - self._slipped()
 
 
 def moduli_on_split(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
-    from signorini_fenicsx.physics.diffusion.evolving import Instant
+    from signorini_fenicsx.solving.evolving import Instant
 
 
 MOST_BEFORE = 2

@@ -31,6 +31,7 @@ from signorini_fenicsx.output.checkpoint_parts import damage_of, made, outcome_o
 from signorini_fenicsx.output.checkpoint_writing import COSTS
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, touching
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -140,7 +141,7 @@ def _read_problem(found: Checkpoint, dim: int) -> Problem:
         problem, time = found.case.data(dim), found.case.time
         if found.about.step is None or time is None:
             return problem
-        return time.evolution().problem(problem.in_time(dim), found.about.step, dim)
+        return problem_of_step(problem.in_time(dim), time.evolution(), found.about.step, dim)
     given = _given(found)
     return replace(made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
 

@@ -22,8 +22,8 @@ from signorini_fenicsx.output.field_files import check_room, join_series
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.writing import facet_columns, write_summary
-from signorini_fenicsx.physics.diffusion.evolving import Instant
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving.evolving import Instant
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
 

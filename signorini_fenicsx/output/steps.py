@@ -28,8 +28,8 @@ from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.output.gather import FacetTable, cell_values, facet_table, in_order
-from signorini_fenicsx.physics.diffusion.evolving import Instant, Past
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.solving.evolving import Instant, Past
 from signorini_fenicsx.solving.solver import Solver
 
 CASE, ROW, MESH = "case.json", "row.json", "mesh-"

@@ -9,6 +9,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.system import Remesh, Wish, sorted_on, system_on
@@ -50,6 +51,11 @@ class Solver:
         return self._system.spaces
 
     @collector_off()
+    def steps(self, problem: Any, evolution: Evolution, start: Any = None) -> Steps:
+        """The steps of a problem in time that is sorted, see `System.steps` (collective)."""
+        return self._system.steps(problem, evolution, start)
+
+    @collector_off()
     def solve(
         self,
         problem: Any,
@@ -66,8 +72,8 @@ class Solver:
     ) -> Any:
         """Solve a problem with conditions of these kinds on these parts, see `solve` (collective).
 
-        `start` may also be segments alone. One is added: `memory`, a load in P0 besides f, which the step of a problem
-        in time takes from those before.
+        `start` may also be segments alone. One is added: `memory`, what the step of a problem in time takes from those
+        before, see `Steps.memory`.
 
         Raises:
             InputError: If the problem cannot be discretised as asked, or has other parts.

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, is_dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
-from dolfinx import fem
-
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.contact.history import OnStep, Outcome
@@ -16,6 +14,7 @@ from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.sampling import curve_gap
+from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 
@@ -35,7 +34,7 @@ class Wish:
         options: Algorithm, backend and their parameters.
         start: A solution, or segments of one, to start from; None for neither.
         remesh: Makes coarser meshes; None if there are none.
-        memory: A load in P0 besides f, which the step of a problem in time takes from those before.
+        memory: What the step of a problem in time takes from those before, see `Steps.memory`.
         watch: Measures the phases.
         on_step: Called on all ranks after each iteration.
     """
@@ -43,7 +42,7 @@ class Wish:
     options: Options
     start: Any = None
     remesh: Remesh | None = None
-    memory: fem.Function | None = None
+    memory: Any = None
     watch: Stopwatch = field(default_factory=Stopwatch)
     on_step: OnStep = lambda step: None
 
@@ -84,6 +83,18 @@ class System(Protocol):
 
         Raises:
             InputError: If the problem cannot be discretised as asked.
+        """
+
+    def steps(self, problem: Any, evolution: Evolution, start: Any) -> Steps:
+        """The steps of a problem in time (collective).
+
+        Args:
+            problem: The problem with t in its data.
+            evolution: Times, and what else there is.
+            start: A solution to begin with, or None.
+
+        Raises:
+            InputError: If a datum is not what it has to be, or the start is on another domain.
         """
 
     def forget(self) -> None:

@@ -6,8 +6,8 @@ all data at the time of the step. u_(n−k) is in P0, and C has its mean on each
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
@@ -15,70 +15,19 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, parsed
 from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-
-SCHEMES = {"implicit-euler": (1.0, (1.0,)), "bdf2": (1.5, (2.0, -0.5))}
-"""aτ and w_kτ of each scheme. The first step is always one of implicit Euler, as there is only one u before it."""
+from signorini_fenicsx.solving.evolution import Evolution
 
 
-@dataclass(frozen=True)
-class Evolution:
-    """What a problem in time has besides its data, which may have t in them.
-
-    Attributes:
-        end: The last time.
-        steps: Number of steps.
-        initial: u_0, or one for each region of the mesh.
-        capacity: C ≥ 0, or one for each region of the mesh.
-        scheme: "implicit-euler" or "bdf2".
-    """
-
-    end: float
-    steps: int
-    initial: Given | Mapping[str, Given] = 0.0
-    capacity: Given | Mapping[str, Given] = 1.0
-    scheme: str = "implicit-euler"
-
-    def __post_init__(self) -> None:
-        """Refuse what is no evolution.
-
-        Raises:
-            InputError: If a value is not valid.
-        """
-        if not 0 < self.end < np.inf:
-            raise InputError(f"[time] end: must be a time > 0, not {self.end!r}")
-        if not isinstance(self.steps, int) or self.steps < 1:
-            raise InputError(f"[time] steps: must be a whole number ≥ 1, not {self.steps!r}")
-        if self.scheme not in SCHEMES:
-            raise InputError(f"[time] scheme: unknown '{self.scheme}'; use one of {', '.join(SCHEMES)}")
-
-    def time(self, step: int) -> float:
-        """The time after so many steps."""
-        return self.end * step / self.steps
-
-    def formula(self, step: int) -> tuple[float, tuple[float, ...]]:
-        """A and w_1, w_2, … of a step; the first has number 1."""
-        a, weights = SCHEMES[self.scheme if step > 1 else "implicit-euler"]
-        rate = self.steps / self.end
-        return a * rate, tuple(w * rate for w in weights)
-
-    def problem(self, problem: Problem, step: int, dim: int) -> Problem:
-        """The problem of a step, without what it takes from those before, from one that `Problem.in_time` has read.
-
-        Raises:
-            InputError: If c or C was given in Python.
-        """
-        now, (a, _) = problem.at(self.time(step)), self.formula(step)
-        return replace(now, c=_plus(now.c, parsed(self.capacity, "xyz"[:dim], "[time] capacity"), a))
-
-
-class Steps:
+class DiffusionSteps:
     """The problems of the steps on a mesh.
 
     Attributes:
@@ -86,13 +35,15 @@ class Steps:
         initial: u_0.
     """
 
-    def __init__(self, spaces: Spaces, problem: Problem, evolution: Evolution):
-        """Read the data, and take means of C (collective).
+    def __init__(self, spaces: Spaces, problem: Problem, evolution: Evolution, start: Solution | None = None):
+        """Read the data, and take means of C; u of a start takes the place of u_0 (collective).
 
         Raises:
             InputError: If a text cannot be read, or C or u_0 is not what it has to be.
         """
         dim = spaces.mesh.geometry.dim
+        if start is not None:
+            evolution = replace(evolution, initial=_carried(start, spaces))
         self._spaces, self._evolution, self._problem = spaces, evolution, problem.in_time(dim)
         try:
             capacity = parsed(evolution.capacity, "xyz"[:dim], "[time] capacity")
@@ -117,14 +68,22 @@ class Steps:
         return u
 
     def problem(self, step: int) -> Problem:
-        """The problem of a step, see `Evolution.problem`."""
-        return self._evolution.problem(self._problem, step, self._spaces.mesh.geometry.dim)
+        """The problem of a step, without what it takes from those before.
+
+        Raises:
+            InputError: If c or C was given in Python.
+        """
+        return problem_of_step(self._problem, self._evolution, step, self._spaces.mesh.geometry.dim)
 
     def weights(self, step: int) -> tuple[float, ...]:
         """w_1, w_2, … of a step."""
         return self._evolution.formula(step)[1]
 
-    def memory(self, step: int, before: list[fem.Function]) -> fem.Function:
+    def left_by(self, solution: Solution) -> fem.Function:
+        """u_h."""
+        return solution.u
+
+    def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
         """The sum C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
         memory = fem.Function(self._spaces.Q, name="memory")
         weights = self.weights(step)
@@ -136,6 +95,34 @@ class Steps:
         means = cell_means(self._spaces, datum)
         check_means(f"[time] {key}", "in the domain", means, self._spaces)
         return means
+
+
+def problem_of_step(problem: Problem, evolution: Evolution, step: int, dim: int) -> Problem:
+    """The problem of a step, without what it takes from those before, from one that `Problem.in_time` has read.
+
+    Raises:
+        InputError: If c or C was given in Python.
+    """
+    now, (a, _) = problem.at(evolution.time(step)), evolution.formula(step)
+    return replace(now, c=_plus(now.c, parsed(evolution.capacity, "xyz"[:dim], "[time] capacity"), a))
+
+
+def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
+    """Another u_h in the centroids of these cells (collective).
+
+    Raises:
+        InputError: If a centroid is not in its mesh.
+    """
+    centroids = corners(spaces.mesh).mean(axis=1)
+    u = fem.Function(spaces.Q, name="u")
+    u.x.array[:] = solution.at(centroids).u
+    outside = spaces.mesh.comm.allreduce(int(np.count_nonzero(np.isnan(u.x.array))))
+    if outside > 0:
+        raise InputError(
+            f"the start, {solution.name}, has no u in the centroids of {outside} cells, which are outside of its mesh; "
+            "take one on the same mesh"
+        )
+    return u
 
 
 def _plus(c: Given | Mapping[str, Given], capacity: Given | Mapping[str, Given], a: float) -> dict[str, Tree] | Tree:

@@ -22,6 +22,7 @@ from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.physics.diffusion.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -29,6 +30,7 @@ from signorini_fenicsx.physics.diffusion.residuals import far_bound
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.task import DiffusionTask
+from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
 
@@ -84,6 +86,17 @@ class System:
             watch=wish.watch,
         )
         return DiffusionRun(task, options, self.boundary, problem, data, constant)
+
+    def steps(self, problem: Problem, evolution: Evolution, start: Solution | None) -> DiffusionSteps:
+        """The steps of a problem in time, see `solving.evolution.Steps` (collective).
+
+        Raises:
+            InputError: If a datum is not what it has to be, or the start is on another domain.
+        """
+        check_kind("problem", problem, Problem)
+        if start is not None:
+            check_start(self.spaces, start)
+        return DiffusionSteps(self.spaces, problem, evolution, start)
 
     def forget(self) -> None:
         """Drop the backend of the last solve."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -22,6 +23,7 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
+from signorini_fenicsx.physics.elasticity.friction import STICKS
 
 CHANGE = 1e-9
 """The bound is found when it differs from μ times the pressure by this share of itself,"""
@@ -67,7 +69,7 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
         if len(changes) == MOST:
             return _by_path(backend, tresca, changes)
         left = present.distance(following, spaces)
-        if len(changes) == 1:
+        if backend.comm.allreduce(bool((present.bound >= STICKS).any()), MPI.LOR):
             accepted = backend.friction = following  # nothing slipped before
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import basix
 import numpy as np
@@ -44,10 +45,13 @@ class ElasticData:
         poisson: ν.
         in_space: Whether θ is ν/(1 + ν), as in space and for plane stress; otherwise it is ν.
         quadrature: What the discrete problem takes f, E and ν by.
-        lift: û where it is given, g in the normal component on Γ_C, and 0 elsewhere: unknowns of this rank, ghosts too.
+        lift: û where it is given, g in the normal component on Γ_C, `slipped` in the tangential one where there is
+            friction, and 0 elsewhere: unknowns of this rank, ghosts too.
         load: ⟨g_N, q⟩ for each owned unknown.
         fixed: Owned unknowns that are given.
         friction: Bounds of the shear; None without friction.
+        slipped: u_t at the sites with friction at the end of the last step in time, 0 without one; the slip is what
+            comes after it.
     """
 
     f: VectorDatum
@@ -64,6 +68,7 @@ class ElasticData:
     load: Array
     fixed: npt.NDArray[np.int32]
     friction: FrictionBounds | None
+    slipped: Array
 
     @property
     def uniform(self) -> bool:
@@ -122,8 +127,8 @@ def blocks_of_cells(spaces: ElasticSpaces) -> Iterator[npt.NDArray[np.int32]]:
     yield from np.array_split(np.arange(size, dtype=np.int32), parts)
 
 
-def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
-    """Read the data and check them (collective).
+def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array | None = None) -> ElasticData:
+    """Read the data and check them; in a step in time with the slip of the last step (collective).
 
     Raises:
         InputError: If something is not finite where it is needed, E ≤ 0 or ν not between −1 and ½ somewhere, or a
@@ -133,6 +138,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
     if dim == 3 and problem.plane != Plane.STRAIN:
         raise InputError(f"[problem] plane: a body in space is not in plane {problem.plane}; leave it out")
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
+    _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
     by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}
     g_N = {part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()}
@@ -147,6 +153,8 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
     fixed = _set_given(spaces, u_D, gap, lift)
     tractions = _traction_moments(spaces, g_N)
     _add_tractions(spaces, tractions, load)
+    slipped = np.zeros(len(spaces.slip_sites)) if slipped is None else slipped
+    lift.x.array[spaces.slip_sites] = slipped
     lift.x.scatter_forward()
     data = ElasticData(
         f=f,
@@ -163,9 +171,23 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem) -> ElasticData:
         load=load.array,
         fixed=fixed,
         friction=friction_bounds(spaces, problem.laws),
+        slipped=slipped,
     )
     _check_cells(spaces, data)
     return data
+
+
+def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:
+    """Refuse a displacement for a part on which none is given.
+
+    Raises:
+        InputError: If there is one.
+    """
+    boundary = spaces.boundary
+    free = {part for part in (*boundary.contact, *boundary.neumann) if part not in boundary.fixed}
+    for part in [part for part in u_D if part in free] if isinstance(u_D, Mapping) else []:
+        what = "in contact" if part in boundary.contact else "in neumann"
+        raise InputError(f"[problem] u_D.{part}: no displacement is given on this part, it is {what}")
 
 
 def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:

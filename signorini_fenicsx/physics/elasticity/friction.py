@@ -54,12 +54,15 @@ class FrictionBounds:
 
     def following(self, pressure: Array) -> FrictionBounds:
         """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, 2)."""
-        of_pressure = self.mu * np.maximum(pressure, 0.0)
-        return replace(self, bound=np.where(self.coulomb[:, None], of_pressure, self.bound))
+        return self.with_bounds(self.mu * np.maximum(pressure, 0.0))
+
+    def with_bounds(self, bound: Array) -> FrictionBounds:
+        """These bounds where they are by the pressure, shape (facets, 2)."""
+        return replace(self, bound=np.where(self.coulomb[:, None], bound, self.bound))
 
     def moved(self, step: Array) -> FrictionBounds:
         """The bounds after a step of those by the pressure; none is negative."""
-        return replace(self, bound=np.where(self.coulomb[:, None], np.maximum(self.bound + step, 0.0), self.bound))
+        return self.with_bounds(np.maximum(self.bound + step, 0.0))
 
     def distance(self, other: FrictionBounds, spaces: ElasticSpaces) -> float:
         """‖g' − g‖ on Coulomb's facets (collective)."""

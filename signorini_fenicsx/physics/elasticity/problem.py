@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from types import NoneType
 from typing import Any, ClassVar
@@ -16,7 +16,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, OnParts
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
-from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.expressions.given import Given, at_time, parsed
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
 
 type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
@@ -218,10 +218,41 @@ class ElasticProblem:
         if twice:
             raise InputError(f"laws: part '{twice[0]}' has two laws")
 
+    def in_time(self, dim: int) -> ElasticProblem:
+        """The same problem, with numbers and texts read as trees that may have t in them, also those of the laws.
+
+        Raises:
+            InputError: If a text cannot be read.
+        """
+        return self._changed(lambda key, given: _read(given, "xyz"[:dim] + "t", key))
+
+    def at(self, t: float) -> ElasticProblem:
+        """The problem at a time, from one that `in_time` has read."""
+        return self._changed(lambda _, given: at_time(given, t))
+
+    def _changed(self, change: Callable[[str, Any], Any]) -> ElasticProblem:
+        """The problem with changed data; `change` gets the place of each and what is given."""
+        keys = [each.name for each in fields(self) if each.name not in ("plane", "laws")]
+        data = {key: change("[exact] u" if key == "exact" else f"[problem] {key}", getattr(self, key)) for key in keys}
+        laws = []
+        for index, law in enumerate(self.laws):
+            key = "mu" if isinstance(law, CoulombLaw) else "g"
+            laws.append(replace(law, **{key: change(f"law.{index}.{key}", getattr(law, key))}))
+        return replace(self, **data, laws=laws)
+
     @property
     def rough(self) -> list[str]:
         """The parts with friction."""
         return [part for law in self.laws for part in law.parts]
+
+
+def _read(given: Any, names: str, key: str) -> Any:
+    """Numbers and texts as trees, also the entries of a vector, or what is given for each part or region."""
+    if isinstance(given, Mapping):
+        return {part: _read(each, names, f"{key}.{part}".rstrip(".")) for part, each in given.items()}
+    if isinstance(given, list | tuple):
+        return [_read(each, names, key) for each in given]
+    return parsed(given, names, key)
 
 
 def nothing_for_0(value: Any) -> Any:

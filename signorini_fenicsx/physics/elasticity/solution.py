@@ -24,6 +24,7 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
 from signorini_fenicsx.physics.elasticity.fields import fields_of
+from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
@@ -35,6 +36,21 @@ STATES = (*Friction.segments, "open")
 """The states of a vertex with friction."""
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
+
+
+@dataclass(frozen=True)
+class ElasticSegments:
+    """The segments of all sites, and the bounds of the shear, from which a problem on the same mesh can start.
+
+    Attributes:
+        spaces: Where they are.
+        segment: Number of its segment for each site.
+        bound: The bounds, see `FrictionBounds.bound`.
+    """
+
+    spaces: ElasticSpaces
+    segment: Indices
+    bound: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,6 +69,7 @@ class ElasticSolution(Solved):
         kkt: Residuals of the discrete problem.
         bound_changes: With Coulomb's friction, by how much the bound of the shear changed in each step of the fixed
             point, relative to itself.
+        step: Number of the step of a problem in time, from 1; None for others.
         source: What the problem was read from; None if it was given in Python.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
@@ -68,6 +85,7 @@ class ElasticSolution(Solved):
     outcome: Outcome
     kkt: ElasticKKT
     bound_changes: tuple[float, ...] = ()
+    step: int | None = None
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
@@ -107,6 +125,11 @@ class ElasticSolution(Solved):
     @property
     def slip(self) -> Array:
         """u_t on the facets with friction, in means weighted by the hats of their vertices, shape (facets, 2)."""
+        return self._slips + self.data.slipped.reshape(-1, 2)
+
+    @property
+    def _slips(self) -> Array:
+        """What of u_t comes after the last step in time, all of it without one."""
         return self.outcome.iterate.p[len(self.spaces.sites) :].reshape(-1, 2)
 
     @property
@@ -121,7 +144,14 @@ class ElasticSolution(Solved):
         normal = len(self.spaces.sites)
         tangential = self.outcome.conditions.take(slice(normal, None))
         found = self.data.friction.chains.segments(tangential).reshape(-1, 2)
-        return np.where(self.data.friction.bound > 0, found, np.where(self.slip < 0, 0, 2))
+        return np.where(self.data.friction.bound > 0, found, np.where(self._slips < 0, 0, 2))
+
+    def segments(self) -> ElasticSegments:
+        """Where the next step in time starts."""
+        friction = self.data.friction
+        chains = law_of_sites(self.spaces, friction)
+        bound = np.empty((0, 2)) if friction is None else friction.bound
+        return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), bound)
 
     @property
     def _states_or_open(self) -> Indices:

@@ -27,11 +27,13 @@ from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
 from signorini_fenicsx.physics.elasticity.coulomb import balanced
 from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
+from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
+from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
@@ -74,10 +76,23 @@ class System:
         if _with_rough_parts(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
         _check_start(self.spaces.domain, wish.start)
-        data = elastic_data(self.spaces, problem)
+        data = elastic_data(self.spaces, problem, wish.memory)
         check_against_foundation(self.spaces, data)
         motions = check_rigid_motions(self.spaces, data)
         return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish)
+
+    def steps(self, problem: ElasticProblem, evolution: Evolution, start: ElasticSolution | None) -> ElasticSteps:
+        """The steps of loads, see `solving.evolution.Steps` (collective).
+
+        Raises:
+            InputError: If a text cannot be read, or the start is on another domain.
+        """
+        check_kind("problem", problem, ElasticProblem)
+        _check_start(self.spaces.domain, start)
+        plain = Evolution(evolution.end, evolution.steps)
+        if evolution != plain:
+            raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
+        return ElasticSteps(self.spaces, problem, evolution)
 
     def forget(self) -> None:
         """Nothing is kept from solve to solve."""
@@ -114,7 +129,11 @@ class ElasticRun:
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
-        first = _first(backend, start, held_by_contact=self.motions.shape[1] > 0)
+        held = self.motions.shape[1] > 0
+        if isinstance(start, ElasticSegments):
+            first = _continued(backend, start, held_by_contact=held)
+        else:
+            first = _first(backend, start, held_by_contact=held)
         outcome, self.changes = _run(backend, options, first, watch, self.wish.on_step, predict=large)
         self.data = replace(self.data, friction=backend.friction)
         return outcome
@@ -159,7 +178,7 @@ def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> Ela
     return boundary.touching_on(problem.rough)
 
 
-def _check_start(domain: Domain, start: ElasticSolution | None) -> None:
+def _check_start(domain: Domain, start: ElasticSolution | ElasticSegments | None) -> None:
     """Refuse a start that is no elastic solution, or on another domain (collective).
 
     Raises:
@@ -167,7 +186,7 @@ def _check_start(domain: Domain, start: ElasticSolution | None) -> None:
     """
     if start is None:
         return
-    check_kind("start", start, ElasticSolution)
+    check_kind("start", start, ElasticSolution, ElasticSegments)
     if not same_domain(domain, start.spaces.domain):
         raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
 
@@ -251,6 +270,16 @@ def _with_friction(
         return outcome
 
     return balanced(backend, tresca, changes)
+
+
+def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:
+    """The conditions of the last step in time, and its bounds of the shear for Coulomb's friction (collective)."""
+    spaces = backend.spaces
+    if held_by_contact and backend.comm.allreduce(int((start.segment[: len(spaces.sites)] == 0).sum())) == 0:
+        return _first(backend, None, held_by_contact=True)
+    if backend.friction is not None:
+        backend.friction = backend.friction.with_bounds(start.bound)
+    return backend.chains.conditions(start.segment)
 
 
 def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:

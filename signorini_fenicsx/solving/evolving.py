@@ -6,21 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from dolfinx import fem
-
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off_in_steps
 from signorini_fenicsx.contact.history import OnStep
-from signorini_fenicsx.discrete.cell_shapes import corners
-from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.diffusion.evolution import Evolution, Steps
-from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solving import check_start
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 from signorini_fenicsx.solving.system import sorted_on
@@ -36,13 +26,13 @@ class Instant:
     Attributes:
         step: Number of the step, from 1.
         t: The time.
-        solution: σ_h, u_h and p_h then, as the solution of the step's own problem.
+        solution: The fields then, as the solution of the step's own problem.
         steps: The problem in time on its mesh.
     """
 
     step: int
     t: float
-    solution: Solution
+    solution: Any
     steps: Steps
 
 
@@ -52,13 +42,13 @@ class Past:
 
     Attributes:
         step: Its number.
-        u: u_h, and that of the step before; without u_0.
+        left: What it has left, and what the step before has, see `Steps.left_by`; none of the start.
         segments: The segments on which it ended.
     """
 
     step: int
-    u: Sequence[fem.Function]
-    segments: Segments | None
+    left: Sequence[Any]
+    segments: Any
 
 
 @collector_off_in_steps
@@ -68,7 +58,7 @@ def evolve(
     evolution: Evolution,
     options: Options | None = None,
     *,
-    start: Solution | None = None,
+    start: Any = None,
     past: Callable[[Solver], Past] | None = None,
     name: str = "problem",
     title: str = "",
@@ -92,11 +82,12 @@ def evolve(
 
     Args:
         place: The mesh, or a solver that is set up on it with such a problem.
-        problem: A `Diffusion`. Its data are numbers and texts in x, y, z and t, or functions that are the same at all
-            times.
-        evolution: Times, initial values, capacity and scheme.
+        problem: A `Diffusion` or `Elasticity`. Its data are numbers and texts in x, y, z and t, or functions that are
+            the same at all times. An elastic body is at rest in each step, and friction is against the last one.
+        evolution: Times; for diffusion also initial values, capacity and scheme.
         options: Algorithm, backend and their parameters; None for the defaults.
-        start: Solution on any mesh of the domain; its contact set is the first one, and its u takes the place of u_0.
+        start: Solution on any mesh of the domain; its contact set is the first one, and for diffusion its u takes the
+            place of u_0.
         past: Gives the step after which to go on; None for the beginning.
         name: Name of the results.
         title: A longer name in words.
@@ -114,46 +105,24 @@ def evolve(
     options = Options.of(options)
     check_kind("evolution", evolution, Evolution)
     boundary, sorted_problem = sorted_on(place.spaces.domain if isinstance(place, Solver) else place, problem)
-    check_kind("problem", sorted_problem, Problem)
     solver = place if isinstance(place, Solver) else Solver(place, (boundary, sorted_problem))
-    spaces: Spaces = solver.spaces
-    if start is not None:
-        evolution = replace(evolution, initial=_carried(start, spaces))
-    steps = Steps(spaces, sorted_problem, evolution)
+    comm = solver.spaces.mesh.comm
+    steps: Steps = solver.steps(sorted_problem, evolution, start)
     known = Past(0, [], None if start is None else start.segments()) if past is None else past(solver)
-    u, segments = [*known.u, steps.start()][:2], known.segments
+    left, segments = [*known.left, steps.start()][:2], known.segments
     for step in range(known.step + 1, evolution.steps + 1):
         found = solver.solve(
             (boundary, steps.problem(step)),
             options,
             start=segments if options.method.starts_from_sets else None,
-            memory=steps.memory(step, u),
+            memory=steps.memory(step, left),
             name=name,
             title=title,
             source=source,
             on_step=on_step,
         )
         solution = replace(found, step=step)
-        u, segments = [solution.u, *u[:1]], solution.segments()
+        left, segments = [steps.left_by(solution), *left[:1]], solution.segments()
         yield Instant(step, evolution.time(step), solution, steps)
         if step % COLLECT == 0:
-            collect_garbage(spaces.mesh.comm)  # UFL makes cycles when it estimates the degree of a new datum
-
-
-def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
-    """Another u_h in the centroids of these cells (collective).
-
-    Raises:
-        InputError: If it is on another domain, or a centroid is not in its mesh.
-    """
-    check_start(spaces, solution)
-    centroids = corners(spaces.mesh).mean(axis=1)
-    u = fem.Function(spaces.Q, name="u")
-    u.x.array[:] = solution.at(centroids).u
-    outside = spaces.mesh.comm.allreduce(int(np.count_nonzero(np.isnan(u.x.array))))
-    if outside > 0:
-        raise InputError(
-            f"the start, {solution.name}, has no u in the centroids of {outside} cells, which are outside of its mesh; "
-            "take one on the same mesh"
-        )
-    return u
+            collect_garbage(comm)  # UFL makes cycles when it estimates the degree of a new datum

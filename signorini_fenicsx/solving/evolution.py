@@ -1,0 +1,75 @@
+"""Times and steps of a problem in time, and what a physics says about its steps."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.expressions.given import Given
+
+SCHEMES = {"implicit-euler": (1.0, (1.0,)), "bdf2": (1.5, (2.0, -0.5))}
+"""aτ and w_kτ of each scheme. The first step is always one of implicit Euler, as there is only one u before it."""
+
+
+@dataclass(frozen=True)
+class Evolution:
+    """What a problem in time has besides its data, which may have t in them.
+
+    Attributes:
+        end: The last time.
+        steps: Number of steps.
+        initial: u_0 of diffusion, or one for each region of the mesh.
+        capacity: C ≥ 0 of diffusion, or one for each region of the mesh.
+        scheme: "implicit-euler" or "bdf2", of diffusion.
+    """
+
+    end: float
+    steps: int
+    initial: Given | Mapping[str, Given] = 0.0
+    capacity: Given | Mapping[str, Given] = 1.0
+    scheme: str = "implicit-euler"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no evolution.
+
+        Raises:
+            InputError: If a value is not valid.
+        """
+        if not 0 < self.end < np.inf:
+            raise InputError(f"[time] end: must be a time > 0, not {self.end!r}")
+        if not isinstance(self.steps, int) or self.steps < 1:
+            raise InputError(f"[time] steps: must be a whole number ≥ 1, not {self.steps!r}")
+        if self.scheme not in SCHEMES:
+            raise InputError(f"[time] scheme: unknown '{self.scheme}'; use one of {', '.join(SCHEMES)}")
+
+    def time(self, step: int) -> float:
+        """The time after so many steps."""
+        return self.end * step / self.steps
+
+    def formula(self, step: int) -> tuple[float, tuple[float, ...]]:
+        """A and w_1, w_2, … of a step; the first has number 1."""
+        a, weights = SCHEMES[self.scheme if step > 1 else "implicit-euler"]
+        rate = self.steps / self.end
+        return a * rate, tuple(w * rate for w in weights)
+
+
+class Steps(Protocol):
+    """The problems of the steps on a mesh."""
+
+    def start(self) -> Any:
+        """What the first step takes from before it (collective).
+
+        Raises:
+            InputError: If that is not what it has to be.
+        """
+
+    def problem(self, step: int) -> Any:
+        """The problem of a step, without what it takes from those before."""
+
+    def memory(self, step: int, before: Sequence[Any]) -> Any:
+        """What a step takes from those before, of what they have left: the last one first (collective)."""
+
+    def left_by(self, solution: Any) -> Any:
+        """What the solution of a step leaves for those after it."""
