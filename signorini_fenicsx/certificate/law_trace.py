@@ -117,7 +117,8 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, None if forces is None else (spaces, forces))
     slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
     still = np.union1d(on_dirichlet, meets)
-    relax(v, fem.Function(space), y, data.kappa_h, load, still, box, (spaces, slope), jumps)
+    rubs = mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
+    relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
     if jumps is not None:
         jumps.undone(v)
     if obstacle is not None:
@@ -211,6 +212,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     near_dirichlet.x.array[on_dirichlet] = 1.0
     trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, _levels(on, v.function_space, linear), [])
     changed = [near for _, _, near in trace.levels]
+    touching = _cells_with(changed, linear)
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
     corners = facet_nodes(linear, spaces.facets)
@@ -244,12 +246,11 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     return Trace(
         v=v,
         exact=trace if trace.bounds or changed else None,
-        above=partial(trace.on_gamma_s, spaces),
+        on_gamma_s=partial(trace.on_gamma_s, spaces),
         cells=_cells_with(changed, linear),
-        at_dirichlet=_cells_with([near_dirichlet], linear),
-        touching=np.empty(0, dtype=np.int32),
+        at_dirichlet=_cells_with([each for each in changed if each is near_dirichlet], linear),
+        touching=touching,
         altered=altered,
-        lowest=np.full(len(spaces.facets), np.inf),
         hindrance=hindrance,
         degree=quadrature_degree(*known),
     )
@@ -279,8 +280,9 @@ def _move(trace: LawTrace, corners: Indices, sign: float, lacking: Array) -> Non
 
 def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indices:
     """The owned cells where the sum of linear functions ≥ 0 is not 0."""
-    size = space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts
-    total = sum((each.x.array for each in functions), np.zeros(size))
+    if not functions:
+        return np.empty(0, dtype=np.int32)
+    total = sum(each.x.array for each in functions)
     return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
 
 
