@@ -282,7 +282,7 @@ def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indi
     """The owned cells where the sum of linear functions ≥ 0 is not 0."""
     if not functions:
         return np.empty(0, dtype=np.int32)
-    total = sum(each.x.array for each in functions)
+    total = np.sum([each.x.array for each in functions], axis=0)
     return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
 
 
