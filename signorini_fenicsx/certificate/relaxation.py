@@ -120,7 +120,7 @@ def relax(
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
         jumps: If v has the jumps at facets inside the domain in it.
     """
-    gap = _Gap(v.function_space, y, kappa, excess, robin, jumps)
+    gap = _Gap(v.function_space, y, kappa, excess, box.low, robin, jumps)
     best = v.x.array.copy()
     present, descent, size_of_gap = gap.at(v)
     lowest, steps = present, STEPS
@@ -192,12 +192,13 @@ class _Gap:
         y: fem.Function,
         kappa: Expr,
         excess: Array,
+        low: Array,
         robin: Robin | None,
         jumps: Jumps | None,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
-        self._excess = excess[:size]
+        self._excess, self._low = excess[:size], np.where(np.isfinite(low), low, 0.0)[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
         self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
         self._given = fem.Function(space)
@@ -220,11 +221,12 @@ class _Gap:
     def at(self, v: fem.Function) -> tuple[float, Array, float]:
         """The gap, its negative derivative by each owned node, and its size (collective).
 
-        With laws the gap is known up to a constant. Then its size is at least ½‖κ_h∇v − y‖².
+        The excess counts from lower bounds; where others than these hold v the gap is known up to a constant, and its
+        size is at least ½‖κ_h∇v − y‖².
         """
         values = v.x.array[: len(self._excess)]
         stiff = self._times(values)
-        on_signorini, inside = self._excess @ values, values @ (stiff / 2 - self._flux)
+        on_signorini, inside = self._excess @ (values - self._low), values @ (stiff / 2 - self._flux)
         if self._rubbing is not None:
             rubbing = values @ self._applied(self._rubbing, values) / 2
             on_signorini, inside = on_signorini + rubbing, inside - rubbing
