@@ -21,9 +21,11 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.expressions.evaluation import interval_and_gradient, values_and_gradient
-from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
+from signorini_fenicsx.expressions.evaluation import Intervals, values_and_gradient
+from signorini_fenicsx.expressions.intervals import FromNumPy, Interval, enclosing
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
+from signorini_fenicsx.expressions.tree import Tree, evaluate
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 
@@ -46,6 +48,15 @@ NASTY = [
     "min()", "max(" + "x," * 500 + ")", "1 if 1 < 2 else x", "x / 0", "0 / x", "x ** (1/0)", "x == x",
     "abs(-x)**0.5", "int(9)", "10**400", "x**(2**31)", "x**y**x**y",
 ]  # fmt: skip
+
+
+def interval_and_gradient(tree: Tree, box: dict[str, Interval]) -> tuple[Interval, list[Interval]]:
+    """Enclosures of all values, and of all derivatives with respect to each name."""
+    variables = {name: Dual((value,), {name: enclosing(1.0)}) for name, value in box.items()}
+    with np.errstate(all="ignore"):
+        found: Dual = evaluate(tree, Differentiated(Intervals({}, FromNumPy()), variables))
+    shape = next(iter(box.values())).lo.shape
+    return found.values[0].on(shape), [found.gradient.get(name, enclosing(0.0)).on(shape) for name in box]
 
 
 def valid(rng: random.Random, depth: int) -> str:

@@ -22,13 +22,13 @@ EndFor""",
     "loops on two lines": SQUARE + 'For i In {1:4}\nPhysical Curve(Sprintf("s%g", i)) = {i}; EndFor',
     "conditions": "a = 1; If (a == 1 && !(a > 2)) h = 0.2; ElseIf (a == 2) h = 0.1; Else h = 0.5; EndIf\n" + SQUARE,
     "macros": SQUARE
-    + """Macro Hole
+    + """Macro Opening
   c = newp; Point(c) = {x, y, 0, 0.1}; a = newp; Point(a) = {x + r, y, 0, 0.1}; b = newp; Point(b) = {x - r, y, 0, 0.1};
   m = newl; Circle(m) = {a, c, b}; k = newl; Circle(k) = {b, c, a};
   loop = newll; Curve Loop(loop) = {m, k};
 Return
 Delete { Surface{1}; }
-x = 0.3; y = 0.5; r = 0.1; Call Hole; holes() = {loop}; x = 0.7; Call Hole; holes() += {loop};
+x = 0.3; y = 0.5; r = 0.1; Call Opening; holes() = {loop}; x = 0.7; Call Opening; holes() += {loop};
 Plane Surface(1) = {1, holes()}; Physical Surface("plate") = {1};""",
     "constants": 'DefineConstant[ h = {0.3, Min 0.1, Max 1, Step 0.1, Name "Mesh size", Label "size"}, n = 3 ];\n'
     'DefineConstant[ order = {1, Choices{1="first", 2="second"}, Name "Order"} ];\n' + SQUARE,

@@ -100,14 +100,14 @@ def test_gap_without_its_matrix(dim: int):
         np.random.default_rng(2),
     )
     space, kappa = fem.functionspace(mesh, ("Lagrange", 2)), fem.Function(fem.functionspace(mesh, ("DG", 0)))
-    y, w, psi = fem.Function(fem.functionspace(mesh, ("RT", 1))), fem.Function(space), fem.Function(space)
-    for function in (y, w, psi, kappa):
+    y, v = fem.Function(fem.functionspace(mesh, ("RT", 1))), fem.Function(space)
+    for function in (y, v, kappa):
         function.x.array[:] = random.uniform(1, 2, len(function.x.array))
-    gap = _Gap(space, psi, y, kappa, np.ones(len(w.x.array)), None, None)
-    free = random.uniform(size=len(w.x.array)) < 0.7
-    found = [gap.at(w), gap.lowered(np.where(free, gap.at(w)[1], 0.0), free, 3)]
+    gap = _Gap(space, y, kappa, np.ones(len(v.x.array)), np.full(len(v.x.array), -np.inf), None, None)
+    free = random.uniform(size=len(v.x.array)) < 0.7
+    found = [gap.at(v), gap.lowered(np.where(free, gap.at(v)[1], 0.0), free, 3)]
     gap.assemble()
-    again = [gap.at(w), gap.lowered(np.where(free, gap.at(w)[1], 0.0), free, 3)]
+    again = [gap.at(v), gap.lowered(np.where(free, gap.at(v)[1], 0.0), free, 3)]
     for before, after in zip(chain(*found), chain(*again), strict=True):
         assert before == pytest.approx(after, rel=1e-11, abs=1e-11)
     gap.destroy()

@@ -7,14 +7,13 @@ import re
 import numpy as np
 import pytest
 import ufl
-from fuzz_expressions import check_enclosures, outcome, texts
+from fuzz_expressions import check_enclosures, interval_and_gradient, outcome, texts
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
 from signorini_fenicsx.expressions.evaluation import (
     difference,
     interval,
-    interval_and_gradient,
     linear_terms,
     values,
     values_and_gradient,

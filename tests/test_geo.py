@@ -34,8 +34,9 @@ def meshed(gmsh, file: Path) -> tuple[int, set[str]]:
     gmsh.open(str(file))
     dim = gmsh.model.getDimension()
     gmsh.model.mesh.generate(dim)
-    groups = [gmsh.model.getPhysicalName(*group) for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
-    return len(gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])[0]), set(groups)
+    groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
+    names = {gmsh.model.getPhysicalName(*group) or str(group[1]) for group in groups}
+    return len(gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])[0]), names
 
 
 SHIPPED = {file.name: file.read_text() for file in sorted(data_folder("meshes").glob("*.geo"))}

@@ -8,7 +8,7 @@ A flux y ∈ RT0, which is σ_h or near it, and a continuous v made of u_h and �
    ‖y − σ_h‖.
 2. `oscillation`: r ≥ q_S − y·n on Γ_S, and osc with R(w) ≤ osc |∇w| for w = 0 on Γ_D, where R(w) = (f − f_h, w) +
    ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S.
-3. `admissible_trace`: v = u_D on Γ_D, v ≥ ψ on Γ_S.
+3. `law_trace`: v = u_D on Γ_D, v ≥ ψ on Γ_S.
 
 Let ũ be the solution for the loads −∇·y, y·n on Γ_N and q_S − r on Γ_S. For this problem v and y are admissible, with
 
@@ -23,7 +23,7 @@ so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational i
 If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
 Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws` and `law_trace`; for an obstacle in
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws`; for an obstacle in
 Ω see `obstacle`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
 one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 
@@ -49,7 +49,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux
-from signorini_fenicsx.certificate.admissible_trace import Trace, admissible_trace
+from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.hidden import Pressure, degree_near, hidden_parts
 from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
@@ -167,21 +167,16 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
     metric, deviation = resolution.conductivity(metric, size)
     y, flux, level, remainder = admissible_flux(solution, metric, goal)
     force = None if data.obstacle is None else obstacle.Force.of(data, y, level, touched, resolution)
-    if goal.plain and force is None:
-        excess, load = contact_excess(spaces, data, metric, spaces.normal_flux(y), resolution)
-        trace = admissible_trace(solution, metric, y)
-        contact = excess.gap(trace.above(excess.points), len(metric.volume))
-        pressures = [Pressure("psi", data.psi, excess.points, excess.values.max(axis=1, initial=0.0))]
-    else:
-        (trace, contact, load), pressures = _under_laws(solution, metric, goal, y, force), []
-        resolution.by_quadrature |= not_polynomial(goal)
+    trace, contact, load, pressure = _on_gamma_s(solution, metric, goal, y, force, resolution)
+    if data.obstacle is not None and force is not None:
+        contact = contact + obstacle.gap(data.obstacle, spaces, trace, force.largest)
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
     oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, force)
     if reaction is not None:
         contact = contact + reaction.gap
     mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), deviation)
     known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
-    hidden = hidden_parts(resolution, trace, metric, pressures, force, known)
+    hidden = hidden_parts(resolution, trace, metric, pressure, force, known)
     contact = contact + hidden.gap
     mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     least = None if reaction is None else reaction.least
@@ -235,21 +230,28 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _under_laws(
-    solution: Solution, metric: CellMetric, goal: Goal, y: fem.Function, force: obstacle.Force | None
-) -> tuple[Trace, Array, list[FacetLoad]]:
-    """v, twice the gap on Γ_S and of an obstacle per owned cell, and the loads η − y·n (collective)."""
+def _on_gamma_s(
+    solution: Solution,
+    metric: CellMetric,
+    goal: Goal,
+    y: fem.Function,
+    force: obstacle.Force | None,
+    resolution: Resolution,
+) -> tuple[Trace, Array, list[FacetLoad], Pressure | None]:
+    """v, twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
     spaces, data = solution.spaces, solution.data
-    forces = None if force is None else force.largest
-    on = OnGammaS.of(solution, goal, metric, y)
-    trace = law_trace(solution, metric, y, on, forces)
+    on, number = OnGammaS.of(solution, goal, metric, y), len(metric.volume)
+    trace = law_trace(solution, metric, y, on, None if force is None else force.largest)
+    if goal.plain and force is None:
+        excess, load = contact_excess(spaces, data, metric, on.flux, resolution)
+        above = np.maximum(trace.on_gamma_s(excess.points) - data.psi.values(excess.points), 0.0)
+        pressure = Pressure("psi", data.psi, excess.points, excess.values.max(axis=1, initial=0.0))
+        return trace, excess.gap(above, number), load, pressure
+    resolution.by_quadrature |= not_polynomial(goal)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
-    v = trace.above(at.points)
+    v = trace.on_gamma_s(at.points)
     found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v))
-    contact = found.per_cell(len(metric.volume))
-    if data.obstacle is not None and forces is not None:
-        contact = contact + obstacle.gap(data.obstacle, spaces, trace, forces)
-    return trace, contact, found.loads(spaces)
+    return trace, found.per_cell(number), found.loads(spaces), None
 
 
 def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:

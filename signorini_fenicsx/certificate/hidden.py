@@ -37,6 +37,7 @@ from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.physics.diffusion.nodes import facet_nodes
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 CUT_OFFS = 4.0
@@ -67,7 +68,7 @@ def hidden_parts(
     resolution: Resolution,
     trace: Trace,
     metric: CellMetric,
-    pressures: list[Pressure],
+    pressure: Pressure | None,
     force: Force | None,
     known: float,
 ) -> Hidden:
@@ -80,7 +81,7 @@ def hidden_parts(
         resolution: Encloses the data.
         trace: Has v.
         metric: Metric of the owned cells.
-        pressures: What presses v against bounds on Γ_S.
+        pressure: What presses v against ψ on Γ_S under the law of Signorini alone; None under others.
         force: λ of an obstacle in Ω, None without one.
         known: The bound without what is hidden.
     """
@@ -89,12 +90,10 @@ def hidden_parts(
     if (tree := resolution.tree("u_D", data.u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         slope[cells] += missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))[0]
-    if (tree := resolution.tree("psi", data.psi)) is not None:
+    if pressure is not None and (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
         cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree)).astype(np.int64)
         slope[cells] += missed.of("psi", tree, cells)[0]
-    for pressure in pressures:
-        if (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
-            gap += pressure.missed(resolution, tree, len(gap))
+        gap += pressure.missed(resolution, tree, len(gap))
     tree = None if data.obstacle is None else resolution.tree("obstacle", data.obstacle.psi)
     if tree is not None and force is not None:
         cells = _cells_of_obstacle(resolution, trace, tree)
@@ -113,8 +112,10 @@ def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
     """Owned cells at facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
     spaces = resolution.spaces
     vertices = facet_corners(spaces.mesh, spaces.facets)
-    above = np.maximum(trace.lowest, 0.0)
+    corners = vertices.shape[1]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
+    nodes = facet_nodes(trace.v.function_space, spaces.facets)[:, [*range(corners), *edge_order(corners)]]
+    above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1, initial=np.inf), 0.0)
     return np.asarray(spaces.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
 
 

@@ -33,7 +33,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
-from signorini_fenicsx.certificate.law_bounds import Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
+from signorini_fenicsx.certificate.law_bounds import ROUNDING, Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
@@ -117,7 +117,8 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, None if forces is None else (spaces, forces))
     slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
     still = np.union1d(on_dirichlet, meets)
-    relax(v, fem.Function(space), y, data.kappa_h, load, still, box, (spaces, slope), jumps)
+    rubs = mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
+    relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
     if jumps is not None:
         jumps.undone(v)
     if obstacle is not None:
@@ -209,8 +210,9 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     near_dirichlet, moved = fem.Function(linear), fem.Function(linear)
     on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
     near_dirichlet.x.array[on_dirichlet] = 1.0
-    trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, _levels(on, v.function_space, linear), [])
+    trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, _levels(on, v, linear), [])
     changed = [near for _, _, near in trace.levels]
+    touching = _cells_with(changed, linear)
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
     corners = facet_nodes(linear, spaces.facets)
@@ -244,12 +246,11 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
     return Trace(
         v=v,
         exact=trace if trace.bounds or changed else None,
-        above=partial(trace.on_gamma_s, spaces),
+        on_gamma_s=partial(trace.on_gamma_s, spaces),
         cells=_cells_with(changed, linear),
-        at_dirichlet=_cells_with([near_dirichlet], linear),
-        touching=np.empty(0, dtype=np.int32),
+        at_dirichlet=_cells_with([each for each in changed if each is near_dirichlet], linear),
+        touching=touching,
         altered=altered,
-        lowest=np.full(len(spaces.facets), np.inf),
         hindrance=hindrance,
         degree=quadrature_degree(*known),
     )
@@ -279,8 +280,9 @@ def _move(trace: LawTrace, corners: Indices, sign: float, lacking: Array) -> Non
 
 def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indices:
     """The owned cells where the sum of linear functions ≥ 0 is not 0."""
-    size = space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts
-    total = sum((each.x.array for each in functions), np.zeros(size))
+    if not functions:
+        return np.empty(0, dtype=np.int32)
+    total = np.sum([each.x.array for each in functions], axis=0)
     return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
 
 
@@ -293,41 +295,50 @@ def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:
     return [bound or part.data.get(level) for bound, level in zip(part.bounds, levels, strict=True)]
 
 
-def _levels(
-    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
-) -> list[tuple[Datum, fem.Function, fem.Function]]:
+def _levels(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> list[tuple[Datum, fem.Function, fem.Function]]:
     """The data b that hold u or its jump and are no numbers, their I_hb, and the χ of each (collective)."""
     found = []
-    for datum, held in (*_held_values(on, linear), *_held_jumps(on, linear)):
-        near, quadratic = fem.Function(linear), datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
-        near.x.array[:] = held
-        all_edges(space).to_bernstein(quadratic.x.array)
+    for datum, interpolant, held in (*_held_values(on, v, linear), *_held_jumps(on, v.function_space, linear)):
+        near, quadratic = fem.Function(linear), fem.Function(v.function_space)
+        near.x.array[:], quadratic.x.array[:] = held, interpolant
         found.append((datum, quadratic, near))
     return found
 
 
-def _held_values(on: OnGammaS, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array]]:
-    """The data that hold u on steep segments. χ is 1 in vertices of Γ_S all of whose facets they hold (collective)."""
-    spaces, corners = on.spaces, facet_nodes(linear, on.spaces.facets)
+def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array, Array]]:
+    """The data b that hold u on steep segments, with I_hb and χ (collective).
+
+    χ is 1 in vertices of Γ_S all of whose facets they hold; a bound holds those where v is I_hb.
+    """
+    spaces, space, corners = on.spaces, v.function_space, facet_nodes(linear, on.spaces.facets)
     everywhere = fem.Function(linear).x.array
     everywhere[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
+    nodes, edges = facet_nodes(space, spaces.facets), all_edges(space)
     steep = on.steep[np.arange(len(on.segment)), on.segment]
     for part in on.goal.parts:
         rows = np.intersect1d(part.rows, spaces.outer_rows)
         for segment in range(len(part.law.segments)):
             name = part.law.level_of(segment)
             if name is not None and part.data[name].number is None:
+                datum = part.data[name]
+                interpolant, held = coefficients(datum, space, edges), steep & (on.segment == segment)
+                if any(datum is bound for bound in part.bounds):
+                    apart = np.abs(v.x.array - interpolant) > ROUNDING * np.abs(interpolant).max(initial=0.0)
+                    held = ~apart[nodes].any(axis=1)
                 free = np.ones(len(steep))
-                free[rows] = ~(steep & (on.segment == segment))[rows]
-                yield part.data[name], everywhere - largest_around(linear, corners, free)
+                free[rows] = ~held[rows]
+                yield datum, interpolant, everywhere - largest_around(linear, corners, free)
 
 
-def _held_jumps(on: OnGammaS, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array]]:
-    """The only bounds of jumps inside the domain. χ is 1 in all nodes with a jump (collective)."""
+def _held_jumps(
+    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
+) -> Iterator[tuple[Datum, Array, Array]]:
+    """The only bounds b of jumps inside the domain, with I_hb and χ, 1 in all nodes with a jump (collective)."""
     jumps = Jumps.of(linear, on.spaces)
     for part in on.goal.parts if jumps is not None else ():
         bounds = [bound for bound in part.bounds if bound is not None]
         if jumps is not None and len(bounds) == 1 and bounds[0].number is None:
             rows = np.intersect1d(part.rows, on.spaces.inner.rows)
             here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
-            yield bounds[0], np.where((here > 0) & jumps.jump, 1.0, 0.0)
+            interpolant = coefficients(bounds[0], space, all_edges(space))
+            yield bounds[0], interpolant, np.where((here > 0) & jumps.jump, 1.0, 0.0)

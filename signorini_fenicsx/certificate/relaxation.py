@@ -1,10 +1,4 @@
-"""Reduces the gap of v, a quadratic function of Bernstein coefficients with lower bounds on Γ_S.
-
-A quadratic on an edge with end values a, b ≥ 0 and middle Bernstein coefficient m is a(1−t)² + 2mt(1−t) + bt². It is
-≥ 0 for 0 ≤ t ≤ 1 if and only if m ≥ −√(ab). On a triangle a quadratic is ≥ 0 if m ≥ −½√(ab) on each edge. Proof: in the
-variables √a λ_a its matrix has 1 on the diagonal and entries ≥ −½ elsewhere, so it is the sum of a matrix with entries
-≥ 0 and of 3/2 I − ½ 11ᵀ, which is positive semidefinite. (If a = 0, the condition is m ≥ 0.)
-"""
+"""Reduces the gap of v, a quadratic function of Bernstein coefficients between bounds on Γ_S."""
 
 from __future__ import annotations
 
@@ -70,52 +64,6 @@ def all_edges(space: fem.FunctionSpace) -> Edges:
     return Edges(middle, ends[middle])
 
 
-class Obstacle:
-    """The condition w ≥ 0 on Γ_S, or w ≥ −d for d ≥ 0 known in points of edges, as lower bounds of coefficients.
-
-    Attributes:
-        nodes: Nodes of this rank on Γ_S that are not on Γ_D.
-    """
-
-    def __init__(self, edges: Edges, nodes: Indices, dim: int, room: tuple[Array, Array] | None = None):
-        """Choose the edges.
-
-        Args:
-            edges: Edges of this rank.
-            nodes: The nodes.
-            dim: The dimension of the mesh.
-            room: The share of each edge from its first end to each point, and d per edge and point; None for d = 0.
-        """
-        self.nodes = nodes
-        chosen = np.isin(edges.middle, nodes)
-        self._edges = Edges(edges.middle[chosen], edges.ends[chosen])
-        self._part = 1.0 if dim == 2 else 0.5
-        self._room = None if room is None else (room[0], room[1][chosen])
-
-    def lower(self, w: Array) -> Array:
-        """The lower bound of each node of this rank, −∞ off Γ_S."""
-        bound = np.full(len(w), -np.inf)
-        bound[self.nodes] = 0.0
-        ends = np.maximum(w[self._edges.ends], 0.0)
-        middle = -np.sqrt(ends.prod(axis=1))
-        if self._room is not None:
-            t, room = self._room
-            of_ends = ends @ np.array([(1 - t) ** 2, t**2])
-            middle = np.minimum(middle, -((room + of_ends) / (2 * t * (1 - t))).min(axis=1, initial=np.inf))
-        bound[self._edges.middle] = self._part * middle
-        return bound
-
-    def free(self, w: Array, descent: Array) -> npt.NDArray[np.bool_]:
-        """The owned nodes that are above their bound, or want to be."""
-        return (w > self.lower(w))[: len(descent)] | (descent > 0)
-
-    def project(self, w: Array) -> None:
-        """Raise negative vertex values to 0, then the middle nodes of edges to their bound, in place."""
-        vertices = np.setdiff1d(self.nodes, self._edges.middle)
-        w[vertices] = np.maximum(w[vertices], 0.0)
-        np.maximum(w, self.lower(w), out=w)
-
-
 @dataclass(frozen=True)
 class Box:
     """Bounds of coefficients on Γ_S, infinite elsewhere.
@@ -148,54 +96,52 @@ class Box:
 
 
 def relax(
-    w: fem.Function,
-    psi: fem.Function,
+    v: fem.Function,
     y: fem.Function,
     kappa: Expr,
     excess: Array,
     fixed: Indices,
-    obstacle: Obstacle | Box,
+    box: Box,
     robin: Robin | None = None,
     jumps: Jumps | None = None,
 ) -> None:
-    """Reduce ½‖κ_h∇v − y‖² + ⟨y·n − q_Sh, w⟩, v = w + I_hψ, by rounds of CG (collective).
+    """Reduce ½‖κ_h∇v − y‖² + ½⟨βv, v⟩ + the excess times v on Γ_S by rounds of CG (collective).
 
-    In each round a node on its bound is fixed, unless raising it reduces the gap. After the round w is projected to the
-    bounds. The averaging in v makes errors that vary from node to node; the first steps remove these.
+    In each round a node on its bound is fixed, unless moving it inside reduces the gap. After the round v is projected
+    to the bounds. The averaging in v makes errors that vary from node to node; the first steps remove these.
 
     Args:
-        w: Bernstein coefficients within their bounds, with ghosts; changed in place.
-        psi: I_hψ.
+        v: Bernstein coefficients within their bounds, with ghosts; changed in place.
         y: Flux in RT0.
         kappa: κ_h.
-        excess: ∫ (y·n − q_Sh) φ per node φ of this rank.
+        excess: ∫ (y·n − level) φ on Γ_S, less an obstacle's force, per node φ of this rank.
         fixed: Nodes on Γ_D.
-        obstacle: The condition on Γ_S.
+        box: The bounds.
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
-        jumps: If w has the jumps at facets inside the domain in it.
+        jumps: If v has the jumps at facets inside the domain in it.
     """
-    gap = _Gap(w.function_space, psi, y, kappa, excess, robin, jumps)
-    best = w.x.array.copy()
-    present, descent, size_of_gap = gap.at(w)
+    gap = _Gap(v.function_space, y, kappa, excess, box.low, robin, jumps)
+    best = v.x.array.copy()
+    present, descent, size_of_gap = gap.at(v)
     lowest, steps = present, STEPS
     size = len(descent)
     loose = np.ones(size, dtype=bool)
     loose[fixed[fixed < size]] = False
-    free = loose & obstacle.free(w.x.array, descent)
+    free = loose & box.free(v.x.array, descent)
     for _ in range(ROUNDS):
         change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
-        w.x.array[:size] += change
-        w.x.scatter_forward()
-        obstacle.project(w.x.array)
-        before, (present, descent, size_of_gap) = present, gap.at(w)
+        v.x.array[:size] += change
+        v.x.scatter_forward()
+        box.project(v.x.array)
+        before, (present, descent, size_of_gap) = present, gap.at(v)
         if present < lowest:
-            best[:], lowest = w.x.array, present
+            best[:], lowest = v.x.array, present
         taken_back = present - (before - gained)
         steps = min(2 * steps, MOST_STEPS)
-        kept, free = free, loose & obstacle.free(w.x.array, descent)
+        kept, free = free, loose & box.free(v.x.array, descent)
         if taken_back + steps * last + gap.alone(descent, free & ~kept) < WORTH * size_of_gap:
             break
-    w.x.array[:] = best
+    v.x.array[:] = best
     gap.destroy()
 
 
@@ -234,7 +180,7 @@ def _assembled(form: fem.Form) -> PETSc.Mat:
 
 
 class _Gap:
-    """The gap as a quadratic function of w in the owned nodes.
+    """The gap as a quadratic function of v in the owned nodes.
 
     Its matrix costs as much as thirty applications of the form, and more memory than the rest of the certificate. So it
     is assembled only for jumps, and for many steps of CG.
@@ -243,16 +189,16 @@ class _Gap:
     def __init__(
         self,
         space: fem.FunctionSpace,
-        psi: fem.Function,
         y: fem.Function,
         kappa: Expr,
         excess: Array,
+        low: Array,
         robin: Robin | None,
         jumps: Jumps | None,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
-        self._psi, self._excess = psi.x.array[:size], excess[:size]
+        self._excess, self._low = excess[:size], np.where(np.isfinite(low), low, 0.0)[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
         self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
         self._given = fem.Function(space)
@@ -272,17 +218,17 @@ class _Gap:
             self._matrix = self._make()
         return self._matrix
 
-    def at(self, w: fem.Function) -> tuple[float, Array, float]:
+    def at(self, v: fem.Function) -> tuple[float, Array, float]:
         """The gap, its negative derivative by each owned node, and its size (collective).
 
-        With laws the gap is known up to a constant. Then its size is at least ½‖κ_h∇v − y‖².
+        The excess counts from lower bounds; where others than these hold v the gap is known up to a constant, and its
+        size is at least ½‖κ_h∇v − y‖².
         """
-        above = w.x.array[: len(self._psi)]
-        v = above + self._psi
-        stiff = self._times(v)
-        on_signorini, inside = self._excess @ above, v @ (stiff / 2 - self._flux)
+        values = v.x.array[: len(self._excess)]
+        stiff = self._times(values)
+        on_signorini, inside = self._excess @ (values - self._low), values @ (stiff / 2 - self._flux)
         if self._rubbing is not None:
-            rubbing = v @ self._applied(self._rubbing, v) / 2
+            rubbing = values @ self._applied(self._rubbing, values) / 2
             on_signorini, inside = on_signorini + rubbing, inside - rubbing
         on_signorini, inside = self._comm.allreduce(np.array([on_signorini, inside])).tolist()
         inside += self._constant
@@ -302,7 +248,7 @@ class _Gap:
             steps: Their number.
 
         Returns:
-            The change of w, by how much it reduces the gap, and by how much its last step does.
+            The change of v, by how much it reduces the gap, and by how much its last step does.
         """
         if steps >= MANY_STEPS:
             self.assemble()

@@ -1,13 +1,12 @@
 """Expressions: text is read once into a tree, which is evaluated in UFL, in NumPy with gradients, and in intervals.
 
-Text → `read` → tree; `to_ufl`, `values`, `values_and_gradient`, `interval` and `interval_and_gradient` evaluate it.
+Text → `read` → tree; `to_ufl`, `values`, `values_and_gradient` and `interval` evaluate it.
 Each function of the language is one row of the table in `functions`.
 """
 
 from signorini_fenicsx.expressions.evaluation import (
     difference,
     interval,
-    interval_and_gradient,
     linear_terms,
     values,
     values_and_gradient,
@@ -23,7 +22,6 @@ __all__ = [
     "difference",
     "exactly",
     "interval",
-    "interval_and_gradient",
     "linear_terms",
     "parse_expression",
     "parse_number",

@@ -215,16 +215,6 @@ def interval(tree: Tree, box: Mapping[str, Interval], elementary: Elementary | N
     return found.on(next(iter(box.values())).lo.shape)
 
 
-def interval_and_gradient(tree: Tree, box: Mapping[str, Interval]) -> tuple[Interval, list[Interval]]:
-    """Enclosures of all values, and of all derivatives with respect to each name."""
-    algebra = Differentiated(Intervals({}, FromNumPy()), _variables(box, enclosing(1.0)))
-    with np.errstate(all="ignore"):
-        found: Dual = evaluate(tree, algebra)
-    shape = next(iter(box.values())).lo.shape
-    zero = enclosing(0.0)
-    return found.values[0].on(shape), [found.gradient.get(name, zero).on(shape) for name in box]
-
-
 def _shape(points: Mapping[str, Array]) -> tuple[int, ...]:
     return np.shape(next(iter(points.values())))
 

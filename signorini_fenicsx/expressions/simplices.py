@@ -15,9 +15,6 @@ from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth,
 from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 
-NEAR = 1e-12
-"""A mesh fits a discontinuity of the data up to this distance, relative to the size of the domain, and up to rounding
-of its coordinates."""
 ROUNDING = 1e-13
 """Bound of the rounding in sums of up to 100 products, relative to the sum of absolute values: 450 times 2⁻⁵²."""
 TINY = 1e-300
@@ -102,10 +99,9 @@ class Places:
 class _OnSimplices(Differentiated):
     """Values, gradients and Hessians over boxes, values and gradients in centres; conditions in mean value form."""
 
-    def __init__(self, inner: Differentiated, names: Mapping[str, Dual], places: Places, near: Array):
+    def __init__(self, inner: Differentiated, names: Mapping[str, Dual], places: Places):
         super().__init__(inner, names)
         self._where = places
-        self._near = near
 
     def compare(self, sign: str, left: Dual, right: Dual) -> tuple[Any, ...]:
         """Compare almost everywhere: if left − right certainly varies along T, both are equal on a set of measure 0."""
@@ -121,8 +117,7 @@ class _OnSimplices(Differentiated):
         all_values = box.meet(centre + _hull(along))
         change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
         varies = change > 0
-        slack = np.where(varies, self._near * change, 0.0)
-        below, above = varies & (all_values.hi <= slack), varies & (all_values.lo >= -slack)
+        below, above = varies & (all_values.hi <= 0), varies & (all_values.lo >= 0)
         truth: Truth = over_box[0]
         match sign:
             case "==":
@@ -188,11 +183,10 @@ class Local:
         )
 
 
-def evaluated(tree: Tree, places: Places, scale: float, elementary: Elementary) -> Local:
+def evaluated(tree: Tree, places: Places, elementary: Elementary) -> Local:
     """Evaluate a tree over boxes with first and second derivatives, and in centres with first derivatives."""
     centre, lo, hi = places.centre, places.box.lo, places.box.hi
     names = "xyz"[: centre.shape[1]]
-    near = (NEAR * scale + (2 * places.pad[:, 0] if scale > 0 else 0.0)) / np.maximum((hi - lo).max(axis=1), 1e-300)
     one = enclosing(1.0)
     both_of = {name: (Interval(lo[:, i], hi[:, i]), enclosing(centre[:, i])) for i, name in enumerate(names)}
     inner = Differentiated(Intervals({}, elementary), {name: Dual((box,), {}) for name, (box, _) in both_of.items()})
@@ -200,5 +194,5 @@ def evaluated(tree: Tree, places: Places, scale: float, elementary: Elementary) 
         name: Dual(tuple(Dual((a,), {name: one}) for a in both), {name: Dual((one,), {})})
         for name, both in both_of.items()
     }
-    found: Dual = evaluate(tree, _OnSimplices(inner, variables, places, near))
+    found: Dual = evaluate(tree, _OnSimplices(inner, variables, places))
     return Local.of(found, len(centre), names)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
-from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -96,7 +95,7 @@ def deviation(
     tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
     if by == "mean" and len(vertices):
         tolerance += IN_MEANS * len(vertices) ** (-1 / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
-    found = enclose(tree, vertices, p, tolerance, MPI.COMM_SELF, scale=0.0, by=by, elementary=elementary)
+    found = enclose(tree, vertices, p, tolerance, elementary, by)
     known = found.norm + (found.tilt if by == "tilt" else 0.0)
     if not np.isfinite(known).all():
         what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
@@ -118,7 +117,7 @@ def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
     else:
         p = constant(np.zeros(len(vertices)), vertices.shape[2])
         none = np.zeros(len(vertices))
-        lowest = enclose(tree, vertices, p, none, MPI.COMM_SELF, scale=0.0, elementary=elementary).range.lo
+        lowest = enclose(tree, vertices, p, none, elementary).range.lo
     return np.where(np.isnan(lowest), -np.inf, lowest)
 
 

@@ -22,11 +22,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import Tree
-from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, FromNumPy, Interval, enclosing
+from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges
 from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack, stacked
 
@@ -54,9 +53,7 @@ class Enclosure:
         tilt: Upper bound of the root mean square of |∇d|.
         rise: Upper bound of |∇d·e| for all edges e of T.
         range: Interval with all values of e.
-        resolved: Where the bisection ended before its cap.
         place: Centroid of the part of a simplex that adds most to the upper bound of ‖d‖, shape (n, d).
-        boxes: Number of parts that were evaluated.
     """
 
     mean: Interval
@@ -66,9 +63,7 @@ class Enclosure:
     tilt: Array
     rise: Array
     range: Interval
-    resolved: Mask
     place: Array
-    boxes: int
 
 
 def enclose(
@@ -76,49 +71,41 @@ def enclose(
     vertices: Array,
     p: Quadratic,
     tolerance: Array,
-    comm: MPI.Comm,
-    *,
-    scale: float,
-    by: Literal["norm", "sup", "slope", "mean", "tilt"] = "norm",
-    elementary: Elementary | None = None,
+    elementary: Elementary,
+    by: Literal["norm", "mean", "tilt"] = "norm",
 ) -> Enclosure:
-    """Enclose an expression minus a quadratic on simplices, each by itself (collective).
+    """Enclose an expression minus a quadratic on simplices, each by itself.
 
-    With "norm" or "tilt" a simplex is resolved if the upper bound is below the tolerance, or not much above a lower
-    bound; with "sup", "slope" or "mean" if the bound, or the width of the mean, is below the tolerance. The enclosures
-    of simplices that are not resolved are valid too. The results do not depend on the number of ranks.
+    With "norm" or "tilt" a simplex is done if the upper bound is below the tolerance, or not much above a lower bound;
+    with "mean" if the width of the mean is below the tolerance. The enclosures of simplices that are given up before
+    are valid too.
 
     Args:
         tree: The expression, in x, y and, in 3D, z.
-        vertices: Vertices of the n simplices of this rank, of any dimension k ≥ 1 in d dimensions, shape (n, k + 1, d).
+        vertices: Vertices of n simplices of any dimension k ≥ 1 in d dimensions, shape (n, k + 1, d).
         p: The quadratics that are subtracted.
         tolerance: Tolerance of each simplex, shape (n,).
-        comm: Communicator.
-        scale: Size of the whole domain, which defines what is rounding in the place of a discontinuity; 0 for none.
-        by: The quantity with the tolerance: `Enclosure.norm`, `sup`, `slope`, `tilt` or the width of `mean`.
-        elementary: Bounds of sin, exp, …; None for those of NumPy.
+        elementary: Bounds of sin, exp, ….
+        by: The quantity with the tolerance: `Enclosure.norm`, `tilt` or the width of `mean`.
     """
-    algebra = elementary or FromNumPy()
 
     def look(parts: Parts) -> Array:
         starts = range(0, max(len(parts.own), 1), CHUNK)
-        return np.concatenate(
-            [_known(tree, parts.take(slice(a, a + CHUNK)), vertices, p, scale, algebra) for a in starts]
-        )
+        return np.concatenate([_known(tree, parts.take(slice(a, a + CHUNK)), vertices, p, elementary) for a in starts])
 
     with np.errstate(all="ignore"):
         work = _Bisection(vertices, tolerance, by)
         parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
         known = look(parts)
-        left = (BUDGET_EACH - 1) * comm.allreduce(len(vertices)) + BUDGET
+        left = (BUDGET_EACH - 1) * len(vertices) + BUDGET
         while True:
             active, cut = work.decide(parts, known)
-            wanted = 2 * comm.allreduce(np.count_nonzero(cut))
+            wanted = 2 * int(np.count_nonzero(cut))
             if not 0 < wanted <= left:
-                work.add(parts, known, unresolved=cut)
+                work.add(parts, known)
                 return work.result()
             left -= wanted
-            work.add(parts.take(~active), known[~active], unresolved=np.zeros(np.count_nonzero(~active), dtype=bool))
+            work.add(parts.take(~active), known[~active])
             halves = parts.take(cut).halves()
             kept = active & ~cut
             parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
@@ -135,44 +122,34 @@ class _Bisection:
     def __init__(self, vertices: Array, tolerance: Array, by: str):
         n = len(vertices)
         self._tolerance = tolerance
-        self._bounded = {"sup": SUP, "slope": SLOPE}.get(by)
         self._above, self._below = {"mean": (MEAN_HI, MEAN_LO), "tilt": (STEEP, FLAT)}.get(by, (SQUARE, LEAST))
         self._cost = np.ones(n, dtype=np.int64)
         self._sums = np.zeros((n, 5))
         self._most = np.zeros((n, 3))
         self._range = np.tile([np.inf, -np.inf], (n, 1))
-        self._resolved = np.ones(n, dtype=bool)
         self._place = vertices.mean(axis=1)
 
     def decide(self, parts: Parts, known: Array) -> tuple[Mask, Mask]:
         """Masks of the parts of simplices that are not done, and of the worst of them, which are to be cut."""
         own, n = parts.own, len(self._cost)
-        if self._bounded is not None:
-            bound = known[:, self._bounded]
-            gap = np.where(bound <= self._tolerance[own], 0.0, bound)
-            needy = np.bincount(own, gap > 0, n) > 0
+        gap = parts.share * (known[:, self._above] - known[:, self._below])
+        left = np.bincount(own, gap, n)
+        if self._above == MEAN_HI:
+            needy = ~(left <= self._tolerance)
         else:
-            gap = parts.share * (known[:, self._above] - known[:, self._below])
-            left = np.bincount(own, gap, n)
-            if self._above == MEAN_HI:
-                needy = ~(left <= self._tolerance)
-            else:
-                upper = np.bincount(own, parts.share * known[:, self._above], n)
-                needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= self._tolerance**2))
+            upper = np.bincount(own, parts.share * known[:, self._above], n)
+            needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= self._tolerance**2))
         largest = np.zeros(n)
         np.maximum.at(largest, own, gap)
         cut = needy[own] & (gap >= WORST * largest[own])
         cost = self._cost + 2 * np.bincount(own, cut, n).astype(np.int64)
-        capped = needy & (cost > CAP)
-        self._resolved &= ~capped
-        needy &= ~capped
+        needy &= cost <= CAP
         self._cost = np.where(needy, cost, self._cost)
         return needy[own], cut & needy[own]
 
-    def add(self, parts: Parts, known: Array, unresolved: Mask) -> None:
+    def add(self, parts: Parts, known: Array) -> None:
         """Sum up all parts of simplices that are done."""
         own, n = parts.own, len(self._cost)
-        self._resolved[own[unresolved]] = False
         for column, name in enumerate((MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)):
             self._sums[:, column] += np.bincount(own, parts.share * known[:, name], n)
         for column, name in enumerate((SUP, SLOPE, RISE)):
@@ -195,16 +172,14 @@ class _Bisection:
             tilt=tilt,
             rise=self._most[:, 2],
             range=Interval(self._range[:, 0], self._range[:, 1]),
-            resolved=self._resolved & np.isfinite(norm),
             place=self._place,
-            boxes=int(self._cost.sum()),
         )
 
 
-def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, scale: float, elementary: Elementary) -> Array:
+def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, elementary: Elementary) -> Array:
     """The columns of parts of simplices, from one box for each part."""
     places = parts.within(simplices)
-    e = evaluated(tree, places, scale, elementary)
+    e = evaluated(tree, places, elementary)
 
     # p in the centres, and its changes from there
     gradient, hessian = p.gradient[parts.own], p.hessian[parts.own]
