@@ -21,12 +21,11 @@ from signorini_fenicsx.comparing.differences import ElasticDifferences, differen
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.elastic import contact_table
-from signorini_fenicsx.output.elastic_body import gather_body
-from signorini_fenicsx.output.gather import PARTLY_FIXED
+from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.physics.elasticity.fields import in_space, von_mises
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -169,7 +168,7 @@ def test_von_mises_and_table():
     boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
     solution = solve(domain, (boundary, ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.1"]})))
     np.testing.assert_allclose(von_mises(in_space(solution)), 0.1 * np.sqrt(1 - 0.3 + 0.3**2), rtol=1e-10)
-    table = contact_table(solution)
+    table = solution.table().gathered(COMM)
     assert table is not None
     np.testing.assert_allclose(table.pressure, 0.1)
     np.testing.assert_allclose(table.x[:, 0], [0, 0.5, 0.5, 1])
@@ -180,7 +179,7 @@ def test_pictures_tell_fixed_parts_from_loaded_ones():
     """A plane of symmetry is not drawn as Γ_N."""
     boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
     problem = ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
-    body = gather_body(solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    body = gather(solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
     assert body is not None
     middle = body.fields.points[body.boundary.vertices].mean(axis=1)
     for kind, x in ((PARTLY_FIXED, 0.0), (NEUMANN, 1.0)):

@@ -21,8 +21,7 @@ from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain, expected_size
 from signorini_fenicsx.meshes.refinement import refine
-from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields
-from signorini_fenicsx.output.pictures import scene_of, write_page
+from signorini_fenicsx.output.pictures import gathered_scene, write_page
 from signorini_fenicsx.output.pictures.space import Space
 
 COMM = MPI.COMM_WORLD
@@ -198,13 +197,10 @@ def test_refinement_ends_where_floats_do():
 def test_pictures_of_far_domains(tmp_path: Path):
     """VTK's streamlines and the pages for browsers are in single precision."""
     solution = solve_case(load_case("cube").with_values({"solve.h": 0.6}))
-    fields, facets, boundary = gather_fields(solution), gather_facets(solution), gather_boundary(solution)
-    assert fields is not None
-    assert facets is not None
-    assert boundary is not None
-    near = scene_of(solution, fields, facets, boundary)
+    near = gathered_scene(solution)
+    assert near is not None
     offset = 2.0 ** np.array([19, 22, 10])
-    far = replace(near, fields=replace(fields, points=fields.points + offset))
+    far = replace(near, fields=replace(near.fields, points=near.fields.points + offset))
     lines, same = Space(near).streamlines, Space(far).streamlines
     assert length(same) == pytest.approx(length(lines), rel=1e-2)
     write_page(tmp_path / "far.html", far)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
+from dolfinx.mesh import exterior_facet_indices
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from mpi4py import MPI
@@ -19,10 +20,11 @@ from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
+from signorini_fenicsx.discrete.site_table import FacetTable
+from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output import sample
-from signorini_fenicsx.output.elastic_body import gather_body
-from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields, gather_boundary, gather_facets, gather_fields
-from signorini_fenicsx.output.pictures import caption, draw_all, overview, scene_of, style, traces
+from signorini_fenicsx.output.gather import Boundary, Fields, gather
+from signorini_fenicsx.output.pictures import caption, draw_all, gathered_scene, overview, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps, moves
 from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.evolution import draw_sets
@@ -32,6 +34,7 @@ from signorini_fenicsx.output.pictures.sheet import Sheet, _wrapped
 from signorini_fenicsx.output.pictures.streams import on_grid
 from signorini_fenicsx.output.pictures.water import Water
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
@@ -52,11 +55,9 @@ def scene(name: str, *, certified: bool = False, **values: object) -> Scene:
     """The scene of a solved case on one rank."""
     solution = solve_case(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
     indicator = certify(solution).indicator if certified else None
-    fields, facets, boundary = gather_fields(solution, indicator), gather_facets(solution), gather_boundary(solution)
-    assert fields is not None
-    assert facets is not None
-    assert boundary is not None
-    return scene_of(solution, fields, facets, boundary)
+    found = gather(solution, indicator)
+    assert found is not None
+    return scene_of(solution, found)
 
 
 def draw(folder: Path, *arguments: str) -> tuple[Path, list[str]]:
@@ -188,11 +189,11 @@ def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeyp
     """It covers the domain, has all vertices of the boundary, and the values of the whole mesh in its points."""
     case = load_case(name).with_values({"solve.h": h})
     alone = solve_case(case, MPI.COMM_SELF)
-    whole = gather_fields(alone)
+    whole = fields_of(alone)
     assert whole is not None
     assert whole.count == f"{len(whole.cells)} cells"
     monkeypatch.setattr(sample, "MOST_CELLS", {2: most, 3: most})
-    together, few = gather_fields(solve_case(case, COMM)), gather_fields(alone)
+    together, few = fields_of(solve_case(case, COMM)), fields_of(alone)
     assert (together is None) == (COMM.rank > 0)
     assert few is not None
     if together is None:
@@ -204,10 +205,15 @@ def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeyp
     rows = np.searchsorted(whole.ids, few.ids)
     np.testing.assert_array_equal(few.points, whole.points[rows])
     np.testing.assert_allclose(few.u, whole.u[rows], atol=1e-12)
-    boundary = gather_boundary(alone)
-    assert boundary is not None
-    assert np.isin(boundary.vertices, few.ids).all()
+    mesh = alone.spaces.mesh
+    assert np.isin(facet_vertices(mesh, exterior_facet_indices(mesh.topology)), few.ids).all()
     assert _volume(few) == pytest.approx(_volume(whole), rel=0.05 if few.points.shape[1] == 2 else 0.25)
+
+
+def fields_of(solution: Solution) -> Fields | None:
+    """Mesh and values on rank 0."""
+    found = gather(solution)
+    return None if found is None else found.fields
 
 
 def _volume(fields: Fields) -> float:
@@ -218,25 +224,26 @@ def _volume(fields: Fields) -> float:
 @pytest.mark.parallel([1, 3])
 def test_boundary_is_the_same_on_all_ranks():
     case = load_case("example2").with_values({"solve.h": 0.5})
-    together, alone = gather_boundary(solve_case(case, COMM)), gather_boundary(solve_case(case, MPI.COMM_SELF))
-    assert (together is None) == (COMM.rank > 0)
-    if together is None or alone is None:
+    both, one = gather(solve_case(case, COMM)), gather(solve_case(case, MPI.COMM_SELF))
+    assert (both is None) == (COMM.rank > 0)
+    if both is None or one is None:
         return
 
     def rows(boundary: Boundary) -> np.ndarray:
         table = np.column_stack([boundary.vertices, boundary.kind, boundary.u])
         return table[np.lexsort(table[:, 1::-1].T)]
 
-    np.testing.assert_allclose(rows(together), rows(alone), atol=1e-10)
+    np.testing.assert_allclose(rows(both.boundary), rows(one.boundary), atol=1e-10)
 
 
 @pytest.mark.parallel([1])
 def test_foundation_of_a_body():
     """It is where the gap says, y = −x²/2 over a body that has moved, and touches it in the contact set."""
     h = 1 / 8
-    body = gather_body(solve_case(load_case("hertz").with_values({"solve.h": h})))
+    body = gathered_scene(solve_case(load_case("hertz").with_values({"solve.h": h})))
     assert body is not None
-    moved = body.fields.points + body.displacement
+    assert body.fields.displacement is not None
+    moved = body.fields.points + body.fields.displacement
     surface = foundation_of(body, moved, 1.0, 10.0)[:, :2]
     before, after = body.fields.points[body.facets.vertices], moved[body.facets.vertices]
     np.testing.assert_allclose(surface[..., 1], -(before[..., 0] ** 2) / 2, atol=h**2 / 4)
@@ -283,7 +290,7 @@ def test_rough_steps_are_hollow():
 def test_only_a_guaranteed_bound_is_called_certified():
     """Captions of pictures, those of `solution.html` among them, say "not guaranteed" where the certificate does."""
     solution = solve_case(load_case("example1").with_values({"solve.h": 1 / 4}))
-    certificate, fields = certify(solution), gather_fields(solution)
+    certificate, fields = certify(solution), fields_of(solution)
     assert fields is not None
     assert certificate.guaranteed
     assert "certified energy error $" in caption(solution, fields, certificate)

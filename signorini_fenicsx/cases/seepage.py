@@ -18,7 +18,7 @@ from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solved import Solved
 
 FEW = 3
 """Facets of the face from which the outflow is continued, in a straight line, to a point beside them."""
@@ -45,7 +45,7 @@ class Seepage:
         return {name: value for name, value in vars(self).items() if isinstance(value, float)}
 
 
-def seepage(solution: Solution | ElasticSolution) -> Seepage | None:
+def seepage(solution: Solved) -> Seepage | None:
     """The seepage of a solution of a case with [dam], None for other solutions; the same on all ranks (collective)."""
     if not isinstance(solution, Solution) or not isinstance(solution.source, Case) or solution.source.dam is None:
         return None

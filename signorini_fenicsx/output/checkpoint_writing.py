@@ -26,7 +26,6 @@ from signorini_fenicsx.contact.laws import LAWS, Law
 from signorini_fenicsx.meshes.domain import Boundary, cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
-from signorini_fenicsx.output.gather import cell_values, facet_table
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -36,7 +35,7 @@ OUTCOME = ("reason", "converged", "backend", "dofs", "linear_solver", "own_resid
 COSTS = ("timings", "peak_memory")
 
 
-def write_checkpoint(folder: Path, solution: AnySolution) -> None:
+def write_checkpoint(folder: Path, solution: Any) -> None:
     """Write a checkpoint into an existing folder (collective).
 
     If the program is killed at any moment, the folder holds the checkpoint from before, or the new one.
@@ -117,7 +116,7 @@ def _arrays(solution: AnySolution) -> Arrays:
     if isinstance(solution, ElasticSolution):
         values, of_facets = _elastic_values(solution)
     else:
-        values, of_facets = cell_values(solution), vars(facet_table(solution))
+        values, of_facets = solution.in_cells(), vars(solution.table())
     size = len(values["u"])
     order = Order(comm, mesh.topology.original_cell_index[:size])
 

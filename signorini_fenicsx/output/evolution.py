@@ -21,7 +21,7 @@ from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import check_room, join_series
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
-from signorini_fenicsx.output.writing import facet_columns, write_summary
+from signorini_fenicsx.output.writing import write_summary
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolving import Instant
 
@@ -112,15 +112,13 @@ def _along(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _write_facets(folder: Path, steps: StepFolder, rows: Sequence[Row], solution: Solution) -> None:
     """Write `facets.csv`, one row for each facet of Γ_S and step; `facets.parquet` if there are many (rank 0)."""
-    spaces, laws = solution.spaces, solution.data.laws
-    names = laws.names() if laws.listed else []
 
     def columns(row: Row) -> dict[str, Any]:
         table = steps.facets(row["step"])
         when = {key: np.full(len(table.part), row[key]) for key in ("step", "t")}
-        return when | facet_columns(spaces.part_names, table, names)
+        return {**when, **solution.columns(table)}
 
-    number = len(rows) * spaces.Lambda.dofmap.index_map.size_global
+    number = len(rows) * solution.spaces.Lambda.dofmap.index_map.size_global
     if number > solution.options.tuning.one_table_up_to:
         import pyarrow.parquet  # takes a second to import
 

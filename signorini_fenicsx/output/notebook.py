@@ -5,32 +5,22 @@ import html as text
 
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.output.elastic_body import gather_body
-from signorini_fenicsx.output.gather import gather_boundary, gather_facets, gather_fields
+from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solved import Solved
 
 
-def figure(solution: Solution | ElasticSolution, certificate: Certificate | None = None) -> Sheet | None:
+def figure(solution: Solved, certificate: Certificate | None = None) -> Sheet | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
-    indicator = None if certificate is None else certificate.indicator
-    if isinstance(solution, ElasticSolution):
-        body = gather_body(solution, indicator)
-        if body is None:
-            return None
-        from signorini_fenicsx.output.pictures import elastic  # takes a second to import
-
-        return elastic.overview(solution, body, certificate)
-    table, boundary, cells = gather_facets(solution), gather_boundary(solution), gather_fields(solution, indicator)
-    if table is None or cells is None or boundary is None:
+    gathered = gather(solution, None if certificate is None else certificate.indicator)
+    if gathered is None:
         return None
-    from signorini_fenicsx.output import pictures
+    from signorini_fenicsx.output import pictures  # takes a second to import
 
-    return pictures.overview(pictures.scene_of(solution, cells, table, boundary, certificate))
+    return pictures.overview(pictures.scene_of(solution, gathered, certificate))
 
 
-def html(solution: Solution | ElasticSolution) -> str | None:
+def html(solution: Solved) -> str | None:
     """A table of the main results and the overview (collective; None on all ranks but 0)."""
     spaces, outcome = solution.spaces, solution.outcome
     facets, measure = solution.contact

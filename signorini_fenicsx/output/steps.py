@@ -10,6 +10,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.output.gather import FacetTable, cell_values, facet_table, in_order
+from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.evolving import Instant, Past
 from signorini_fenicsx.solving.solver import Solver
@@ -115,7 +116,7 @@ class StepFolder:
             write_arrays(comm, mesh, _places(solution.spaces))
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
-        arrays = cell_values(solution) | {f"facet_{key}": rows for key, rows in vars(facet_table(solution)).items()}
+        arrays = solution.in_cells() | {f"facet_{key}": rows for key, rows in vars(solution.table()).items()}
         on = solution.segments()
         arrays |= {"facet_own": on.segment} | ({} if on.cells is None else {"cells_own": on.cells})
         write_arrays(comm, part, arrays)
@@ -145,8 +146,9 @@ class StepFolder:
 
     def facets(self, step: int) -> FacetTable:
         """Γ_S after a step (rank 0, not collective)."""
-        columns = {key: np.load(self._place(step) / f"facet_{key}.npy") for key in FacetTable.__dataclass_fields__}
-        return in_order(FacetTable(**columns))
+        place = self._place(step)
+        columns = {each.name: np.load(place / f"facet_{each.name}.npy") for each in fields(FacetTable)}
+        return FacetTable(**columns).in_order()
 
     def past(self, solver: Solver, step: int) -> Past:
         """What the step after this one needs.

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
@@ -21,27 +20,14 @@ from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.cases.seepage import seepage
-from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
-from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.output import elastic
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_vtx, write_xdmf
-from signorini_fenicsx.output.gather import (
-    FacetTable,
-    facet_table,
-    gather_boundary,
-    gather_facets,
-    gather_fields,
-    gather_free_boundary,
-    in_order,
-)
+from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -49,7 +35,7 @@ if TYPE_CHECKING:  # SciPy takes a second to load
 
 
 def write_results(
-    solution: AnySolution, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
+    solution: Solved, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
 ) -> None:
     """Write all files of a solution into a folder, completely or not at all, see `Solved.write` (collective)."""
     with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
@@ -59,7 +45,7 @@ def write_results(
 
 @collector_off()
 def write_solution(
-    solution: AnySolution,
+    solution: Solved,
     folder: Path | str,
     *,
     certificate: Certificate | None = None,
@@ -92,27 +78,21 @@ def write_solution(
     on_root(comm, lambda: _make(folder))
     with watch.phase("output"):
         write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
-        if isinstance(solution, ElasticSolution):
-            elastic.write_table_of_contact(folder, solution)
-            if plot:
-                with doing("drawing"):
-                    elastic.draw(folder, solution, certificate)
-        else:
-            write_table_of_facets(folder, solution)
-            if solution.data.obstacle is not None:
-                write_free_boundary(folder / "free_boundary.csv", solution)
-            water = seepage(solution)
-            if water is not None:
-                rows = [{"x": x, "y": y} for x, y in water.phreatic_line.tolist()]
-                on_root(comm, lambda: write_rows(folder / "phreatic_line.csv", ("x", "y"), rows))
-            if plot or html:
-                with doing("drawing"):
-                    draw(folder, solution, certificate, plot=plot, html=html)
+        write_sites(folder, solution)
+        water, others = seepage(solution), solution.other_tables()
+        line = None if water is None else water.phreatic_line
+        if line is not None:
+            others |= {"phreatic_line": dict(zip(("x", "y"), line.T, strict=True))}
+        for name, columns in others.items():
+            on_root(comm, partial(write_columns, folder / f"{name}.csv", columns))
+        if plot or html:
+            with doing("drawing"):
+                draw(folder, solution, certificate, line, plot=plot, html=html)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
             write_fields(solution, folder, certificate)
         summary = solution.summary()
-        if (water := seepage(solution)) is not None:
+        if water is not None:
             summary["seepage"] = water.summary()
         if certificate is not None:
             summary["certificate"] = certificate.summary()
@@ -135,18 +115,32 @@ def _make(folder: Path) -> None:
         raise InputError(f"folder {folder}: cannot be made: {error.strerror}") from None
 
 
-def draw(folder: Path, solution: Solution, certificate: Certificate | None, *, plot: bool, html: bool) -> None:
-    """Draw a solution on rank 0 (collective)."""
-    cells = gather_fields(solution, None if certificate is None else certificate.indicator)
-    table, boundary = gather_facets(solution), gather_boundary(solution)
-    water = seepage(solution)
-    line = None if water is None else water.phreatic_line
+def write_sites(folder: Path, solution: Solved) -> None:
+    """Write the table of sites as text; of a large Γ_S a folder with the rows of each rank as Parquet (collective).
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+    """
+    spaces, table = solution.spaces, solution.table()
+    comm = spaces.mesh.comm
+    if spaces.Lambda.dofmap.index_map.size_global > solution.options.tuning.one_table_up_to:
+        write_by_rank(comm, folder / table.name, lambda: solution.columns(table.in_order()))
+        return
+    whole = table.gathered(comm)
+    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", solution.columns(whole)))
+
+
+def draw(
+    folder: Path, solution: Solved, certificate: Certificate | None, line: Array | None, *, plot: bool, html: bool
+) -> None:
+    """Draw a solution, perhaps with a phreatic line, on rank 0 (collective)."""
+    gathered = gather(solution, None if certificate is None else certificate.indicator)
 
     def write() -> None:
-        if table is not None and cells is not None and boundary is not None:
+        if gathered is not None:
             from signorini_fenicsx.output import pictures  # takes a second to import
 
-            scene = pictures.scene_of(solution, cells, table, boundary, certificate, line)
+            scene = pictures.scene_of(solution, gathered, certificate, line)
             if plot:
                 pictures.draw_all(folder, scene)
             if html:
@@ -184,7 +178,7 @@ def write_convergence(
     on_root(comm, write)
 
 
-def write_adapt(solution: AnySolution, rows: list[AdaptRow], folder: Path) -> None:
+def write_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
     """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
 
@@ -205,48 +199,7 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
 
 
-def write_table_of_facets(folder: Path, solution: Solution) -> None:
-    """Write `facets.csv`; for a large Γ_S `facets/<rank>.parquet` with the facets of each rank instead (collective).
-
-    Raises:
-        OSError: On all ranks, if the disk is full.
-    """
-    spaces, laws = solution.spaces, solution.data.laws
-    comm, segments = spaces.mesh.comm, laws.names() if laws.listed else []
-    if spaces.Lambda.dofmap.index_map.size_global <= solution.options.tuning.one_table_up_to:
-        table = gather_facets(solution)
-        on_root(comm, lambda: write_facets(folder / "facets.csv", spaces.part_names, table, segments))
-        return
-    parts = spaces.part_names
-    write_by_rank(comm, folder / "facets", lambda: facet_columns(parts, in_order(facet_table(solution)), segments))
-
-
-def write_free_boundary(path: Path, solution: Solution) -> None:
-    """Write one row per facet between a cell in contact with the obstacle and another one (collective)."""
-    names = ("x", "y", "z", "measure")
-    facets = gather_free_boundary(solution)
-    rows = [] if facets is None else [dict(zip(names, row, strict=True)) for row in facets.tolist()]
-    on_root(solution.spaces.mesh.comm, lambda: write_rows(path, names, rows))
-
-
-def facet_columns(part_names: tuple[str, ...], table: FacetTable, segments: Sequence[str]) -> dict[str, npt.NDArray]:
-    """The columns of the table of Γ_S that is written."""
-    return {
-        "part": np.array(part_names)[table.part],
-        **dict(zip("xyz", table.x.T, strict=True)),
-        **{key: getattr(table, key) for key in ("measure", "p", "flux")},
-        "condition": np.array([condition.name.lower() for condition in Condition])[table.condition],
-        **({"segment": np.array(segments)[table.segment]} if segments else {}),
-    }
-
-
-def write_facets(path: Path, part_names: tuple[str, ...], table: FacetTable | None, segments: Sequence[str]) -> None:
-    """Write one row per Γ_S facet, ordered by part and then along the part (rank 0)."""
-    assert table is not None
-    write_columns(path, facet_columns(part_names, table, segments))
-
-
-def write_fields(solution: AnySolution, folder: Path, certificate: Certificate | None) -> None:
+def write_fields(solution: Solved, folder: Path, certificate: Certificate | None) -> None:
     """Write the files of `Solved.fields`, `solution.xdmf` with η_T of the bound (collective).
 
     Raises:

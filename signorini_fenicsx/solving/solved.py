@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
@@ -18,14 +18,19 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
+from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.options import Options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from signorini_fenicsx.certificate.certify import Certificate
+
+type Columns = Mapping[str, npt.NDArray]
+"""The columns of a table by their names."""
 
 
 class InContact(NamedTuple):
@@ -173,6 +178,22 @@ class Solved(ABC):
     @abstractmethod
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective)."""
+
+    @abstractmethod
+    def table(self) -> SiteTable:
+        """One row for each site of this rank."""
+
+    @abstractmethod
+    def columns(self, table: Any) -> Columns:
+        """The columns of this table that are written."""
+
+    def other_tables(self) -> dict[str, Columns]:
+        """Further tables by the names of their files, with their columns on rank 0 (collective)."""
+        return {}
+
+    @abstractmethod
+    def drawn(self) -> Drawn:
+        """What pictures show on this rank (collective)."""
 
     @abstractmethod
     def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:

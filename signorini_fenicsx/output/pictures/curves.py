@@ -60,7 +60,9 @@ def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
 
 @mpl.rc_context(style.STYLE)
 def draw_iterations(path: Path, history: list[Step], title: str) -> None:
-    """Draw the iteration errors into a file (rank 0)."""
+    """Draw the iteration errors into a file, if an iteration changed anything (rank 0)."""
+    if not moves(history):
+        return
     sheet = Sheet([3.8], [2.8], bars=False)
     axes = sheet.panel(0, 0)
     draw_steps(axes, history, title)

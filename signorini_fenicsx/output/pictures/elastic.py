@@ -1,11 +1,8 @@
 """Pictures of an elastic solution: the deformed body, the contact pressure, where the error is."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -16,17 +13,15 @@ from matplotlib.tri import Triangulation
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.output.elastic_body import Body
+from signorini_fenicsx.output.gather import Fields
 from signorini_fenicsx.output.pictures import plane_files, style
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-
-if TYPE_CHECKING:
-    from signorini_fenicsx.output.elastic import ContactTable
+from signorini_fenicsx.physics.elasticity.drawn import BodyFacets
+from signorini_fenicsx.physics.elasticity.tables import ContactTable
+from signorini_fenicsx.solving.solved import Solved
 
 SHARE = 0.1
 """Of the body's size that the largest displacement is drawn as."""
@@ -34,36 +29,20 @@ NEAR = 0.12
 """Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
 
 
-def scene_of(solution: ElasticSolution, body: Body, certificate: Certificate | None = None) -> Scene:
-    """The body as it was, with Γ_C for Γ_S (rank 0)."""
-    caption = f"{solution.title or solution.name}, {body.fields.count}"
+def caption(solution: Solved, fields: Fields, certificate: Certificate | None) -> str:
+    """Title, cells and the certified error."""
+    words = [f"{solution.title or solution.name}, {fields.count}"]
     if certificate is not None and np.isfinite(certificate.bound):
         share = f"{100 * certificate.relative:.3g} %" if certificate.smaller_than_flux else f"{certificate.bound:.3g}"
-        caption = ", ".join([caption, *style.bound_in_words(certificate, share)])
-    return Scene(
-        title=solution.title or solution.name,
-        caption=caption,
-        fields=body.fields,
-        facets=body.facets,
-        boundary=body.boundary,
-        labels={name: solution.spaces.domain.parts[name].label for name in solution.contact_parts},
-        contact=Condition.ZERO_TRACE,
-        segments=[],
-        history=solution.outcome.history,
-        strength="von Mises stress",
-        gamma=r"$\Gamma_C$",
-    )
+        words += style.bound_in_words(certificate, share)
+    return ", ".join(words)
 
 
-@mpl.rc_context(style.STYLE)
-def draw(
-    folder: Path, solution: ElasticSolution, table: "ContactTable", body: Body, certificate: Certificate | None
-) -> None:
-    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png` (rank 0)."""
-    scene = scene_of(solution, body, certificate)
-    _deformed(scene, body).save(folder / "deformed.png")
+def draw_files(folder: Path, scene: Scene) -> None:
+    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png`."""
+    overview(scene).save(folder / "deformed.png")
     if scene.dim == 2:
-        _pressure(solution.contact_parts, scene, table).save(folder / "pressure.png")
+        _pressure(scene).save(folder / "pressure.png")
         plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
         return
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
@@ -71,21 +50,15 @@ def draw(
     space_files.draw_files_of_body(folder, scene)
 
 
-@mpl.rc_context(style.STYLE)
-def overview(solution: ElasticSolution, body: Body, certificate: Certificate | None) -> Sheet:
-    """The deformed body as a figure, which a notebook shows (rank 0)."""
-    figure = _deformed(scene_of(solution, body, certificate), body)
-    figure.draw_without_rendering()  # ticks are made here, in this style
-    return figure
-
-
-def _deformed(scene: Scene, body: Body) -> Sheet:
+def overview(scene: Scene) -> Sheet:
     """The deformed body on its foundation."""
-    size = float(np.ptp(body.fields.points, axis=0).max())
-    largest = float(np.linalg.norm(body.displacement, axis=1).max(initial=0.0))
+    fields = scene.fields
+    assert fields.displacement is not None
+    size = float(np.ptp(fields.points, axis=0).max())
+    largest = float(np.linalg.norm(fields.displacement, axis=1).max(initial=0.0))
     factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
-    moved = replace(scene, fields=replace(body.fields, points=body.fields.points + factor * body.displacement))
-    foundation = foundation_of(body, moved.fields.points, factor, NEAR * size)
+    moved = replace(scene, fields=replace(fields, points=fields.points + factor * fields.displacement))
+    foundation = foundation_of(scene, moved.fields.points, factor, NEAR * size)
     title = f"{scene.caption}\ndisplacement and gap × {factor:g}"
     if scene.dim == 2:
         return _deformed_plane(scene, moved, foundation, title)
@@ -94,11 +67,11 @@ def _deformed(scene: Scene, body: Body) -> Sheet:
     return space_files.deformed(moved, foundation[:, : scene.dim], title)
 
 
-def foundation_of(body: Body, moved: Array, factor: float, most: float) -> Array:
+def foundation_of(scene: Scene, moved: Array, factor: float, most: float) -> Array:
     """The facets of the foundation where it is drawn nearer to the deformed body than `most`, and their undersides.
 
     Args:
-        body: The body.
+        scene: The body as it was.
         moved: Where its points are drawn.
         factor: Displacements and gaps are drawn larger by this factor.
         most: See above.
@@ -106,13 +79,14 @@ def foundation_of(body: Body, moved: Array, factor: float, most: float) -> Array
     Returns:
         The vertices of each facet, on the surface and then below it, shape (facets, 2 dim, dim).
     """
-    facets, size = body.facets, len(moved)
+    facets, size = scene.facets, len(moved)
+    assert isinstance(facets, BodyFacets)
     vertices = facets.vertices.ravel()
     count = np.maximum(np.bincount(vertices, minlength=size), 1)
-    gaps = (factor * body.gaps[:, :, None] * body.normals[:, None]).reshape(len(vertices), -1)
+    gaps = (factor * facets.gaps[:, :, None] * facets.normals[:, None]).reshape(len(vertices), -1)
     lift = np.column_stack([np.bincount(vertices, gap, minlength=size) / count for gap in gaps.T])
     surface = (moved + lift)[facets.vertices]
-    under = surface + 0.2 * most * body.normals[:, None]
+    under = surface + 0.2 * most * facets.normals[:, None]
     return np.concatenate([surface, under[:, ::-1]], axis=1)[factor * facets.p < most]
 
 
@@ -136,8 +110,10 @@ def _deformed_plane(scene: Scene, moved: Scene, foundation: Array, title: str) -
     return sheet
 
 
-def _pressure(parts: Sequence[str], scene: Scene, table: "ContactTable") -> Sheet:
+def _pressure(scene: Scene) -> Sheet:
     """−σ_nn along each part of Γ_C, linear on each facet, and the gap."""
+    table, parts = scene.sites, list(scene.labels)
+    assert isinstance(table, ContactTable)
     sheet = Sheet([4.6], [2.0] * len(parts), title=scene.caption)
     lines: dict[object, Line2D] = {}
     pressure = without_rounding(table.pressure)
@@ -164,7 +140,7 @@ def without_rounding(values: Array) -> Array:
     return np.where(np.abs(values) > TIE * np.abs(values).max(initial=0.0), values, 0.0)
 
 
-def _mark_states(axes: Axes, table: "ContactTable", rows: Mask) -> None:
+def _mark_states(axes: Axes, table: ContactTable, rows: Mask) -> None:
     """Marks at the lower edge where the body slips in contact, to where it moves; none where it sticks or is open."""
     along, forward = table.along[rows], table.forward[rows]
     state = np.where(table.touching[rows], table.state[rows], -1)

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.output.gather import FacetTable
+from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.plane import Plane
 from signorini_fenicsx.output.pictures.plane_files import one_map

@@ -17,12 +17,12 @@ from matplotlib.tri import Triangulation
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
-from signorini_fenicsx.output.gather import PARTLY_FIXED
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.streams import streamlines
 from signorini_fenicsx.output.pictures.water import Water
+from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 
 MOST_FACES = 4_000
 """Most faces of a surface in perspective, which Matplotlib sorts and paints one by one."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.output.pictures import style, traces
-from signorini_fenicsx.output.pictures.curves import draw_steps, moves
+from signorini_fenicsx.output.pictures.curves import draw_iterations, draw_steps, moves
 from signorini_fenicsx.output.pictures.plane import Plane
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -15,7 +15,7 @@ OVERVIEW_PARTS = 3
 
 
 def draw_files(folder: Path, scene: Scene) -> None:
-    """Draw all files except `iterations.png` into a folder."""
+    """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png`."""
     plane = Plane(scene)
     _draw_u(folder / "u.png", plane)
     _draw_map(folder / "sigma.png", plane, "sigma")
@@ -23,6 +23,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     if scene.labels:
         _draw_traces(folder / "signorini.png", scene)
     _overview(plane).save(folder / "overview.png")
+    draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
 
 
 def overview(scene: Scene) -> Sheet:

@@ -1,7 +1,7 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +10,8 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.output.gather import Boundary, FacetTable, Fields
+from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable
+from signorini_fenicsx.output.gather import Boundary, Fields
 from signorini_fenicsx.output.pictures import style
 
 
@@ -47,6 +48,8 @@ class Scene:
         gamma: What Γ_S is called.
         inside: The parts of Γ_S inside the domain.
         phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
+        physics: Name of the physics.
+        sites: The table of the solution.
     """
 
     title: str
@@ -56,12 +59,14 @@ class Scene:
     boundary: Boundary
     labels: dict[str, str]
     contact: Condition
-    segments: list[str]
+    segments: Sequence[str]
     history: list[Step]
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
     inside: Collection[str] = ()
     phreatic_line: Array | None = None
+    physics: str = "diffusion"
+    sites: SiteTable | None = None
 
     @property
     def dim(self) -> int:

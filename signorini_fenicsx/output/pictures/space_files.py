@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.curves import draw_steps, moves
+from signorini_fenicsx.output.pictures.curves import draw_iterations, draw_steps, moves
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.space import Space
@@ -17,7 +17,7 @@ SIDE, WIDE_SIDE = 2.5, 3.4
 
 
 def draw_files(folder: Path, scene: Scene) -> None:
-    """Draw all files except `iterations.png` into a folder."""
+    """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png`."""
     space = Space(scene)
     sheet, (left, right) = _row(2)
     space.draw_half(sheet, left, "(a) $u_h$ on half of the domain")
@@ -33,6 +33,7 @@ def draw_files(folder: Path, scene: Scene) -> None:
     if scene.labels:
         _draw_traces(folder / "signorini.png", space, TRACES)
     _overview(space).save(folder / "overview.png")
+    draw_iterations(folder / "iterations.png", scene.history, "iteration errors")
 
 
 def overview(scene: Scene) -> Sheet:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
@@ -21,16 +22,20 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
 from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.drawn import drawn
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.fields import fields_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.tables import facet_columns, facet_table, free_boundary
+from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact, Solved
+from signorini_fenicsx.solving.solved import Columns, InContact, Solved
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,6 +259,26 @@ class Solution(Solved):
             imbalance = ufl.div(self.sigma) + data.source(self.u)
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
+
+    def in_cells(self) -> dict[str, Array]:
+        """u_h, σ_h at the centroids and ∇·σ_h in the cells of this rank (collective when first used)."""
+        return {"u": self.u.x.array, "sigma": self.cell_flux.centroid, "divergence": self.cell_flux.divergence}
+
+    def table(self) -> FacetTable:
+        """One row for each facet of Γ_S of this rank."""
+        return facet_table(self)
+
+    def columns(self, table: FacetTable) -> Columns:
+        """The columns of `facets.csv`."""
+        return facet_columns(self, table)
+
+    def other_tables(self) -> dict[str, Columns]:
+        """With an obstacle `free_boundary.csv`, see `Solved.other_tables`."""
+        return {} if self.data.obstacle is None else {"free_boundary": free_boundary(self)}
+
+    def drawn(self) -> Drawn:
+        """What pictures show, see `Solved.drawn`."""
+        return drawn(self)
 
     def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
         """The files for ParaView, see `Solved.fields`."""

@@ -19,21 +19,21 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.physics.elasticity.drawn import drawn
 from signorini_fenicsx.physics.elasticity.fields import fields_of
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.tables import STATES, ContactTable, contact_columns, contact_table
+from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact, Solved
+from signorini_fenicsx.solving.solved import Columns, InContact, Solved
 
-STATES = (*Friction.segments, "open")
-"""The states of a vertex with friction."""
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
 
@@ -289,6 +289,18 @@ class ElasticSolution(Solved):
         largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
         largest = max(spaces.mesh.comm.allgather(float(largest)))
         return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
+
+    def table(self) -> ContactTable:
+        """One row for each vertex of each facet of Γ_C of this rank."""
+        return contact_table(self)
+
+    def columns(self, table: ContactTable) -> Columns:
+        """The columns of `contact.csv`."""
+        return contact_columns(self, table)
+
+    def drawn(self) -> Drawn:
+        """What pictures show, see `Solved.drawn`."""
+        return drawn(self)
 
     def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
         """The files for ParaView, see `Solved.fields`."""

@@ -1,0 +1,84 @@
+"""Tables with one row for each site of Γ_S: on each rank its own rows, or on rank 0 those of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+
+
+@dataclass(frozen=True)
+class SiteTable:
+    """One row per site, in columns.
+
+    Attributes:
+        part: Index into the parts of Γ_S.
+        along: Coordinate along the part.
+        x: The site, shape (rows, 3).
+    """
+
+    part: Indices
+    along: Array
+    x: Array
+    name: ClassVar[str]
+    """Name of its file."""
+    places: ClassVar[Sequence[str]] = ("along", "x")
+    """The columns by which the rows of a part are ordered."""
+
+    def gathered(self, comm: MPI.Comm) -> Self | None:
+        """The rows of all ranks on rank 0, in order; None elsewhere (collective)."""
+        rows = {key: gather_rows(comm, values) for key, values in vars(self).items()}
+        found = {key: values for key, values in rows.items() if values is not None}
+        return type(self)(**found).in_order() if found else None
+
+    def in_order(self) -> Self:
+        """The rows ordered by part and then along the part."""
+        places = in_digits(np.column_stack([getattr(self, key) for key in self.places]))
+        order = np.lexsort((*places.T[::-1], self.part))
+        return type(self)(**{key: rows[order] for key, rows in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class FacetTable(SiteTable):
+    """One row per facet of Γ_S.
+
+    Attributes:
+        measure: |e|.
+        u: u_h in the cell behind the facet; for a facet inside the domain the jump of u_h.
+        p: Trace p_h, or the jump p_h.
+        flux: σ_h·n.
+        psi: Mean of ψ.
+        q_S: Mean of q_S.
+        condition: Final condition.
+        segment: Final segment, a row of `BoundaryLaws.names`.
+        vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
+    """
+
+    measure: Array
+    u: Array
+    p: Array
+    flux: Array
+    psi: Array
+    q_S: Array
+    condition: npt.NDArray[np.int64]
+    segment: Indices
+    vertices: Indices
+    name = "facets"
+
+
+def along_parts(spaces: MeshSpaces, part: Indices, x: Array) -> Array:
+    """The coordinate along the part of Γ_S for points on it, shape (points, 3)."""
+    along = np.empty(len(x))
+    for index, name in enumerate(spaces.part_names):
+        mine = part == index
+        along[mine] = spaces.domain.parts[name].along(x[mine].T)
+    return along
