@@ -224,6 +224,18 @@ class Case(CaseFile):
         return self.boundary.sides
 
     @property
+    def scheme(self) -> str:
+        """The scheme in time, in words."""
+        return "" if self.time is None else f" of {self.time.scheme}"
+
+    @property
+    def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
+        """What is printed of a step besides that of all physics: title, width and format of some keys of its row."""
+        if self.problem.obstacle is None:
+            return {}
+        return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")}
+
+    @property
     def law_parts(self) -> list[str]:
         """The parts that have a `[[law]]`."""
         return [part for law in self.law for part in law.parts]

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.parts import PartsInside, Section
+from signorini_fenicsx.cases.texts import Times
 from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.cut import Side
@@ -113,6 +114,22 @@ class ElasticCase(CaseFile):
     problem: ElasticTexts
     law: Annotated[list[ContactTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: ElasticExact = ElasticExact()
+    time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
+
+    @property
+    def last_time(self) -> float | None:
+        """The end of loads in steps; None for others."""
+        return None if self.time is None else self.time.end
+
+    @property
+    def scheme(self) -> str:
+        """The scheme in time, in words: there is none."""
+        return ""
+
+    @property
+    def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
+        """What is printed of a step besides that of all physics, see `Case.columns_of_step`."""
+        return {"contact_force": ("force", 11, ".5g")}
 
     @property
     def parts(self) -> ElasticParts:

@@ -9,11 +9,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.cases.case import Case, CaseFile
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import options_of
-from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, left_over, neighbours
 from signorini_fenicsx.meshes.cut import opened
@@ -21,11 +20,8 @@ from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
-from signorini_fenicsx.physics.diffusion.data import project_data
-from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
-from signorini_fenicsx.physics.diffusion.solving import check_solvability
 from signorini_fenicsx.solving.evolution import Evolution
-from signorini_fenicsx.solving.system import Wish, system_on
+from signorini_fenicsx.solving.system import System, Wish, system_on
 
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
@@ -137,7 +133,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
         sides = (dim + 1) * len(mesh.cells)
         facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
     cost = ELASTIC[dim] if isinstance(case, ElasticCase) else SCALAR[dim]
-    steps = case.time.steps if isinstance(case, Case) and case.time is not None else 1
+    steps = 1 if case.time is None else case.time.steps
     return Expected(
         dim=dim,
         parts=parts,
@@ -172,10 +168,10 @@ def check(case: AnyCase, comm: MPI.Comm) -> Checked:
         posed = case.posed(domain.mesh.geometry.dim)
         system = system_on(domain, *posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
-        if isinstance(case, Case) and case.time is not None:
-            _check_steps(case, case.time.evolution(), spaces)
-        else:
+        if case.time is None:
             system.prepared(posed, Wish(options_of(case)))
+        else:
+            _check_steps(system, posed, case.time.evolution())
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -196,17 +192,18 @@ def _left(case: AnyCase, spaces: MeshSpaces) -> list[str]:
     return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 
-def _check_steps(case: Case, evolution: Evolution, spaces: Any) -> None:
-    """Project the data of all steps in time, as a run does (collective).
+def _check_steps(system: System, posed: tuple[Any, Any], evolution: Evolution) -> None:
+    """Read the data of all steps in time, as a run does (collective).
 
     Raises:
         InputError: If a datum is not what it has to be, or there is not one solution.
     """
-    known, steps = Known(spaces.mesh.comm), DiffusionSteps(spaces, case.data(spaces.mesh.geometry.dim), evolution)
+    boundary, problem = posed
+    steps = system.steps(problem, evolution, None)
     steps.start()
     for step in range(1, evolution.steps + 1):
         try:
-            check_solvability(spaces, project_data(spaces, steps.problem(step), known))
+            system.check((boundary, steps.problem(step)))
         except InputError as error:
             raise InputError(f"step {step}, t = {evolution.time(step):.5g}: {error}") from None
 

@@ -12,6 +12,7 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.contact.history import OnStep
@@ -19,7 +20,8 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.solving.evolving import Instant, Past, evolve
+from signorini_fenicsx.solving.evolution import Past, Steps
+from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
@@ -82,12 +84,12 @@ def _remade(case: CaseFile, comm: MPI.Comm, factor: float) -> Domain:
 
 @collector_off()
 def evolve_case(
-    case: Case,
+    case: AnyCase,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,
     start: Any = None,
-    past: Callable[[Solver], Past] | None = None,
+    past: Callable[[Steps], Past] | None = None,
     tuning: Tuning | None = None,
     on_step: OnStep = lambda step: None,
 ) -> Iterator[Instant]:

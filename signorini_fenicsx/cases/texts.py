@@ -48,11 +48,20 @@ class ProblemTexts(Section):
         return Problem(**{key: parsed(value, names, f"[problem] {key}") for key, value in self})
 
 
-class Time(Section):
-    """`[time]`: an `Evolution`. With it t is known to all expressions but those of this section."""
+class Times(Section):
+    """`[time]`: the steps of an `Evolution`. With it t is known to all expressions but those of this section."""
 
     end: Annotated[Positive, within(1e-90, 1e90)]
     steps: Annotated[Whole, within(1, 10**6)]
+
+    def evolution(self) -> Evolution:
+        """The same for `evolve`."""
+        return Evolution(**dict(self))
+
+
+class Time(Times):
+    """`[time]` of diffusion."""
+
     initial: ExpressionByRegion = "0"
     capacity: ExpressionByRegion = "1"
     scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
@@ -60,7 +69,3 @@ class Time(Section):
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         return [*texts_of("initial", self.initial), *texts_of("capacity", self.capacity)]
-
-    def evolution(self) -> Evolution:
-        """The same for `evolve`."""
-        return Evolution(**dict(self))

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from dolfinx import fem
@@ -73,8 +74,7 @@ class DiffusionBounds:
 
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
-        steps, solution = instant.steps, instant.solution
-        assert isinstance(steps, DiffusionSteps)
+        steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
         if instant.step == 1:
             self._before = [steps.initial.values]
 

@@ -19,7 +19,7 @@ from signorini_fenicsx.cli.common import results_place
 from signorini_fenicsx.cli.report import named
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.case import Case
+    from signorini_fenicsx.cases.elastic_case import AnyCase
     from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
@@ -28,40 +28,48 @@ if TYPE_CHECKING:
 
 MOST_BEFORE = 2
 """Steps before a step that its bound needs: after a restart these are done again."""
-TRUST = ("guaranteed", "relies_on")
+TRUST = ("guaranteed", "relies_on", "bound_is")
 """What `largest` has that is no number."""
+
+
+OWN = "to the exact solution of the step's own problem"
 
 
 class EvolutionReport(CaseReport):
     """What it prints."""
 
-    def columns(self, case: Case, *, certified: bool) -> None:
+    def columns(self, case: AnyCase, *, certified: bool) -> None:
         """Print the problem of the run, and name the columns of the steps."""
         assert case.time is not None
-        self.line(f"{case.fineness}, {case.time.steps} steps of {case.time.scheme} to t = {case.time.end:g}")
+        self.line(f"{case.fineness}, {case.time.steps} steps{case.scheme} to t = {case.time.end:g}")
         bound = f" {'bound':>11}" if certified else ""
-        obstacle = "" if case.problem.obstacle is None else f" {'cells':>9} {'measure':>11}"
+        self._own = case.columns_of_step
+        own = "".join(f" {title:>{width}}" for title, width, _ in self._own.values())
         self.table(
-            f"{'step':>6} {'t':>11} {'contact':>9} {'measure':>11}{obstacle} "
-            f"{'solves':>9} {'KKT':>9}{bound} {'seconds':>9}"
+            f"{'step':>6} {'t':>11} {'contact':>9} {'measure':>11}{own} {'solves':>9} {'KKT':>9}{bound} {'seconds':>9}"
         )
 
     def step(self, row: Mapping[str, Any]) -> None:
         """Print a step."""
         bound = f" {row['bound']:11.4e}" if "bound" in row else ""
-        obstacle = f" {row['contact_cells']:9d} {row['cells_measure']:11.5g}" if "contact_cells" in row else ""
+        own = "".join(f" {row[key]:{width}{form}}" for key, (_, width, form) in self._own.items())
         self.row(
-            f"{row['step']:6d} {row['t']:11.5g} {row['contact_facets']:9d} {row['contact_measure']:11.5g}{obstacle} "
+            f"{row['step']:6d} {row['t']:11.5g} {row['contact_facets']:9d} {row['contact_measure']:11.5g}{own} "
             f"{row['iterations']:9d} {row['kkt']:9.1e}{bound} {row['seconds']:9.2f}"
         )
 
     def finished(self, summary: Mapping[str, Any], *, certified: bool) -> None:
         """Print the summary of all steps."""
         about = summary["time"]
+        elastic = "physics" in summary
+        facets = f"{summary['contact_facets']} Γ_C" if elastic else f"{summary['signorini_facets']} Γ_S"
+        touching = (
+            f"{summary['touching_vertices']} facet vertices" if elastic else f"{summary['contact_facets']} facets"
+        )
         lines = {
             "steps": f"{about['steps']} to t = {about['end']:g}, {summary['iterations']} linear problems",
-            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {summary['signorini_facets']} Γ_S facets",
-            "contact": f"at the end {summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}",
+            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
+            "contact": f"at the end {touching}, measure {summary['contact_measure']:.6g}",
             "largest": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
         }
         if "obstacle" in summary:
@@ -71,22 +79,22 @@ class EvolutionReport(CaseReport):
             lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:
             lines["certified"] = (
-                "each bound is that of the distance to the exact solution of the step's elliptic problem, with the "
-                "computed earlier steps" + _reservation(about["largest"])
+                f"each bound is that of the distance {about['largest']['bound_is'] or OWN}, with the computed earlier "
+                "steps" + _reservation(about["largest"])
             )
         self.entries(lines)
 
 
 def _reservation(about: Mapping[str, Any]) -> str:
     """Why not all bounds are guaranteed, if they are not."""
-    if about["guaranteed"]:
+    if about["guaranteed"] or about["bound_is"]:
         return ""
     data = about["relies_on"]
     return "; not all are guaranteed" + (f": {data} not known between the points of quadratures" if data else "")
 
 
 def solve_in_time(
-    case: Case,
+    case: AnyCase,
     comm: MPI.Comm,
     output: Path | None,
     start_from: Path | None = None,
@@ -125,7 +133,7 @@ def solve_in_time(
 
 
 def _go_on(
-    case: Case,
+    case: AnyCase,
     comm: MPI.Comm,
     start: AnySolution | None,
     steps: StepFolder,
@@ -140,7 +148,7 @@ def _go_on(
     assert case.time is not None
     done = min(done, case.time.steps - 1)
     known = done if bounds is None else max(0, done - MOST_BEFORE)
-    past = None if known == 0 else (lambda solver: steps.past(solver, known))
+    past = None if known == 0 else (lambda own: steps.past(own, known))
     domain = None if start is None else shared_domain(start, case)
     last = None
     began = time.perf_counter()

@@ -8,22 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dolfinx import fem, io
+from dolfinx import io
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.discrete.cell_shapes import arms
+from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import check_room, join_series
+from signorini_fenicsx.output.field_files import check_room, join_series, sizes_of_series
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.writing import write_summary
-from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolving import Instant
+from signorini_fenicsx.solving.solved import Solved
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
 
@@ -34,13 +33,16 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
     facets, measure = solution.contact
     history = solution.outcome.history
     bounds = {} if certificate is None else {name: certificate.numbers()[name] for name in BOUNDS}
-    trust = {} if certificate is None else {"guaranteed": certificate.guaranteed, "relies_on": _relies_on(certificate)}
+    trust = {}
+    if certificate is not None:
+        guaranteed = certificate.summary()["guaranteed"]
+        trust = {"guaranteed": guaranteed, "relies_on": _relies_on(certificate), "bound_is": certificate.of.strip()}
     return {
         "step": instant.step,
         "t": instant.t,
         "contact_facets": facets,
         "contact_measure": measure,
-        **_on_obstacle(solution),
+        **solution.of_step(),
         "iterations": len(history),
         "linear_iterations": sum(step.linear_iterations for step in history),
         "kkt": max(vars(solution.kkt).values()),
@@ -57,14 +59,6 @@ def _relies_on(certificate: Certificate) -> str:
     return ", ".join(dict.fromkeys([*certificate.by_quadrature, *unresolved]))
 
 
-def _on_obstacle(solution: Solution) -> dict[str, float]:
-    """Number and measure of the cells in contact with an obstacle, and its force; nothing without one (collective)."""
-    if solution.data.obstacle is None:
-        return {}
-    found = solution.on_obstacle()
-    return {"contact_cells": found["contact_cells"], "cells_measure": found["contact_measure"], "force": found["force"]}
-
-
 def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: bool) -> None:
     """Write all files of a run in time into an existing folder (collective).
 
@@ -79,11 +73,11 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
         WriteFailure: If a library cannot write, at least on this rank.
     """
     solution, rows = last.solution, steps.rows()
-    comm = solution.spaces.mesh.comm
+    comm, kind = solution.spaces.mesh.comm, type(solution.table())
 
     def tables() -> None:
         write_rows(folder / "steps.csv", rows[0], rows)
-        _write_facets(folder, steps, rows, solution)
+        _write_sites(folder, steps, rows, solution, kind)
 
     on_root(comm, tables)
     times = comm.bcast([row["t"] for row in rows])
@@ -91,7 +85,7 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
     write_checkpoint(folder, solution)
     if plot:
         with doing("drawing"):
-            _draw(folder, steps, rows, times, solution)
+            _draw(folder, steps, rows, times, solution, kind)
     summary = solution.summary()
     on_root(comm, lambda: write_summary(folder, summary | _along(rows)))
 
@@ -106,15 +100,16 @@ def _along(rows: Sequence[Row]) -> dict[str, Any]:
     if bounds:
         names = (name for row in rows for name in row.get("relies_on", "").split(", ") if name)
         guaranteed["relies_on"] = ", ".join(dict.fromkeys(names))
+        guaranteed["bound_is"] = rows[-1].get("bound_is", "")
     end = {"steps": len(rows), "end": rows[-1]["t"], "seconds": sum(row["seconds"] for row in rows)}
     return {"iterations": iterations, "time": end | {"largest": largest | guaranteed}}
 
 
-def _write_facets(folder: Path, steps: StepFolder, rows: Sequence[Row], solution: Solution) -> None:
-    """Write `facets.csv`, one row for each facet of Γ_S and step; `facets.parquet` if there are many (rank 0)."""
+def _write_sites(folder: Path, steps: StepFolder, rows: Sequence[Row], solution: Solved, kind: type[SiteTable]) -> None:
+    """Write the table of sites, one row for each site and step, as text, or as Parquet if they are many (rank 0)."""
 
     def columns(row: Row) -> dict[str, Any]:
-        table = steps.facets(row["step"])
+        table = steps.table(row["step"], kind)
         when = {key: np.full(len(table.part), row[key]) for key in ("step", "t")}
         return {**when, **solution.columns(table)}
 
@@ -123,11 +118,11 @@ def _write_facets(folder: Path, steps: StepFolder, rows: Sequence[Row], solution
         import pyarrow.parquet  # takes a second to import
 
         first = pyarrow.table(columns(rows[0]))
-        with pyarrow.parquet.ParquetWriter(folder / "facets.parquet", first.schema) as writer:
+        with pyarrow.parquet.ParquetWriter(folder / f"{kind.name}.parquet", first.schema) as writer:
             for row in rows:
                 writer.write_table(pyarrow.table(columns(row), schema=first.schema))
         return
-    with (folder / "facets.csv").open("w", newline="", encoding="utf-8") as file:
+    with (folder / f"{kind.name}.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         for row in rows:
             found = columns(row)
@@ -136,38 +131,22 @@ def _write_facets(folder: Path, steps: StepFolder, rows: Sequence[Row], solution
             writer.writerows(zip(*(column.tolist() for column in found.values()), strict=True))
 
 
-def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solution) -> None:
-    """Write u_h and σ_h after each step: `solution.bp` in DG1, in which they are exact, `solution.xdmf` (collective).
+def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solved) -> None:
+    """Write the fields after each step: `solution.bp`, in which they are exact, and `solution.xdmf` (collective).
 
     The XDMF file has the means over cells.
     """
-    mesh = solution.spaces.mesh
-    comm, dim = mesh.comm, mesh.geometry.dim
-
-    sigma, u, *means = (
-        fem.Function(fenicsx.function_space(mesh, ("DG", degree, *shape)), name=name)
-        for degree in (1, 0)
-        for name, shape in (("sigma", ((dim,),)), ("u", ()))
-    )
-    from_centroid = arms(mesh)
-    cells, points = solution.spaces.domain.cells, mesh.geometry.index_map().size_global
-    size = cells * (dim + 1) * 8 * (len(times) * 4 + 8) + 12_000 + 3_000 * (comm.size + len(times))
-    of_means = cells * (dim + 1 + len(times) * 4) * 8 + points * dim * 8 + 20_000 + 4_000 * len(times)
-    on_root(comm, lambda: check_room(folder, {"solution.bp": size, "solution.h5": of_means}))
+    spaces, comm, series = solution.spaces, solution.spaces.mesh.comm, solution.series()
+    sizes = sizes_of_series(series.exact, series.means, len(times))
+    on_root(comm, lambda: check_room(folder, sizes))
     try:
-        file = io.VTXWriter(comm, folder / "solution.bp", [sigma, u], engine="BP4")  # see `field_files.write_vtx`
+        file = io.VTXWriter(comm, folder / "solution.bp", series.exact, engine="BP4")  # see `field_files.write_vtx`
         xdmf = io.XDMFFile(comm, folder / "solution.xdmf", "w")
-        xdmf.write_mesh(mesh)
+        xdmf.write_mesh(spaces.mesh)
         for step, t in enumerate(times, start=1):
-            found = {key: steps.cells(solution.spaces, step, key) for key in ("u", "sigma", "divergence")}
-            u.x.array[u.function_space.dofmap.list] = found["u"].reshape(-1, 1)
-            slope = found["divergence"].reshape(-1, 1, 1) / dim
-            sigma.x.array.reshape(-1, dim)[sigma.function_space.dofmap.list] = (
-                found["sigma"][:, None] + slope * from_centroid
-            )
+            series.take({key: steps.kept(spaces, step, key) for key in series.names})
             file.write(t)
-            for mean in means:
-                mean.x.array[:] = found[mean.name].ravel()  # no ghost cells, one value per cell in their order
+            for mean in series.means:
                 xdmf.write_function(mean, t)
         file.close()
         xdmf.close()
@@ -176,23 +155,29 @@ def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solut
     on_root(comm, lambda: join_series(folder / "solution.xdmf"))
 
 
-def _draw(folder: Path, steps: StepFolder, rows: Sequence[Row], times: Sequence[float], solution: Solution) -> None:
-    """Draw `contact.png` and, in the plane, `animation.gif` (collective)."""
+def _draw(
+    folder: Path,
+    steps: StepFolder,
+    rows: Sequence[Row],
+    times: Sequence[float],
+    solution: Solved,
+    kind: type[SiteTable],
+) -> None:
+    """Draw the pictures over time, for diffusion in the plane also `animation.gif` (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
     scene, sample = pictures.gathered_scene(solution), sample_of(solution.spaces)
     frames = []
-    for step in pictures.shown(len(times)) if spaces.mesh.topology.dim == 2 else []:
-        u = sample.in_cells(steps.cells(spaces, step, "u").ravel())
+    for step in pictures.shown(len(times)) if pictures.is_animated(solution) else []:
+        u = sample.in_cells(steps.kept(spaces, step, "u").ravel())
         if u is not None:
-            frames.append((times[step - 1], u, steps.facets(step)))
+            frames.append((times[step - 1], u, steps.table(step, kind)))
 
     def write() -> None:
         if scene is not None:
-            tables = [steps.facets(step) for step in range(1, len(times) + 1)]
-            in_cells = [row["cells_measure"] for row in rows] if solution.data.obstacle is not None else []
-            pictures.draw_sets(folder / "contact.png", scene, tables, times, in_cells)
+            tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
+            pictures.draw_steps(folder, scene, tables, times, rows)
             if frames:
                 pictures.animate(folder / "animation.gif", scene, frames)
 

@@ -89,6 +89,18 @@ def _written(comm: MPI.Comm, path: Path, size: int) -> Iterator[None]:
         raise WriteFailure("the fields for ParaView cannot be written") from error
 
 
+def sizes_of_series(exact: Sequence[fem.Function], means: Sequence[fem.Function], steps: int) -> dict[str, int]:
+    """About the largest sizes of the files of fields over time, in bytes (collective)."""
+    (of_exact, of_means), heads = (functions[0].function_space for functions in (exact, means)), 20_000 + 7_000 * steps
+    points = max(of_exact.dofmap.dof_layout.num_dofs, of_exact.mesh.topology.dim + 1)
+    size = _cells(of_exact.mesh) * points * (PLACE + VTX + NUMBER + steps * NUMBER * sum(map(_width, exact)))
+    mesh = of_means.mesh
+    of_points = mesh.geometry.index_map().size_global * mesh.geometry.dim * NUMBER
+    of_cells = _cells(mesh) * NUMBER * (mesh.topology.dim + 1 + steps * sum(map(_width, means)))
+    room = heads + 3_000 * mesh.comm.size
+    return {"solution.bp": size + room, "solution.h5": of_points + of_cells + room}
+
+
 def _cells(mesh: dolfinx.mesh.Mesh) -> int:
     return int(mesh.topology.index_map(mesh.topology.dim).size_global)
 

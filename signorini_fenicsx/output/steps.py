@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.array_files import read_header, read_share, write_arrays
@@ -25,13 +24,12 @@ from signorini_fenicsx.base.exchange import area_of, delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
-from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.site_table import FacetTable
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.evolving import Instant, Past
-from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.site_table import SiteTable
+from signorini_fenicsx.solving.evolution import Past, Steps
+from signorini_fenicsx.solving.evolving import Instant
 
 CASE, ROW, MESH = "case.json", "row.json", "mesh-"
 type Row = Mapping[str, Any]
@@ -49,10 +47,10 @@ class StepFolder:
         self._comm = comm
         self.path = target.with_name(target.name + ".steps")
         self._beside = area_of(target) / self.path.name
-        self._saved: Spaces | None = None
+        self._saved: MeshSpaces | None = None
         self._rows: dict[tuple[int, str], Indices] = {}
 
-    def begin(self, case: Case, start: Path | None = None, *, restart: bool) -> int:
+    def begin(self, case: CaseFile, start: Path | None = None, *, restart: bool) -> int:
         """Make the folder, or find out where to go on.
 
         Args:
@@ -116,10 +114,8 @@ class StepFolder:
             write_arrays(comm, mesh, _places(solution.spaces))
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
-        arrays = solution.in_cells() | {f"facet_{key}": rows for key, rows in vars(solution.table()).items()}
-        on = solution.segments()
-        arrays |= {"facet_own": on.segment} | ({} if on.cells is None else {"cells_own": on.cells})
-        write_arrays(comm, part, arrays)
+        tables = {f"table_{key}": rows for key, rows in vars(solution.table()).items()}
+        write_arrays(comm, part, instant.steps.kept(solution) | tables)
 
         def end() -> None:
             (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
@@ -136,39 +132,28 @@ class StepFolder:
             return []
         return [json.loads(text_of(place / ROW)) for place in self._places()]
 
-    def cells(self, spaces: Spaces, step: int, key: str) -> Array:
-        """u, sigma or divergence in the cells of this rank after a step, see `gather.Fields`.
+    def kept(self, spaces: MeshSpaces, step: int, key: str) -> Array:
+        """What was kept of a step for the cells or facets of this rank, see `Steps.kept`.
 
         Raises:
-            InputError: If these are not the cells of this mesh.
+            InputError: If it is not of the cells and facets of this mesh.
         """
-        return self._fetch(spaces, step, key, "cells")
+        return self._fetch(spaces, step, key, "facets" if key.startswith("facet_") else "cells")
 
-    def facets(self, step: int) -> FacetTable:
-        """Γ_S after a step (rank 0, not collective)."""
+    def table(self, step: int, kind: type[SiteTable]) -> SiteTable:
+        """The table of Γ_S after a step (rank 0, not collective)."""
         place = self._place(step)
-        columns = {each.name: np.load(place / f"facet_{each.name}.npy") for each in fields(FacetTable)}
-        return FacetTable(**columns).in_order()
+        return kind(**{each.name: np.load(place / f"table_{each.name}.npy") for each in fields(kind)}).in_order()
 
-    def past(self, solver: Solver, step: int) -> Past:
+    def past(self, steps: Steps, step: int) -> Past:
         """What the step after this one needs.
 
         Raises:
-            InputError: If these are not the cells and facets of this mesh.
+            InputError: If what was kept is not of the cells and facets of this mesh.
         """
-        spaces = solver.spaces
-        u = []
-        for earlier in range(step, max(step - 2, 0), -1):
-            values = fem.Function(spaces.Q, name="u")
-            values.x.array[:] = self.cells(spaces, earlier, "u").ravel()
-            u.append(values)
-        own = self._fetch(spaces, step, "facet_own", "facets")
-        obstacle = on_root(self._comm, (self._place(step) / "cells_own.npy").exists)
-        return Past(
-            step, u, Segments(spaces, own, self._fetch(spaces, step, "cells_own", "cells") if obstacle else None)
-        )
+        return steps.again(step, lambda earlier, key: self.kept(steps.spaces, earlier, key))
 
-    def _fetch(self, spaces: Spaces, step: int, key: str, kind: str) -> Any:
+    def _fetch(self, spaces: MeshSpaces, step: int, key: str, kind: str) -> Any:
         """An array of a step for the cells or facets of this rank."""
         first = on_root(self._comm, lambda: self._first(step))
         if (first, kind) not in self._rows:
@@ -203,7 +188,7 @@ def _same_steps(one: Row, other: Row) -> bool:
     return math.isclose(*lengths, rel_tol=1e-9) and {**one, "end": 0, "steps": 0} == {**other, "end": 0, "steps": 0}
 
 
-def _places(spaces: Spaces) -> dict[str, Indices]:
+def _places(spaces: MeshSpaces) -> dict[str, Indices]:
     """What identifies the owned cells and the facets of Γ_S on any rank: the bits of the sums of their vertices."""
     vertices = {"cells": corners(spaces.mesh), "facets": facet_corners(spaces.mesh, spaces.facets)}
     sums = {key: np.sort(x, axis=1).sum(axis=1) + 0.0 for key, x in vertices.items()}  # sorted: the same bits

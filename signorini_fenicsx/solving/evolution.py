@@ -1,12 +1,14 @@
 """Times and steps of a problem in time, and what a physics says about its steps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.expressions.given import Given
 
 SCHEMES = {"implicit-euler": (1.0, (1.0,)), "bdf2": (1.5, (2.0, -0.5))}
@@ -55,8 +57,29 @@ class Evolution:
         return a * rate, tuple(w * rate for w in weights)
 
 
+@dataclass(frozen=True)
+class Past:
+    """What the next step needs of the last one.
+
+    Attributes:
+        step: Its number.
+        left: What it has left, and what the step before has, see `Steps.left_by`; none of the start.
+        segments: The segments on which it ended.
+    """
+
+    step: int
+    left: Sequence[Any]
+    segments: Any
+
+
 class Steps(Protocol):
-    """The problems of the steps on a mesh."""
+    """The problems of the steps on a mesh.
+
+    Attributes:
+        spaces: The discrete spaces.
+    """
+
+    spaces: MeshSpaces
 
     def start(self) -> Any:
         """What the first step takes from before it (collective).
@@ -73,3 +96,14 @@ class Steps(Protocol):
 
     def left_by(self, solution: Any) -> Any:
         """What the solution of a step leaves for those after it."""
+
+    def kept(self, solution: Any) -> dict[str, npt.NDArray]:
+        """What is kept of a step: rows of the owned cells, or of the facets of Γ_S if the name begins with "facet_"."""
+
+    def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
+        """What the step after this one needs (collective).
+
+        Args:
+            step: The step.
+            kept: Gives the rows of this rank that were kept of a step, by their name.
+        """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off_in_steps
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.solving.evolution import Evolution, Steps
+from signorini_fenicsx.solving.evolution import Evolution, Past, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 from signorini_fenicsx.solving.system import sorted_on
@@ -36,21 +36,6 @@ class Instant:
     steps: Steps
 
 
-@dataclass(frozen=True)
-class Past:
-    """What the next step needs of the last one.
-
-    Attributes:
-        step: Its number.
-        left: What it has left, and what the step before has, see `Steps.left_by`; none of the start.
-        segments: The segments on which it ended.
-    """
-
-    step: int
-    left: Sequence[Any]
-    segments: Any
-
-
 @collector_off_in_steps
 def evolve(
     place: Domain | Solver,
@@ -59,7 +44,7 @@ def evolve(
     options: Options | None = None,
     *,
     start: Any = None,
-    past: Callable[[Solver], Past] | None = None,
+    past: Callable[[Steps], Past] | None = None,
     name: str = "problem",
     title: str = "",
     source: object = None,
@@ -88,7 +73,7 @@ def evolve(
         options: Algorithm, backend and their parameters; None for the defaults.
         start: Solution on any mesh of the domain; its contact set is the first one, and for diffusion its u takes the
             place of u_0.
-        past: Gives the step after which to go on; None for the beginning.
+        past: Gives what is known of the step after which to go on; None for the beginning.
         name: Name of the results.
         title: A longer name in words.
         source: The case from which the problem was read, see `Solution`.
@@ -108,7 +93,7 @@ def evolve(
     solver = place if isinstance(place, Solver) else Solver(place, (boundary, sorted_problem))
     comm = solver.spaces.mesh.comm
     steps: Steps = solver.steps(sorted_problem, evolution, start)
-    known = Past(0, [], None if start is None else start.segments()) if past is None else past(solver)
+    known = Past(0, [], None if start is None else start.segments()) if past is None else past(steps)
     left, segments = [*known.left, steps.start()][:2], known.segments
     for step in range(known.step + 1, evolution.steps + 1):
         found = solver.solve(

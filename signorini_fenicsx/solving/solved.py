@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
 
 import numpy.typing as npt
 from dolfinx import fem
@@ -60,6 +60,25 @@ class PointValues(NamedTuple):
 
     u: Array
     sigma: Array
+
+
+class Series(Protocol):
+    """Functions that take the values of one step after another.
+
+    Attributes:
+        exact: Functions of one element, in which the fields are exact.
+        means: The means over cells of these fields, in P0.
+    """
+
+    exact: list[fem.Function]
+    means: list[fem.Function]
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The values that it takes."""
+
+    def take(self, values: Mapping[str, Array]) -> None:
+        """Set all functions by values as those of `Solved.in_cells`."""
 
 
 class Solved(ABC):
@@ -170,6 +189,21 @@ class Solved(ABC):
         from signorini_fenicsx.output.notebook import figure
 
         return figure(cast(Any, self), certificate)
+
+    step: int | None
+    """Number of the step of a problem in time, from 1; None for others."""
+
+    @abstractmethod
+    def in_cells(self) -> dict[str, Array]:
+        """The values of the fields in the cells of this rank, of which a run in time is written (collective)."""
+
+    @abstractmethod
+    def of_step(self) -> dict[str, float]:
+        """Numbers of a step that this physics has, for `steps.csv` (collective)."""
+
+    @abstractmethod
+    def series(self) -> Series:
+        """The fields over time for ParaView (collective)."""
 
     @abstractmethod
     def norms(self) -> dict[str, float]:

@@ -85,6 +85,13 @@ class System(Protocol):
             InputError: If the problem cannot be discretised as asked.
         """
 
+    def check(self, problem: Any) -> None:
+        """Read the data of a problem with this boundary, and check what can be known before it is solved (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised.
+        """
+
     def steps(self, problem: Any, evolution: Evolution, start: Any) -> Steps:
         """The steps of a problem in time (collective).
 

@@ -1,18 +1,21 @@
 """Pictures of a solution, from gathered arrays on rank 0. Only pictures in 3D need VTK."""
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import matplotlib as mpl
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
-from signorini_fenicsx.output.pictures import elastic, plane_files, style
+from signorini_fenicsx.output.pictures import elastic, elastic_steps, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors
-from signorini_fenicsx.output.pictures.evolution import animate, draw_sets, shown
+from signorini_fenicsx.output.pictures.evolution import animate, draw_sets_over_time, shown
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solved import Solved
@@ -23,8 +26,9 @@ __all__ = [
     "draw_bounds",
     "draw_errors",
     "draw_mesh",
-    "draw_sets",
+    "draw_steps",
     "gathered_scene",
+    "is_animated",
     "overview",
     "scene_of",
     "shown",
@@ -34,6 +38,26 @@ __all__ = [
 
 OF_PHYSICS = {"elasticity": elastic}
 """Physics whose pictures are others than those of `plane_files` and `space_files`: modules with the same functions."""
+
+
+STEPS_OF = {"diffusion": draw_sets_over_time, "elasticity": elastic_steps.draw_steps}
+"""What draws the pictures of a run in time, for each physics."""
+
+
+def is_animated(solution: Solved) -> bool:
+    """Whether a run in time that ends with this solution has an animation."""
+    return solution.boundary.physics not in OF_PHYSICS and solution.spaces.mesh.topology.dim == 2
+
+
+def draw_steps(
+    folder: Path,
+    scene: Scene,
+    tables: Sequence[SiteTable],
+    times: Sequence[float],
+    rows: Sequence[Mapping[str, Any]],
+) -> None:
+    """Draw the pictures of a run in time, but for the animation (rank 0)."""
+    STEPS_OF[scene.physics](folder, scene, tables, times, rows)
 
 
 def scene_of(

@@ -1,8 +1,9 @@
 """Pictures of a run in time: the contact set over time, and an animation."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -29,6 +30,18 @@ SLOW = 0.4
 
 type Frame = tuple[float, Array, FacetTable]
 """The time, u_h in the cells of the scene, and Γ_S."""
+
+
+def draw_sets_over_time(
+    folder: Path,
+    scene: Scene,
+    tables: Sequence[FacetTable],
+    times: Sequence[float],
+    rows: Sequence[Mapping[str, Any]],
+) -> None:
+    """Draw `contact.png` (rank 0)."""
+    in_cells = [row["cells_measure"] for row in rows if "cells_measure" in row]
+    draw_sets(folder / "contact.png", scene, tables, times, in_cells)
 
 
 @mpl.rc_context(style.STYLE)

@@ -6,16 +6,18 @@ all data at the time of the step. u_(n−k) is in P0, and C has its mean on each
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
@@ -24,13 +26,14 @@ from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolution import Evolution, Past
 
 
 class DiffusionSteps:
     """The problems of the steps on a mesh.
 
     Attributes:
+        spaces: The discrete spaces.
         capacity: Mean of C on each owned cell.
         initial: u_0.
     """
@@ -44,7 +47,7 @@ class DiffusionSteps:
         dim = spaces.mesh.geometry.dim
         if start is not None:
             evolution = replace(evolution, initial=_carried(start, spaces))
-        self._spaces, self._evolution, self._problem = spaces, evolution, problem.in_time(dim)
+        self.spaces, self._evolution, self._problem = spaces, evolution, problem.in_time(dim)
         try:
             capacity = parsed(evolution.capacity, "xyz"[:dim], "[time] capacity")
             self.capacity = self._means("capacity", regional_datum(spaces, "capacity", capacity))
@@ -63,7 +66,7 @@ class DiffusionSteps:
         Raises:
             InputError: If they are not finite, or of no usable size.
         """
-        u = fem.Function(self._spaces.Q, name="u")
+        u = fem.Function(self.spaces.Q, name="u")
         u.x.array[:] = self._means("initial", self.initial)
         return u
 
@@ -73,7 +76,7 @@ class DiffusionSteps:
         Raises:
             InputError: If c or C was given in Python.
         """
-        return problem_of_step(self._problem, self._evolution, step, self._spaces.mesh.geometry.dim)
+        return problem_of_step(self._problem, self._evolution, step, self.spaces.mesh.geometry.dim)
 
     def weights(self, step: int) -> tuple[float, ...]:
         """w_1, w_2, … of a step."""
@@ -83,17 +86,33 @@ class DiffusionSteps:
         """u_h."""
         return solution.u
 
+    def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
+        """u_h, σ_h and ∇·σ_h, and the segments on which the step has ended."""
+        on = solution.segments()
+        cells = {} if on.cells is None else {"own": on.cells}
+        return {**solution.in_cells(), **cells, "facet_own": on.segment}
+
+    def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
+        """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
+        left = []
+        for earlier in range(step, max(step - 2, 0), -1):
+            u = fem.Function(self.spaces.Q, name="u")
+            u.x.array[:] = kept(earlier, "u").ravel()
+            left.append(u)
+        cells = None if self._problem.obstacle is None else kept(step, "own")
+        return Past(step, left, Segments(self.spaces, kept(step, "facet_own"), cells))
+
     def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
         """The sum C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
-        memory = fem.Function(self._spaces.Q, name="memory")
+        memory = fem.Function(self.spaces.Q, name="memory")
         weights = self.weights(step)
         for weight, u in zip(weights, before[: len(weights)], strict=True):
             memory.x.array[:] += weight * self.capacity * u.x.array
         return memory
 
     def _means(self, key: str, datum: Datum) -> Array:
-        means = cell_means(self._spaces, datum)
-        check_means(f"[time] {key}", "in the domain", means, self._spaces)
+        means = cell_means(self.spaces, datum)
+        check_means(f"[time] {key}", "in the domain", means, self.spaces)
         return means
 
 

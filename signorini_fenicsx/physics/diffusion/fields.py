@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.discrete.cell_shapes import some_at_a_time
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.cell_shapes import arms, some_at_a_time
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 if TYPE_CHECKING:  # a solution has these fields
     from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -60,3 +62,32 @@ def _on_obstacle(solution: Solution) -> list[fem.Function]:
     contact = fem.Function(solution.spaces.Q, name="contact")
     contact.x.array[:] = inside
     return [contact, solution.force()]
+
+
+class FluxSeries:
+    """u_h and σ_h over time, see `Series`."""
+
+    names = ("u", "sigma", "divergence")
+
+    def __init__(self, spaces: Spaces):
+        """Make the functions (collective)."""
+        mesh, dim = spaces.mesh, spaces.mesh.geometry.dim
+        self._arms, self._dim = arms(mesh), dim
+        shapes = {"sigma": ((dim,),), "u": ()}
+        self.exact, self.means = (
+            [
+                fem.Function(fenicsx.function_space(mesh, ("DG", degree, *shape)), name=name)
+                for name, shape in shapes.items()
+            ]
+            for degree in (1, 0)
+        )
+
+    def take(self, values: Mapping[str, Array]) -> None:
+        """Set all functions, see `Series.take`."""
+        sigma, u = self.exact
+        u.x.array[u.function_space.dofmap.list] = values["u"].reshape(-1, 1)
+        slope = values["divergence"].reshape(-1, 1, 1) / self._dim
+        linear = values["sigma"][:, None] + slope * self._arms
+        sigma.x.array.reshape(-1, self._dim)[sigma.function_space.dofmap.list] = linear
+        for mean in self.means:
+            mean.x.array[:] = values[mean.name].ravel()  # no ghost cells, one value per cell in their order

@@ -29,7 +29,7 @@ from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.drawn import drawn
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
-from signorini_fenicsx.physics.diffusion.fields import fields_of
+from signorini_fenicsx.physics.diffusion.fields import FluxSeries, fields_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.tables import facet_columns, facet_table, free_boundary
@@ -263,6 +263,18 @@ class Solution(Solved):
     def in_cells(self) -> dict[str, Array]:
         """u_h, σ_h at the centroids and ∇·σ_h in the cells of this rank (collective when first used)."""
         return {"u": self.u.x.array, "sigma": self.cell_flux.centroid, "divergence": self.cell_flux.divergence}
+
+    def of_step(self) -> dict[str, float]:
+        """With an obstacle the cells in contact and its force, for `steps.csv` (collective)."""
+        if self.data.obstacle is None:
+            return {}
+        found = self.on_obstacle()
+        measure, force = found["contact_measure"], found["force"]
+        return {"contact_cells": found["contact_cells"], "cells_measure": measure, "force": force}
+
+    def series(self) -> FluxSeries:
+        """u_h and σ_h over time (collective)."""
+        return FluxSeries(self.spaces)
 
     def table(self) -> FacetTable:
         """One row for each facet of Γ_S of this rank."""

@@ -87,6 +87,14 @@ class System:
         )
         return DiffusionRun(task, options, self.boundary, problem, data, constant)
 
+    def check(self, given: tuple[Boundary, Problem]) -> None:
+        """Read the data and check them, see `solving.system.System` (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised.
+        """
+        check_solvability(self.spaces, project_data(self.spaces, given[1], self._known))
+
     def steps(self, problem: Problem, evolution: Evolution, start: Solution | None) -> DiffusionSteps:
         """The steps of a problem in time, see `solving.evolution.Steps` (collective).
 

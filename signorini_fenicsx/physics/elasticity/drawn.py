@@ -40,7 +40,7 @@ def drawn(solution: ElasticSolution) -> Drawn:
     kinds = {NEUMANN: free, PARTLY_FIXED: fixed}
     return Drawn(
         u=np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1),
-        sigma=von_mises(in_space(solution)).max(axis=(1, 2))[:, None],
+        sigma=von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None],
         facets=_facets(solution),
         boundary=whole_boundary(spaces)
         | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},

@@ -6,19 +6,24 @@ The shear is within its bound, and against the way that u_t has gone since the l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolution import Evolution, Past
 
 
 class ElasticSteps:
-    """The steps of an elastic problem on a mesh, see `solving.evolution.Steps`."""
+    """The steps of an elastic problem on a mesh, see `solving.evolution.Steps`.
+
+    Attributes:
+        spaces: The discrete spaces.
+    """
 
     def __init__(self, spaces: ElasticSpaces, problem: ElasticProblem, evolution: Evolution):
         """Read the data.
@@ -26,12 +31,12 @@ class ElasticSteps:
         Raises:
             InputError: If a text cannot be read.
         """
-        self._spaces, self._evolution = spaces, evolution
+        self.spaces, self._evolution = spaces, evolution
         self._problem = problem.in_time(spaces.dim)
 
     def start(self) -> Array:
         """No slip, at the sites with friction."""
-        return np.zeros(len(self._spaces.slip_sites))
+        return np.zeros(len(self.spaces.slip_sites))
 
     def problem(self, step: int) -> ElasticProblem:
         """The problem at the time of a step."""
@@ -44,3 +49,31 @@ class ElasticSteps:
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""
         return solution.slip.ravel()
+
+    def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
+        """u_h and σ_h at the vertices, and for each vertex of Γ_C its segments, its slip and the bound of the shear."""
+        spaces, own = self.spaces, solution.segments()
+        normal, along = np.split(own.segment, [len(spaces.sites)])
+        rough = spaces.rough_rows
+        on_facets = {
+            "own": normal.reshape(-1, spaces.dim),
+            "own_slip": spread(spaces, along.reshape(len(rough), -1)),
+            "slip": spread(spaces, solution.slip),
+            "bound": spread(spaces, own.bound),
+        }
+        return {**solution.in_cells(), **{f"facet_{key}": rows for key, rows in on_facets.items()}}
+
+    def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
+        """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
+        spaces, rough = self.spaces, self.spaces.rough_rows
+        own, along, slip, bound = (kept(step, f"facet_{key}") for key in ("own", "own_slip", "slip", "bound"))
+        segment = np.concatenate([own.ravel(), along[rough].ravel()]).astype(np.int64)
+        return Past(step, [slip[rough].ravel()], ElasticSegments(spaces, segment, bound[rough]))
+
+
+def spread(spaces: ElasticSpaces, rows: Array | Indices) -> Array:
+    """Rows of the facets with friction as rows of all of Γ_C, 0 where there is none."""
+    found = np.zeros((len(spaces.facets), spaces.dim))
+    if len(rows):
+        found[spaces.rough_rows] = rows
+    return found

@@ -21,9 +21,10 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
 from signorini_fenicsx.physics.elasticity.drawn import drawn
-from signorini_fenicsx.physics.elasticity.fields import fields_of
+from signorini_fenicsx.physics.elasticity.fields import StressSeries, fields_of
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
@@ -289,6 +290,29 @@ class ElasticSolution(Solved):
         largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
         largest = max(spaces.mesh.comm.allgather(float(largest)))
         return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
+
+    def in_cells(self) -> dict[str, Array]:
+        """u_h at the vertices of the cells of this rank, and σ_h at those of their subcells."""
+        return {"u": self.spaces.displacement_values(self.u), "sigma": self.stresses}
+
+    def of_step(self) -> dict[str, float]:
+        """The contact force, and of each part the force on it and the mean of u, for `steps.csv` (collective)."""
+        spaces, axes = self.spaces, AXES[: self.spaces.dim]
+        found = {"contact_force": self.norms()["contact_force"]}
+        forces, u = self.resultants(), spaces.displacement_values(self.u)
+        for name in spaces.domain.parts:
+            part = spaces.part(name)
+            opposite = np.arange(spaces.dim + 1) != part.local[:, None]
+            means = u[part.cells][opposite].reshape(-1, spaces.dim, spaces.dim).mean(axis=1)
+            sums = np.append(part.measure @ means, part.measure.sum())
+            *moved, measure = spaces.mesh.comm.allreduce(sums)
+            found |= {f"{name}_force_{axis}": force for axis, force in zip(axes, forces[name], strict=False)}
+            found |= {f"{name}_u_{axis}": x / measure for axis, x in zip(axes, moved, strict=True)}
+        return found
+
+    def series(self) -> StressSeries:
+        """σ_h and u_h over time (collective)."""
+        return StressSeries(self.spaces, self.data)
 
     def table(self) -> ContactTable:
         """One row for each vertex of each facet of Γ_C of this rank."""

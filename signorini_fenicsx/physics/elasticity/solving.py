@@ -81,6 +81,14 @@ class System:
         motions = check_rigid_motions(self.spaces, data)
         return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish)
 
+    def check(self, given: tuple[ElasticBoundary, ElasticProblem]) -> None:
+        """Read the data and check them, see `solving.system.System` (collective).
+
+        Raises:
+            InputError: If the problem cannot be discretised.
+        """
+        self.prepared(given, Wish(Options()))
+
     def steps(self, problem: ElasticProblem, evolution: Evolution, start: ElasticSolution | None) -> ElasticSteps:
         """The steps of loads, see `solving.evolution.Steps` (collective).
 

@@ -56,9 +56,14 @@ class SplitMesh:
     def function(self, space: fem.FunctionSpace, values: Array, name: str) -> fem.Function:
         """The same in another space of discontinuous linear functions on it, shape (cells, d + 1, d + 1, …)."""
         function = fem.Function(space, name=name)
+        self.set_values(function, values)
+        return function
+
+    def set_values(self, function: fem.Function, values: Array) -> None:
+        """Set a discontinuous linear function by its values at the vertices, shape (cells, d + 1, d + 1, …)."""
+        space = function.function_space
         by_node = function.x.array.reshape(-1, *space.value_shape)
         by_node[space.dofmap.list] = values.reshape(-1, *values.shape[2:])[self.subcells]
-        return function
 
     def values(self, function: fem.Function) -> Array:
         """Values at the vertices, shape (cells, d + 1, d + 1, …), of a discontinuous linear function on it."""
