@@ -57,7 +57,7 @@ class ElasticSteps:
         rough = spaces.rough_rows
         on_facets = {
             "own": normal.reshape(-1, spaces.dim),
-            "own_slip": spread(spaces, along.reshape(len(rough), -1)),
+            "own_slip": spread(spaces, along.reshape(len(rough), spaces.dim)),
             "slip": spread(spaces, solution.slip),
             "bound": spread(spaces, own.bound),
         }

@@ -1,0 +1,122 @@
+"""Loads on an elastic body in steps: an exact history of slip, bounds of steps, restart, tables, refusals."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import signorini
+from mpi4py import MPI
+
+from signorini_fenicsx import Coulomb, Elasticity, Evolution, InputError, StepBounds, evolve
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.elasticity.problem import Contact, Tresca
+
+COMM = MPI.COMM_WORLD
+PUSHED = "(0.4*t if t < 1 else 0.8 - 0.4*t)"
+SHEAR = "(min(0.2*t, 0.05) if t < 1 else max(0.25 - 0.2*t, -0.05))"
+"""A block that sticks until t = 0.25, slips until it is pushed back at t = 1, sticks, and slips back after t = 1.5."""
+
+
+def block(friction: Tresca | Coulomb) -> Elasticity:
+    """A block under uniform pressure 0.1 and uniform shear, E = 1, ν = 0, whose upper end is pushed to and fro."""
+    return Elasticity(
+        young=1.0,
+        poisson=0.0,
+        exact=[f"{PUSHED} - 2*{SHEAR}*(1 - y)", "-0.1*y"],
+        conditions=[
+            Contact("bottom", friction=friction),
+            Dirichlet("top", [PUSHED, "-0.1"]),
+            Neumann("left", ["0", f"-{SHEAR}"]),
+            Neumann("right", ["0", SHEAR]),
+        ],
+    )
+
+
+@pytest.mark.parametrize("friction", [Tresca(0.05), Coulomb(0.5)])
+@pytest.mark.parallel([1, 3])
+def test_exact_history(friction: Tresca | Coulomb):
+    """Stick, slip, stick at the slip that was reached, slip back: exact in each step, and so is its bound."""
+    domain, bounds, states = build_domain(COMM, "square", 0.5, mesh="structured"), StepBounds(), []
+    for instant in evolve(domain, block(friction), Evolution(end=2.0, steps=8)):
+        solution, t = instant.solution, instant.t
+        errors = solution.errors()
+        assert errors is not None
+        assert max(errors["energy"], errors["u_L2"]) < 1e-10
+        slipped = 0.0 if t <= 0.25 else 0.4 * t - 0.1 if t < 1 else 0.3 if t <= 1.5 else 0.9 - 0.4 * t
+        np.testing.assert_allclose(solution.slip, slipped, atol=1e-9)
+        assert bounds.certify(instant).bound < 1e-7
+        states.append(max(solution.friction_states().items(), key=lambda item: item[1]["measure"])[0])
+    assert states == ["stick", "slip-", "slip-", "slip-", "stick", "stick", "slip+", "slip+"]
+
+
+def test_bounds_of_steps():
+    """The bounds of steps that slip, and stick where they have slipped, fall with h, and are guaranteed."""
+    pushed = Elasticity(
+        young=1.0,
+        poisson=0.3,
+        conditions=[
+            Contact("bottom", friction=Tresca("0.01 + 0.01*x")),
+            Dirichlet("top", ["0.04*sin(2.5*t)", "-0.02"]),
+            Neumann(["left", "right"]),
+        ],
+    )
+    square, evolution = build_domain(COMM, "square", 0.25, mesh="structured"), Evolution(end=1.5, steps=3)
+    certificates = [instant.solution.certify() for instant in evolve(square, pushed, evolution)]
+    rates = []
+    for size in (0.125, 0.0625):
+        finer = build_domain(COMM, "square", size, mesh="structured")
+        found = [instant.solution.certify() for instant in evolve(finer, pushed, evolution)]
+        rates.append([np.log2(one.bound / two.bound) for one, two in zip(certificates, found, strict=True)])
+        certificates = found
+    assert np.min(rates) > 0.5
+    assert all(each.guaranteed and each.relative < 0.1 for each in certificates)
+
+
+CASE = """physics = "elasticity"
+geometry = {shape = "square", mesh = "structured"}
+boundary = {neumann = ["left", "right"]}
+law = [{kind = "friction", parts = ["bottom"], mu = 0.3}]
+problem = {young = 1, poisson = 0.3, u_D = ["0.05*sin(2*pi*t)", "-0.02"]}
+time = {end = 1, steps = 4}
+solve = {h = "1/4"}
+"""
+
+
+@pytest.mark.parallel([1, 2])
+def test_case_file(folder: Path):
+    """The tables have forces and displacements of each step; wrong files are refused."""
+    if COMM.rank == 0:
+        (folder / "push.toml").write_text(CASE, encoding="utf-8")
+        (folder / "scheme.toml").write_text(CASE.replace("steps = 4", 'steps = 4, scheme = "bdf2"'), encoding="utf-8")
+        (folder / "steady.toml").write_text(CASE.replace("time =", "#"), encoding="utf-8")
+    COMM.Barrier()
+    done = signorini(folder, "solve", "push.toml", "--output", "out", "--certify-steps", "--plot")
+    assert done.returncode == 0, done.stderr
+    assert COMM.rank != 0 or "Tresca's problem with the last bound of the friction" in done.stdout
+    with (folder / "out" / "steps.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["top_u_x"]) for row in rows] == pytest.approx([0.05, 0, -0.05, 0], abs=1e-3)
+    for row in rows:
+        forces = [float(row[f"{part}_force_x"]) for part in ("top", "bottom")]
+        assert sum(forces) == pytest.approx(0.0, abs=1e-10)
+        assert abs(forces[1]) <= 0.3 * float(row["contact_force"]) * (1 + 1e-9)
+        assert (float(row["bound"]) > 0, row["guaranteed"]) == (True, "False")
+    assert float(rows[1]["bottom_force_x"]) * float(rows[3]["bottom_force_x"]) < 0  # it is not back where it was
+    summary = json.loads((folder / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["time"]["steps"], summary["converged"]) == (4, True)
+    for name in ("forces.png", "contact.png", "solution.bp", "solution.xdmf", "contact.csv"):
+        assert (folder / "out" / name).exists(), name
+    expected = {"scheme": "unknown key 'scheme' in [time]", "steady": "unknown name 't'"}
+    for name, message in expected.items():
+        done = signorini(folder, "solve", f"{name}.toml", "--output", name)
+        assert (done.returncode, COMM.rank != 0 or message in done.stderr) == (2, True), done.stderr
+
+
+def test_capacity_of_a_body():
+    """What only diffusion has is refused."""
+    square = build_domain(COMM, "square", 0.5, mesh="structured")
+    with pytest.raises(InputError, match="loads on an elastic body have no initial, capacity and scheme"):
+        next(evolve(square, block(Tresca(0.05)), Evolution(end=1.0, steps=2, capacity=2.0)))
