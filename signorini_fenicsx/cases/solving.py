@@ -156,17 +156,6 @@ def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:
     return Options(**values, tuning=tuning or Tuning())
 
 
-def case_of(solution: Solution) -> Case:
-    """The case of a solution.
-
-    Raises:
-        InputError: If the problem was given in Python.
-    """
-    if not isinstance(solution.source, Case):
-        raise InputError(f"{solution.name} was given in Python, not by a case file")
-    return solution.source
-
-
 def shared_domain(start: Solved, case: CaseFile) -> Domain | None:
     """The mesh of an earlier solution, if the case has the same; None for files, which may have changed since."""
     if not isinstance(start.source, CaseFile):

@@ -333,7 +333,7 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
 def _held_jumps(
     on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
 ) -> Iterator[tuple[Datum, Array, Array]]:
-    """The only bounds b of jumps inside the domain, with I_hb and χ, which is 1 in all nodes with a jump (collective)."""
+    """The only bounds b of jumps inside the domain, with I_hb; χ is 1 in all nodes with a jump (collective)."""
     jumps = Jumps.of(linear, on.spaces)
     for part in on.goal.parts if jumps is not None else ():
         bounds = [bound for bound in part.bounds if bound is not None]
