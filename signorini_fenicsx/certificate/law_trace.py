@@ -245,7 +245,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
         hindrance = hindrance or ("" if jumps_obey(trace, on.goal.parts, spaces) else OF_JUMPS)
     return Trace(
         v=v,
-        exact=trace if trace.bounds or changed else None,
+        exact=trace.jet if trace.bounds or changed else None,
         on_gamma_s=partial(trace.on_gamma_s, spaces),
         cells=_cells_with(changed, linear),
         at_dirichlet=_cells_with([each for each in changed if each is near_dirichlet], linear),
