@@ -310,10 +310,9 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
 
     χ is 1 in vertices of Γ_S all of whose facets they hold; a bound holds those where v is I_hb.
     """
-    spaces, space, corners = on.spaces, v.function_space, facet_nodes(linear, on.spaces.facets)
-    everywhere = fem.Function(linear).x.array
-    everywhere[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
-    nodes, edges = facet_nodes(space, spaces.facets), all_edges(space)
+    spaces, space = on.spaces, v.function_space
+    corners, nodes = (facet_nodes(each, spaces.facets) for each in (linear, space))
+    everywhere = largest_around(linear, corners, np.ones(len(corners)))
     steep = on.steep[np.arange(len(on.segment)), on.segment]
     for part in on.goal.parts:
         rows = np.intersect1d(part.rows, spaces.outer_rows)
@@ -321,7 +320,7 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
             name = part.law.level_of(segment)
             if name is not None and part.data[name].number is None:
                 datum = part.data[name]
-                interpolant, held = coefficients(datum, space, edges), steep & (on.segment == segment)
+                interpolant, held = coefficients(datum, space, all_edges(space)), steep & (on.segment == segment)
                 if any(datum is bound for bound in part.bounds):
                     apart = np.abs(v.x.array - interpolant) > ROUNDING * np.abs(interpolant).max(initial=0.0)
                     held = ~apart[nodes].any(axis=1)
