@@ -19,7 +19,7 @@ from rich.table import Table
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import case_of, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.differences import differences
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -28,7 +28,7 @@ def bound(solution: Solution, violation: float, *, with_trace: bool) -> float:
     """Left side of (27) or (28) divided by ‖f_h‖."""
     norms = solution.norms()
     left = np.hypot(norms["sigma_L2"], norms["div_sigma_L2"]) + norms["u_L2"]
-    left += violation / np.sqrt(case_of(solution).solve.eps) + with_trace * norms["p_L2"]
+    left += violation / np.sqrt(solution.options.eps) + with_trace * norms["p_L2"]
     return left / norms["div_sigma_L2"]  # ∇·σ_h = −f_h
 
 

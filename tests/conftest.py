@@ -11,6 +11,7 @@ from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell
 
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.physics.diffusion.solution import Solution
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -96,3 +97,9 @@ def make_case(
         path.write_text(CASE.format(shape=shape, mesh=mesh, parts=parts, f=f, h=h), encoding="utf-8")
     MPI.COMM_WORLD.Barrier()
     return load_case(path)
+
+
+def case_of(solution: Solution) -> Case:
+    """The case of a solution."""
+    assert isinstance(solution.source, Case)
+    return solution.source

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import make_case
+from conftest import case_of, make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.solving import case_of, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled

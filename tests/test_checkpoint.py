@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
+from conftest import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.cases.solving import case_of, shared_domain, solve_case
+from signorini_fenicsx.cases.solving import shared_domain, solve_case
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.writing import write_solution

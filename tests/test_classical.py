@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import make_case
+from conftest import case_of, make_case
 from dolfinx import fem
 from exact import F, exact_sigma, exact_u
 from mpi4py import MPI
@@ -15,7 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import case_of, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.comparing.method_comparison import compare_methods, distance, mass_imbalance
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions

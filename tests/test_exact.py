@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import ufl
+from conftest import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import case_of, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.expressions.reader import parse_expression

@@ -8,13 +8,14 @@ import meshio
 import numpy as np
 import pytest
 from broken_input import CASE_FOR_MESH, MESH_MUTATIONS, msh_text, square_msh, write_broken_mesh
+from conftest import case_of
 from dolfinx import io
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import adapt_case, case_of, solve_case
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.meshes.checks import FileMesh

@@ -10,7 +10,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import Case, CaseFile
 from signorini_fenicsx.cases.parts import PartsInside, Section
 from signorini_fenicsx.cases.texts import Times
-from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice
+from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice, texts_of
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
@@ -88,16 +88,9 @@ class ElasticTexts(Section):
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        found = [("gap", self.gap)]
-        vectors = {"f": self.f}
-        for name, given in (("u_D", self.u_D), ("g_N", self.g_N)):
-            by_part = given if isinstance(given, dict) else {"": given}
-            vectors |= {f"{name}.{part}".rstrip("."): each for part, each in by_part.items()}
-        found += [(name, entry) for name, entries in vectors.items() for entry in entries or []]
-        for name, value in (("young", self.young), ("poisson", self.poisson)):
-            entries = value.items() if isinstance(value, dict) else [("", value)]
-            found += [(f"{name}.{region}".rstrip("."), text) for region, text in entries]
-        return found
+        names = "gap", "f", "u_D", "g_N", "young", "poisson"
+        given = [(name, getattr(self, name)) for name in names]
+        return [entry for name, value in given if value is not None for entry in texts_of(name, value)]
 
 
 class ElasticExact(Section):

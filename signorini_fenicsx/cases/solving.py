@@ -10,7 +10,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, CaseFile
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
@@ -156,17 +156,6 @@ def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:
     """The section `[solve]`, without h."""
     values = {key: value for key, value in case.solve.model_dump().items() if key != "h"}
     return Options(**values, tuning=tuning or Tuning())
-
-
-def case_of(solution: Solution) -> Case:
-    """The case of a solution.
-
-    Raises:
-        InputError: If the problem was given in Python.
-    """
-    if not isinstance(solution.source, Case):
-        raise InputError(f"{solution.name} was given in Python, not by a case file")
-    return solution.source
 
 
 def shared_domain(start: Solved, case: CaseFile) -> Domain | None:

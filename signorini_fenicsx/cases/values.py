@@ -1,6 +1,5 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
-import itertools
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -122,17 +121,18 @@ def _text_by_region(value: object) -> object:
     return texts if isinstance(value, dict) else texts[""]
 
 
-type Text = str | list[list[str]]
+type Text = str | list[str] | list[list[str]]
 type ConductivityText = Text | dict[str, Text]
 
 
 def texts_of(name: str, given: Text | Mapping[str, Text]) -> list[tuple[str, str]]:
-    """Each expression with its name, to which that of its region is added; those of a matrix share a name."""
+    """Each expression with its name, to which that of its region or part is added; entries of a list share a name."""
     values = {f"{name}.{key}": text for key, text in given.items()} if isinstance(given, Mapping) else {name: given}
-    found = []
-    for key, value in values.items():
-        found += [(key, text) for text in ([value] if isinstance(value, str) else itertools.chain(*value))]
-    return found
+    return [(key, text) for key, value in values.items() for text in _leaves(value)]
+
+
+def _leaves(value: Text | str) -> list[str]:
+    return [value] if isinstance(value, str) else [text for entry in value for text in _leaves(entry)]
 
 
 Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import basix
 import basix.ufl
@@ -33,21 +32,14 @@ ROOM = 1.001, 2.0
 there one vertex cannot move."""
 
 
-class HasJet(Protocol):
-    """A function that is known by its jet."""
-
-    def jet(self, points: Points, *, gradient: bool = False) -> Array:
-        """Its jet, see `discrete.points` (collective)."""
-        ...
-
-
 @dataclass(frozen=True)
 class Trace:
     """A continuous function near u.
 
     Attributes:
         v: Quadratic on cells, with the values of u_D in its nodes on Γ_D.
-        exact: The admissible function: v with u_D itself on Γ_D, and within the bounds on Γ_S; None if that is v.
+        exact: Gives the jet of the admissible function: v with u_D itself on Γ_D, and within the bounds on Γ_S; None if
+            that is v.
         on_gamma_s: Gives the admissible function, inside the domain its jump, in points of all facets of Γ_S.
         cells: Owned cells on which v and exact may differ.
         at_dirichlet: Those of these cells where u_D itself enters.
@@ -58,7 +50,7 @@ class Trace:
     """
 
     v: fem.Function
-    exact: HasJet | None
+    exact: Callable[..., Array] | None
     on_gamma_s: Callable[[FacetPoints], Array]
     cells: Indices
     at_dirichlet: Indices
@@ -70,7 +62,7 @@ class Trace:
     def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
         """The jet of the admissible function in points of `cells` (near) or of others (collective)."""
         if near and self.exact is not None:
-            return self.exact.jet(points, gradient=gradient)
+            return self.exact(points, gradient=gradient)
         return points.quadratic(self.v, gradient=gradient)
 
 

@@ -243,10 +243,10 @@ def _on_gamma_s(
     on, number = OnGammaS.of(solution, goal, metric, y), len(metric.volume)
     trace = law_trace(solution, metric, y, on, None if force is None else force.largest)
     if goal.plain and force is None:
-        excess, load = contact_excess(spaces, data, metric, on.flux, resolution)
-        above = np.maximum(trace.on_gamma_s(excess.points) - data.psi.values(excess.points), 0.0)
-        pressure = Pressure("psi", data.psi, excess.points, excess.values.max(axis=1, initial=0.0))
-        return trace, excess.gap(above, number), load, pressure
+        points, excess, load = contact_excess(spaces, data, metric, on.flux, resolution)
+        above = np.maximum(trace.on_gamma_s(points) - data.psi.values(points), 0.0)
+        gap = points.per_cell(2 * points.integrals(excess * above), number)
+        return trace, gap, load, Pressure("psi", data.psi, points, excess.max(axis=1, initial=0.0))
     resolution.by_quadrature |= not_polynomial(goal)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.on_gamma_s(at.points)

@@ -245,7 +245,7 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
         hindrance = hindrance or ("" if jumps_obey(trace, on.goal.parts, spaces) else OF_JUMPS)
     return Trace(
         v=v,
-        exact=trace if trace.bounds or changed else None,
+        exact=trace.jet if trace.bounds or changed else None,
         on_gamma_s=partial(trace.on_gamma_s, spaces),
         cells=_cells_with(changed, linear),
         at_dirichlet=_cells_with([each for each in changed if each is near_dirichlet], linear),
@@ -310,10 +310,9 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
 
     χ is 1 in vertices of Γ_S all of whose facets they hold; a bound holds those where v is I_hb.
     """
-    spaces, space, corners = on.spaces, v.function_space, facet_nodes(linear, on.spaces.facets)
-    everywhere = fem.Function(linear).x.array
-    everywhere[fem.locate_dofs_topological(linear, spaces.mesh.topology.dim - 1, spaces.facets)] = 1.0
-    nodes, edges = facet_nodes(space, spaces.facets), all_edges(space)
+    spaces, space = on.spaces, v.function_space
+    corners, nodes = (facet_nodes(each, spaces.facets) for each in (linear, space))
+    everywhere = largest_around(linear, corners, np.ones(len(corners)))
     steep = on.steep[np.arange(len(on.segment)), on.segment]
     for part in on.goal.parts:
         rows = np.intersect1d(part.rows, spaces.outer_rows)
@@ -321,7 +320,7 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
             name = part.law.level_of(segment)
             if name is not None and part.data[name].number is None:
                 datum = part.data[name]
-                interpolant, held = coefficients(datum, space, edges), steep & (on.segment == segment)
+                interpolant, held = coefficients(datum, space, all_edges(space)), steep & (on.segment == segment)
                 if any(datum is bound for bound in part.bounds):
                     apart = np.abs(v.x.array - interpolant) > ROUNDING * np.abs(interpolant).max(initial=0.0)
                     held = ~apart[nodes].any(axis=1)
@@ -333,7 +332,7 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
 def _held_jumps(
     on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
 ) -> Iterator[tuple[Datum, Array, Array]]:
-    """The only bounds b of jumps inside the domain, with I_hb and χ, 1 in all nodes with a jump (collective)."""
+    """The only bounds b of jumps inside the domain, with I_hb; χ is 1 in all nodes with a jump (collective)."""
     jumps = Jumps.of(linear, on.spaces)
     for part in on.goal.parts if jumps is not None else ():
         bounds = [bound for bound in part.bounds if bound is not None]

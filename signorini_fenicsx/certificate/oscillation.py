@@ -72,23 +72,6 @@ class Memory:
     factor: Array | None = None
 
 
-@dataclass(frozen=True)
-class ContactExcess:
-    """r − s on the facets of Γ_S.
-
-    Attributes:
-        points: Points of a quadrature in the facets.
-        values: r − s ≥ 0 there, shape (facets, points).
-    """
-
-    points: FacetPoints
-    values: Array
-
-    def gap(self, above: Array, number: int) -> Array:
-        """2⟨r − s, v − ψ⟩ per owned cell, from the values of v − ψ in the points; `number` is that of the cells."""
-        return self.points.per_cell(2 * self.points.integrals(self.values * above), number)
-
-
 def water_filled(s: Array, weights: Array) -> Array:
     """The load r of the module for s with mean ≤ 0, in the points of a quadrature, shape (facets, points)."""
     return with_mean(np.zeros_like(s), s, np.full_like(s, np.inf), np.zeros(len(s)), weights)
@@ -96,8 +79,8 @@ def water_filled(s: Array, weights: Array) -> Array:
 
 def contact_excess(
     spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
-) -> tuple[ContactExcess, list[FacetLoad]]:
-    """The differences r − s, and r, for the Signorini law of ψ and q_S on all of Γ_S; no r if it is 0 (collective).
+) -> tuple[FacetPoints, Array, list[FacetLoad]]:
+    """The loads r − s and r for the Signorini law of ψ and q_S on all of Γ_S (collective).
 
     Args:
         spaces: The discrete spaces.
@@ -105,6 +88,9 @@ def contact_excess(
         metric: Metric of the owned cells.
         flux: y·n per facet of Γ_S, at least the mean of q_S.
         resolution: Records what quadrature may have missed.
+
+    Returns:
+        Points of a quadrature in the facets, r − s ≥ 0 there, shape (facets, points), and r; no r if it is 0.
     """
     mesh = spaces.mesh
     degree = max(quadrature_degree(data.q_S, power=2), quadrature_degree(data.psi, data.u_D))
@@ -113,7 +99,7 @@ def contact_excess(
     s = q_S - flux[:, None]
     r = water_filled(s, on_signorini.weights)
     load = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
-    return ContactExcess(on_signorini, r - s), load
+    return on_signorini, r - s, load
 
 
 def load_oscillation(

@@ -1,6 +1,5 @@
 """The folder of a study: one folder per finished run, tables of all runs, and a lock for one launch at a time."""
 
-import csv
 import fcntl
 import json
 import os
@@ -19,6 +18,7 @@ from signorini_fenicsx.base.exchange import PARTIAL, clear, complete, failed_pla
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.signals import Interruption
+from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.studies.study import Run, flattened
 
@@ -146,20 +146,14 @@ class StudyFolder:
             {"run": run.name, "ranks": record.ranks, "seconds": record.seconds} | record.summary.get("timings", {})
             for run, record in records
         ]
-        self._write_csv("table.csv", table)
-        self._write_csv("timings.csv", _rectangular(timings))
+        for name, rows in (("table.csv", table), ("timings.csv", _rectangular(timings))):
+            part = self.path / f"{name}.part"
+            write_rows(part, rows[0], rows)
+            part.rename(part.with_suffix(""))
         part = self.path / "table.parquet.part"
         pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), part)
         part.rename(part.with_suffix(""))
         (self.path / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
-
-    def _write_csv(self, name: str, rows: list[Row]) -> None:
-        part = self.path / f"{name}.part"
-        with part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-        part.rename(part.with_suffix(""))
 
     def _open(self) -> None:
         try:

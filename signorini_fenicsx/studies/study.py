@@ -3,12 +3,13 @@
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
@@ -17,6 +18,7 @@ from signorini_fenicsx.cases.case import Solve, load_case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
 from signorini_fenicsx.methods.registry import METHODS
@@ -29,11 +31,7 @@ MAX_RUNS = 100_000
 type Level = Annotated[int, Field(ge=0, le=30, strict=True)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Convergence(_Section):
+class Convergence(Section):
     """`[convergence]`: each run measures errors, as `signorini convergence` does, instead of solving once."""
 
     vary: Vary = Vary.H
@@ -49,7 +47,7 @@ class Convergence(_Section):
         return self
 
 
-class Study(_Section):
+class Study(Section):
     """A study file.
 
     Attributes:
@@ -71,9 +69,9 @@ class Study(_Section):
     ranks_per_run: int = Field(default=1, ge=1, le=10**6, strict=True)
     fields: bool = False
     plot: bool = False
-    set: dict[str, Any] = {}
-    vary: dict[str, Any] = {}
-    together: list[dict[str, Any]] = []
+    set: dict[str, Any] = Field(default={})
+    vary: dict[str, Any] = Field(default={})
+    together: list[dict[str, Any]] = Field(default=[])
     convergence: Convergence | None = None
 
 
@@ -152,9 +150,7 @@ def expanded(study: Study, folder: Path) -> list[Run]:
     twice = [key for key in keys if keys.count(key) > 1]
     if twice:
         raise InputError(f"{twice[0]}: varies in two places")
-    count = 1
-    for axis in axes:
-        count *= len(axis)
+    count = math.prod(map(len, axes))
     if count > MAX_RUNS:
         raise InputError(f"asks for {count} runs; at most {MAX_RUNS} are made")
     runs: dict[str, Run] = {}

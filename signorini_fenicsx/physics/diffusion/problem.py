@@ -126,10 +126,8 @@ class Problem:
             InputError: If a text cannot be read.
         """
         names = "xyz"[:dim] + "t"
-        data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
         laws = tuple(law.with_data(lambda key, given: parsed(given, names, key)) for law in self.laws)
-        read = {name: parsed(given, names, _place(name)) for name, given in data.items()}
-        return replace(self, **read, laws=laws)
+        return replace(self._read(names), laws=laws)
 
     def parsed(self, dim: int) -> "Problem":
         """The same problem, with numbers and texts read as trees, but not those of the laws.
@@ -137,7 +135,10 @@ class Problem:
         Raises:
             InputError: If a text cannot be read.
         """
-        names = "xyz"[:dim]
+        return self._read("xyz"[:dim])
+
+    def _read(self, names: str) -> "Problem":
+        """The same with the data but those of the laws as trees in these variables."""
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
         return replace(self, **{name: parsed(given, names, _place(name)) for name, given in data.items()})
 
