@@ -136,7 +136,7 @@ class ElasticCase(CaseFile):
 
     def posed(self, dim: int) -> tuple[ElasticBoundary, ElasticProblem]:
         """The parts and the data, see `CaseFile.posed`."""
-        return self.boundary.read(), self.data()
+        return self.parts.read(), self.data()
 
     def data(self) -> ElasticProblem:
         """The data as they are given."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
@@ -68,6 +68,7 @@ class Solved(ABC):
     name: str
     title: str
     boundary: Any
+    problem: Any
     options: Options
     spaces: Any
     outcome: Outcome
@@ -75,6 +76,8 @@ class Solved(ABC):
     source: object
     timings: dict[str, float]
     peak_memory: int
+    step: int | None = None
+    """Number of the step of a problem in time."""
 
     WORD: ClassVar[str] = "Solution"
     order: ClassVar[int]
@@ -109,6 +112,12 @@ class Solved(ABC):
     def approach(self) -> str:
         """What was solved and how, in words."""
         return self.method.title
+
+    @property
+    def contact_parts(self) -> Sequence[str]:
+        """The parts in contact."""
+        parts: Sequence[str] = next(iter(self.boundary.named.values()))
+        return parts
 
     @property
     @abstractmethod
@@ -247,6 +256,10 @@ class Solved(ABC):
             "peak_memory": self.peak_memory,
             "ranks": domain.mesh.comm.size,
         }
+
+    def contradiction(self) -> str | None:
+        """What in a solution that was read from a file excludes itself, beside residuals (collective)."""
+        return None
 
     @abstractmethod
     def _sets(self) -> dict[str, Any]:
