@@ -34,6 +34,7 @@ from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
+from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import BACKENDS
 
@@ -88,10 +89,19 @@ class CaseFile(Section):
         """
         raise NotImplementedError
 
+    def problem_at(self, dim: int, step: int | None) -> Any:
+        """The problem of a step in time; without a step that of the case."""
+        return self.posed(dim)[1]
+
     @property
     def last_time(self) -> float | None:
         """The end of a problem in time; None for others."""
         return None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of a problem in time; 0 for others."""
+        return 0
 
     @property
     def inner(self) -> list[str]:
@@ -268,6 +278,18 @@ class Case(CaseFile):
         parts = self.boundary
         return Posed([*parts.signorini, *self.law_parts], parts.neumann, parts.inner), self.data(dim)
 
+    def problem_at(self, dim: int, step: int | None) -> Problem:
+        """The problem of a step in time, see `CaseFile.problem_at`."""
+        problem = self.data(dim)
+        if step is None or self.time is None:
+            return problem
+        return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of a problem in time; 0 for others."""
+        return 0 if self.time is None else self.time.steps
+
     def data(self, dim: int) -> Problem:
         """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
 
@@ -315,14 +337,17 @@ def load_case(name_or_path: str | Path) -> Any:
     if tree["physics"] not in MODELS:
         known = " or ".join(f'"{name}"' for name in MODELS)
         raise InputError(f"{path}: physics: unknown {tree['physics']!r}; use {known}, or leave it out")
-    model = _model_of(tree["physics"])
+    model = model_of(tree["physics"])
     for key in tree:
         if key in Case.model_fields and key not in model.model_fields:
             raise InputError(f"{path}: [{key}] is of problems without physics; {tree['physics']} has none")
     return validated(model, tree, path.stem, str(path))
 
 
-def _model_of(physics: str) -> type[CaseFile]:
+def model_of(physics: str) -> type[CaseFile]:
+    """The case files of a physics."""
+    if physics not in MODELS:
+        return Case
     module, _, name = MODELS[physics].rpartition(".")
     model: type[CaseFile] = getattr(import_module(module), name)
     return model
@@ -332,7 +357,7 @@ def _of_other_physics(tree: dict[str, Any]) -> str:
     """What to say of a key in a file without `physics` that only the cases of another one have; "" if there is none."""
     for physics in MODELS:
         for section in ("problem", "boundary"):
-            models = [model.model_fields[section].annotation for model in (_model_of(physics), Case)]
+            models = [model.model_fields[section].annotation for model in (model_of(physics), Case)]
             theirs, ours = (set(getattr(model, "model_fields", {})) for model in models)
             given = tree.get(section)
             if isinstance(given, dict) and (found := [key for key in given if key in theirs - ours]):

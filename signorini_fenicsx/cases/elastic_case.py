@@ -114,6 +114,17 @@ class ElasticCase(CaseFile):
         """The end of loads in steps; None for others."""
         return None if self.time is None else self.time.end
 
+    def problem_at(self, dim: int, step: int | None) -> ElasticProblem:
+        """The problem of a step in time, see `CaseFile.problem_at`."""
+        if step is None or self.time is None:
+            return self.data()
+        return self.data().in_time(dim).at(self.time.evolution().time(step))
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of a problem in time; 0 for others."""
+        return 0 if self.time is None else self.time.steps
+
     @property
     def scheme(self) -> str:
         """The scheme in time, in words: there is none."""

@@ -1,45 +1,37 @@
 """Reads a saved solution on any number of ranks, see `checkpoint_writing`; a damaged one is told by its residuals."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import ufl
-from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import refuse_incomplete
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.base.rows import fetch_rows
+from signorini_fenicsx.base.rows import find_rows
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import options_of
-from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.laws import LAWS, Friction, Law
-from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.domain import Boundary
-from signorini_fenicsx.output.checkpoint_elastic import read_elastic_solution
-from signorini_fenicsx.output.checkpoint_file import Arrays, Checkpoint, GivenInPython, read_checkpoint
-from signorini_fenicsx.output.checkpoint_parts import damage_of, made, outcome_of, read_domain, rows_of_facets
-from signorini_fenicsx.output.checkpoint_writing import COSTS
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import project_data
-from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
-from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, touching
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solving import gamma_s
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, ElasticProblem
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.meshes.domain import Domain, Marks, Part, axis_part, distribute, facet_vertices, marked_domain
+from signorini_fenicsx.meshes.own import check_parts
+from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.output.checkpoint_file import About, Checkpoint, GivenInPython, read_checkpoint
+from signorini_fenicsx.output.checkpoint_writing import COSTS, OUTCOME
+from signorini_fenicsx.solving.kept import Keeping, Stored
 from signorini_fenicsx.solving.options import OWN, Options
-from signorini_fenicsx.solving.system import sorted_on
+from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.system import sorted_on, system_on
+
+SAME = 1e-3
+"""Allowed relative difference between the KKT residuals of what is read and those that were written."""
 
 
 @collector_off()
@@ -68,94 +60,115 @@ def load_solution(
     check_kind("folder", folder, str, Path)
     on_root(comm, lambda: refuse_incomplete(folder))
     found = read_checkpoint(comm, Path(folder))
-    given, name = problem, "Diffusion" if found.about.physics is None else "Elasticity"
+    given, boundary = problem, found.boundary
     if hasattr(problem, "on"):
-        _, problem = sorted_on(read_domain(found, comm, {}), problem)
-    fits = problem is None or isinstance(problem, Problem if found.about.physics is None else ElasticProblem)
-    if not fits:
+        _, problem = sorted_on(_read_domain(found, comm, {}), problem)
+    if problem is not None and not isinstance(problem, found.keeping.problem):
+        name = found.about.physics.capitalize()
         raise InputError(f"problem: {folder} is the solution of a problem of {name}, not of {type(given).__name__}")
-    if found.about.physics is None:
-        scalar = problem or _read_problem(found, found.dim)
-        return _read_solution(found, comm, scalar, options or _read_options(found))
-    elastic = problem or _read_elastic_problem(found)
-    return read_elastic_solution(found, comm, elastic, options or _read_options(found))
-
-
-def _read_solution(found: Checkpoint, comm: MPI.Comm, problem: Problem, options: Options) -> Solution:
-    """The scalar solution of a checkpoint (collective)."""
-    about, path, arrays = found.about, found.path, found.arrays
-    assert isinstance(found.boundary, Boundary)
-    boundary = gamma_s(found.boundary, problem)
+    problem, options = problem or _read_problem(found), options or _read_options(found)
     try:
-        domain = read_domain(found, comm, vars(boundary))
-        spaces = build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner)
-        rows = rows_of_facets(found, spaces)
+        system = system_on(_read_domain(found, comm, boundary.named), boundary, problem)
+        rows = _rows_of_facets(found, system.spaces)
     except InputError as error:
-        raise InputError(f"{path}: is damaged: its mesh: {error}") from None
-    sigma, u = _fields(spaces, arrays)
-    flux, p, condition = (fetch_rows(comm, rows, arrays[f"facet_{key}"]) for key in ("flux", "p", "condition"))
-    sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
-    sigma.x.scatter_forward()
-    p = spaces.multiplier(p)
-    data = project_data(spaces, problem)
-    if about.step is not None:
-        memory = fem.Function(spaces.Q, name="memory")
-        memory.x.array[:] = fetch_rows(comm, spaces.mesh.topology.original_cell_index, arrays["memory"])
-        data = data.after(memory)
-    trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
-    law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
-    conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))
-    kkt = kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps)
-    damage = damage_of(about, options.method, kkt)
-    by_sets = about.converged and options.method.starts_from_sets
-    if damage is None and by_sets and not _hold(conditions, sigma, u, trace, flux, spaces):
-        damage = "its facet conditions are not those of its values"
+        raise InputError(f"{found.path}: is damaged: its mesh: {error}") from None
+    solution = found.keeping.read(system.boundary, problem, system.spaces, _stored(found, options, rows))
+    damage = _damage_of(found.about, solution)
     if damage is not None:
-        raise InputError(f"{path}: is damaged: {damage}")
-    contact = touching(spaces, data, sigma, u)
-    iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=contact)
-    return Solution(
-        name=about.name,
-        title=found.title,
-        source=found.case,
-        boundary=boundary,
-        problem=problem,
+        raise InputError(f"{found.path}: is damaged: {damage}")
+    return solution
+
+
+def _stored(found: Checkpoint, options: Options, rows: Indices) -> Stored:
+    """What the physics makes a solution of."""
+    about = found.about
+    return Stored(
         options=options,
-        spaces=spaces,
-        data=data,
-        p=p,
-        outcome=outcome_of(about, iterate, conditions),
-        kkt=kkt,
+        arrays=found.arrays,
+        rows=rows,
+        outcome=partial(Outcome, history=about.history, **{key: getattr(about, key) for key in OUTCOME}),
+        about={"name": about.name, "title": found.title, "source": found.case}
+        | {key: getattr(about, key) for key in COSTS},
+        own=found.own,
         step=about.step,
-        **{key: getattr(about, key) for key in COSTS},
     )
 
 
-def _read_problem(found: Checkpoint, dim: int) -> Problem:
+def _read_domain(found: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequence[str]]) -> Domain:
+    """The mesh of a checkpoint with its parts (collective).
+
+    Args:
+        found: The checkpoint.
+        comm: Communicator.
+        used: The parts of each kind of condition; those of "inner" are inside.
+
+    Raises:
+        InputError: If these parts are not on the boundary.
+    """
+    about, arrays = found.about, found.arrays
+    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim, together=arrays.get("together"))
+    facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
+    domain = marked_domain(
+        mesh,
+        _parts(found),
+        Marks(facets, arrays.get("inside"), tuple(about.regions)),
+        curvature=about.bend,
+        name=found.domain,
+        is_shape=found.shape is not None,
+        made=about.made,
+    )
+    check_parts(domain, used)
+    for index, name in enumerate(facets):
+        on_boundary = any(name in parts for kind, parts in used.items() if kind != "inner")
+        if on_boundary and comm.allreduce(len(domain.facets[name])) != found.headers[f"part_{index}"].shape[0]:
+            raise InputError(f"part '{name}' has facets that are not on the boundary")
+    return domain
+
+
+def _parts(found: Checkpoint) -> Mapping[str, Part]:
+    if found.shape is not None:
+        return shape_of(found.shape).parts
+    return {name: axis_part(label) for name, label in found.about.parts.items()}
+
+
+def _rows_of_facets(found: Checkpoint, spaces: MeshSpaces) -> Indices:
+    """For each facet of Γ_S of this rank its row in the checkpoint (collective).
+
+    Raises:
+        InputError: If the facets with values are not those of Γ_S.
+    """
+    comm = spaces.mesh.comm
+    rows = find_rows(comm, facet_vertices(spaces.mesh, spaces.facets), [found.arrays["facet_vertices"]])[:, 0]
+    missing, count = comm.allreduce(np.array([np.count_nonzero(rows < 0), len(rows)]))
+    if missing > 0 or count != found.headers["facet_vertices"].shape[0]:
+        raise InputError("its facets with values are not those of Γ_S")
+    return rows
+
+
+def _damage_of(about: About, solution: Solved) -> str | None:
+    """Why what was read is not what was written, or None if it is (collective)."""
+    for name, value in vars(solution.kkt).items():
+        before = (about.kkt or {}).get(name, value)
+        if np.isfinite(before) and not abs(value - before) <= KKT + SAME * before:
+            return f"its KKT residual {name} is {value:.1e}, and was {before:.1e} when it was written"
+    by_sets = solution.method.starts_from_sets
+    judged = about.converged and (about.kkt is not None or by_sets)
+    violation = solution.kkt.violation() if judged and about.own_residual is None else None  # else that judges
+    if violation is not None:
+        return f"it claims to be a solution, but has {violation}"
+    return solution.contradiction() if about.converged and by_sets else None
+
+
+def _read_problem(found: Checkpoint) -> Any:
     """The data of the file.
 
     Raises:
         InputError: If the file does not have all data.
     """
-    if isinstance(found.case, Case):
-        problem, time = found.case.data(dim), found.case.time
-        if found.about.step is None or time is None:
-            return problem
-        return problem_of_step(problem.in_time(dim), time.evolution(), found.about.step, dim)
+    if found.case is not None:
+        return found.case.problem_at(found.dim, found.about.step)
     given = _given(found)
-    return replace(made(Problem, given.problem), laws=tuple(_law(table) for table in given.laws))
-
-
-def _read_elastic_problem(found: Checkpoint) -> ElasticProblem:
-    """The same for an elastic problem."""
-    if isinstance(found.case, ElasticCase):
-        return found.case.data()
-    given = _given(found)
-    laws: list[ElasticLaw] = []
-    for table in given.laws:
-        values = {name: value for name, value in table.items() if name != "kind"}
-        laws.append(made(CoulombLaw, values) if table.get("kind") == CoulombLaw.name else made(Friction, values))
-    return replace(made(ElasticProblem, given.problem), laws=laws)
+    return replace(_made(found.keeping.problem, given.problem), laws=[_law(found.keeping, law) for law in given.laws])
 
 
 def _given(found: Checkpoint) -> GivenInPython:
@@ -172,16 +185,16 @@ def _given(found: Checkpoint) -> GivenInPython:
     return given
 
 
-def _law(table: dict[str, Any]) -> Law:
+def _law(keeping: Keeping, table: dict[str, Any]) -> Any:
     """A law of the file.
 
     Raises:
         InputError: If there is none like it.
     """
-    kind = LAWS.get(table.get("kind", ""))
+    kind = keeping.laws.get(table.get("kind", ""))
     if kind is None:
         raise InputError("not a readable solution (its law is not of this version)")
-    return made(kind, {name: value for name, value in table.items() if name != "kind"})
+    return _made(kind, {name: value for name, value in table.items() if name != "kind"})
 
 
 def _read_options(found: Checkpoint) -> Options:
@@ -196,27 +209,16 @@ def _read_options(found: Checkpoint) -> Options:
     values = found.about.given.options
     if values.get("algorithm") == OWN:
         raise InputError("the algorithm was given in Python; pass the options to load_solution")
-    return made(Options, values)
+    return _made(Options, values)
 
 
-def _hold(
-    conditions: SiteConditions, sigma: fem.Function, u: fem.Function, trace: Array, flux: Array, spaces: Spaces
-) -> bool:
-    """Whether σ·n and p have the values that the conditions prescribe (collective)."""
-    e, kind = spaces.facet_measure, conditions.kind
-    squares = [
-        e @ np.where(kind == given, values - conditions.value, 0.0) ** 2
-        for values, given in ((flux, Condition.NO_FLUX), (trace, Condition.ZERO_TRACE))
-    ]
-    left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))
-    sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (sigma, u)]
-    return bool(np.all(np.sqrt(left) <= KKT * np.sqrt(sizes)))
+def _made[T](kind: type[T], values: dict[str, Any]) -> T:
+    """An object of the package from values of a file.
 
-
-def _fields(spaces: Spaces, arrays: Arrays) -> tuple[fem.Function, fem.Function]:
-    """σ_h and u_h from the cell values of the file (collective)."""
-    mesh, u = spaces.mesh, fem.Function(spaces.Q, name="u")
-    centroid, divergence, u.x.array[:] = (
-        fetch_rows(mesh.comm, mesh.topology.original_cell_index, arrays[key]) for key in ("sigma", "divergence", "u")
-    )
-    return CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function(), u
+    Raises:
+        InputError: If it does not have these attributes.
+    """
+    try:
+        return kind(**values)
+    except TypeError:
+        raise InputError(f"not a readable solution (its {kind.__name__.lower()} is not of this version)") from None

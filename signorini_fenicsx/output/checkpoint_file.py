@@ -7,9 +7,9 @@ import contextlib
 import tokenize
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,20 +20,15 @@ from signorini_fenicsx.base.array_files import Header, read_header, read_share
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.case import CaseFile, model_of
 from signorini_fenicsx.cases.complaints import complaint
-from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
-from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.meshes.domain import AXES, Boundary
+from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
-from signorini_fenicsx.output.checkpoint_layout import ELASTIC_LAYOUT, LAYOUT, STEP_LAYOUT, VALUES
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary
-
-type Arrays = dict[str, npt.NDArray]
+from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout
+from signorini_fenicsx.solving.system import DIFFUSION, PHYSICS, keeping_of
 
 UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
 """Errors of NumPy and zipfile for damaged files. NumPy also warns when it reads something that it never wrote."""
@@ -44,6 +39,14 @@ FOLDER, TEXT = "checkpoint", "about.json"
 FORMAT = 3
 """Format that is written: a folder with TEXT and `<name>.npy` for each array. Formats 1 and 2 are one file, see
 `checkpoint_npz`; in format 1 there are no format number and no problems given in Python."""
+
+
+MESH: Layout = {
+    "points": (np.float64, "points", "dim"),
+    "cells": (np.int64, "cells", "corners"),
+    "facet_vertices": (np.int64, "facets", "dim"),
+}
+"""The arrays of all physics."""
 
 
 class GivenInPython(BaseModel):
@@ -62,7 +65,7 @@ class GivenInPython(BaseModel):
         fixed: In elasticity the parts that are fixed in some components.
     """
 
-    model_config = ConfigDict(strict=True)
+    model_config = ConfigDict(strict=True, extra="allow")  # with what else the boundaries of a physics have
 
     title: str
     domain: str
@@ -92,16 +95,15 @@ class About(BaseModel):
         history: One step per iteration.
         beta: β of the ROBIN facets.
         kkt: The KKT residuals when it was written; files of version 0.1 do not have them.
-        physics: "elasticity", or None for a scalar problem.
+        physics: Name of the physics.
         step: Number of the step of a case in time; None for others.
     """
 
-    model_config = ConfigDict(strict=True)
+    model_config = ConfigDict(strict=True, extra="allow")  # with what `Keeping.own` names
 
     name: str
-    physics: Literal["elasticity"] | None = None
+    physics: str = DIFFUSION
     step: int | None = Field(default=None, ge=1)
-    bound_changes: list[float] = []
     format: int = Field(default=1, ge=1, le=FORMAT)
     case: dict[str, Any] | None
     given: GivenInPython | None = None
@@ -132,30 +134,45 @@ class Checkpoint:
         path: Where it is.
         about: Its contents besides arrays.
         case: Its case; None for a problem given in Python.
-        headers: Shape and type of its arrays, see `LAYOUT`. Further arrays: `part_0` … with the facets of each boundary
-            part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions; `together`, shape (pairs,
-            2), the pairs of cells at facets inside the domain, if there are parts there.
+        headers: Shape and type of its arrays, see `MESH` and `Keeping.layout`. Further arrays: `part_0` … with the
+            facets of each boundary part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions;
+            `together`, shape (pairs, 2), the pairs of cells at facets inside the domain, if there are parts there.
         arrays: The rows of its arrays that this rank has read; rows continue from rank to rank.
     """
 
     path: Path
     about: About
-    case: AnyCase | None
+    case: CaseFile | None
     headers: dict[str, Header]
     arrays: Arrays
 
     @property
-    def boundary(self) -> Boundary | ElasticBoundary:
-        """Γ_S, Γ_N and parts inside; of an elastic problem Γ_C and all others."""
-        given = self.about.given
-        if isinstance(self.case, ElasticCase):
-            return self.case.parts.read()
+    def keeping(self) -> Keeping:
+        """How its physics keeps solutions."""
+        return keeping_of(self.about.physics)
+
+    @property
+    def boundary(self) -> Any:
+        """The parts of each kind of boundary."""
         if self.case is not None:
             return self.case.posed(self.dim)[0]
+        given = self.about.given
         assert given is not None
-        if self.about.physics is not None:
-            return ElasticBoundary(given.signorini, given.neumann, given.fixed)
-        return Boundary(given.signorini, given.neumann, given.inner)
+        _, *others = (each.name for each in fields(self.keeping.boundary))
+        return self.keeping.boundary(given.signorini, **{name: getattr(given, name) for name in others})
+
+    @property
+    def own(self) -> dict[str, list[float]]:
+        """The lists of numbers that its physics keeps.
+
+        Raises:
+            InputError: If they are something else.
+        """
+        found = {name: (self.about.model_extra or {}).get(name, []) for name in self.keeping.own}
+        for name, values in found.items():
+            if not isinstance(values, list) or not all(isinstance(value, int | float) for value in values):
+                raise InputError(f"{self.path}: not a readable solution ({name} is no list of numbers)")
+        return found
 
     @property
     def title(self) -> str:
@@ -265,12 +282,13 @@ def _told(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: not a readable solution ({error})") from None
 
 
-def _case(about: About) -> AnyCase | None:
+def _case(about: About) -> CaseFile | None:
+    if about.physics not in PHYSICS:
+        raise InputError(f"not a readable solution (its physics, {about.physics}, is not of this version)")
     if (about.case is None) == (about.given is None):
         raise InputError("not a readable solution (it has neither a case nor a problem)")
     try:
-        kind = Case if about.physics is None else ElasticCase
-        return None if about.case is None else kind.model_validate(about.case | {"name": about.name})
+        return None if about.case is None else model_of(about.physics).model_validate(about.case | {"name": about.name})
     except ValidationError:
         raise InputError("its case is from another version") from None
 
@@ -278,17 +296,17 @@ def _case(about: About) -> AnyCase | None:
 def _check_layout(found: Checkpoint) -> None:
     """Check the types and shapes of the arrays, and that parts, shape and dimension fit (rank 0)."""
     about, headers = found.about, found.headers
-    layout = (LAYOUT if about.physics is None else ELASTIC_LAYOUT) | {
+    layout = {**MESH, **found.keeping.layout} | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
     if about.step is not None:
-        layout |= STEP_LAYOUT
-        if not isinstance(found.case, Case) or found.case.time is None or about.step > found.case.time.steps:
+        layout |= found.keeping.of_step
+        if found.case is None or about.step > found.case.steps:
             raise InputError("is damaged: its case has no such step")
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
     dim = found.dim if "points" in headers else 0
-    if dim and isinstance(found.boundary, Boundary) and found.boundary.inner:
+    if dim and found.boundary.named.get("inner"):
         layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:
@@ -309,8 +327,7 @@ def _check_layout(found: Checkpoint) -> None:
             raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
     if not known:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
-    boundary = found.boundary
-    if about.part_names != list(boundary.signorini if isinstance(boundary, Boundary) else boundary.contact):
+    if about.part_names != list(next(iter(found.boundary.named.values()))):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
     if found.case is not None:
         found.case.check_dimension(dim)
@@ -319,19 +336,14 @@ def _check_layout(found: Checkpoint) -> None:
 def _wrong_value(found: Checkpoint) -> str:
     """What is wrong with the values that this rank has read; empty if nothing is."""
     for name, rows in found.arrays.items():
-        may_fail = name in VALUES and not found.about.converged
+        may_fail = name != "points" and not found.about.converged
         if rows.dtype == np.float64 and not may_fail and not np.isfinite(rows).all():
             return f"is damaged: {name} is not finite everywhere"
-    if not np.isin(found.arrays["facet_condition"], list(Condition)).all():
-        return "is damaged: facet_condition has a value that is no condition"
+    for name, number in found.keeping.codes.items():
+        if not np.isin(found.arrays[name], range(number)).all():
+            return f"is damaged: {name} has a value that is no {name.removeprefix('facet_')}"
     if "together" in found.arrays and not _are_rows(found.arrays["together"], found.headers["cells"]):
         return "is damaged: together has a number that is no cell"
-    states = found.arrays.get("facet_state", np.empty(0))
-    if not np.isin(states, range(len(Friction.segments))).all():
-        return "is damaged: facet_state has a value that is no state"
-    parts = found.arrays.get("facet_part", np.empty(0))
-    if not np.isin(parts, range(len(found.about.part_names))).all():
-        return "is damaged: facet_part has a value that is no part"
     return ""
 
 

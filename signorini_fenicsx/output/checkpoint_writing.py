@@ -1,14 +1,13 @@
 """Saves a solution so that any number of ranks can read it: a folder of NumPy arrays, written by all ranks together.
 
-Cells and points have the original numbering of the mesh, and a facet of Γ_S is identified by its vertices. RT0 is
-stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T). So there are no degrees of
-freedom in it, and except for the order of the facets nothing in it depends on the partition. Elastic stresses are
-stored at the vertices of the subcells, displacements at those of the cells.
+Cells and points have the original numbering of the mesh, and a facet of Γ_S is identified by its vertices. A physics
+stores its fields by values, see `Keeping`. So there are no degrees of freedom in it, and except for the order of the
+facets nothing in it depends on the partition.
 """
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,22 +19,20 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.exchange import delete
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
-from signorini_fenicsx.cases.case import Case, CaseFile
-from signorini_fenicsx.cases.solving import AnySolution
-from signorini_fenicsx.contact.laws import LAWS, Law
-from signorini_fenicsx.meshes.domain import Boundary, cells_behind, facet_vertices, membership
-from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, Arrays, GivenInPython
+from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
+from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.kept import Arrays
+from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.system import DIFFUSION, keeping_of
 
 OUTCOME = ("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details")
 """Stored attributes of a solution's outcome, apart from fields and history."""
 COSTS = ("timings", "peak_memory")
 
 
-def write_checkpoint(folder: Path, solution: Any) -> None:
+def write_checkpoint(folder: Path, solution: Solved) -> None:
     """Write a checkpoint into an existing folder (collective).
 
     If the program is killed at any moment, the folder holds the checkpoint from before, or the new one.
@@ -78,22 +75,15 @@ def _finish(folder: Path) -> None:
         (folder / OLD_FILE).unlink(missing_ok=True)
 
 
-def _about(solution: AnySolution) -> dict[str, Any]:
+def _about(solution: Solved) -> dict[str, Any]:
     """Everything that is the same on all ranks, see `checkpoint_file.About`."""
-    domain = solution.spaces.domain
-    of_kind: dict[str, Any] = {}
-    if isinstance(solution, ElasticSolution):
-        part_names = solution.spaces.part_names
-        of_kind = {"physics": solution.boundary.physics, "bound_changes": list(solution.bound_changes)}
-    else:
-        part_names = solution.spaces.part_names
-    if isinstance(solution, Solution) and solution.step is not None and isinstance(solution.source, Case):
-        of_kind = {"step": solution.step}
+    domain, physics = solution.spaces.domain, solution.boundary.physics
+    in_time = solution.step is not None and isinstance(solution.source, CaseFile)
     return {
         "format": FORMAT,
         "name": solution.name,
         **_problem(solution),
-        "part_names": part_names,
+        "part_names": solution.spaces.part_names,
         "parts": {name: part.label for name, part in domain.parts.items()},
         "regions": list(domain.regions),
         "bend": domain.curvature,
@@ -103,21 +93,20 @@ def _about(solution: AnySolution) -> dict[str, Any]:
         "kkt": vars(solution.kkt),
         **{key: getattr(solution.outcome, key) for key in OUTCOME},
         **{key: getattr(solution, key) for key in COSTS},
-        **of_kind,
+        **({} if physics == DIFFUSION else {"physics": physics}),
+        **{name: list(getattr(solution, name)) for name in keeping_of(physics).own},
+        **({"step": solution.step} if in_time else {}),
     }
 
 
-def _arrays(solution: AnySolution) -> Arrays:
+def _arrays(solution: Solved) -> Arrays:
     """The rows of all arrays that this rank writes (collective)."""
-    domain, mesh = solution.spaces.domain, solution.spaces.mesh
+    spaces, domain, mesh = solution.spaces, solution.spaces.domain, solution.spaces.mesh
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     points = Order(comm, geometry.input_global_indices[: geometry.index_map().size_local])
     places = points.places(geometry.input_global_indices)
-    if isinstance(solution, ElasticSolution):
-        values, of_facets = _elastic_values(solution)
-    else:
-        values, of_facets = solution.in_cells(), vars(solution.table())
-    size = len(values["u"])
+    keeping = keeping_of(solution.boundary.physics)
+    size = mesh.topology.index_map(dim).size_local
     order = Order(comm, mesh.topology.original_cell_index[:size])
 
     def renumbered(vertices: Indices) -> Indices:
@@ -126,57 +115,39 @@ def _arrays(solution: AnySolution) -> Arrays:
     arrays = {
         "points": points.sorted(geometry.x[: geometry.index_map().size_local, :dim]),
         "cells": order.sorted(places[geometry.dofmaps[0][:size]]),
-        **{key: order.sorted(rows) for key, rows in values.items()},
-        **{f"facet_{key}": rows for key, rows in of_facets.items()},
+        **{key: order.sorted(rows) for key, rows in keeping.in_cells(solution).items()},
+        **{f"facet_{key}": rows for key, rows in keeping.on_facets(solution).items()},
     }
     arrays["facet_vertices"] = renumbered(arrays["facet_vertices"])
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
-    if isinstance(solution, Solution) and solution.spaces.inner.present:
-        inner, original = solution.spaces.inner, mesh.topology.original_cell_index
-        pairs = np.column_stack([solution.spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
+    if spaces.inner.present:
+        inner, original = spaces.inner, mesh.topology.original_cell_index
+        pairs = np.column_stack([spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
         arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
-    if isinstance(solution, Solution) and solution.data.memory is not None:
-        arrays["memory"] = order.sorted(solution.data.memory.x.array)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 
 
-def _elastic_values(solution: ElasticSolution) -> tuple[Arrays, Arrays]:
-    """σ_h and u_h at vertices in ascending order, per cell; what is known at the vertices of the facets of Γ_C."""
-    spaces = solution.spaces
-    friction = np.zeros((3, *solution.gap.shape))
-    if solution.data.friction is not None:
-        for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
-            values[spaces.rough_rows] = rough
-    slip, state, bound = friction
-    of_facets = {
-        "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
-        "p": solution.gap,
-        "condition": solution.touching.astype(np.int64),
-        "slip": slip,
-        "state": state.astype(np.int64),
-        "bound": bound,
-    }
-    return {"sigma": solution.stresses, "u": spaces.displacement_values(solution.u)}, of_facets
-
-
-def _problem(solution: AnySolution) -> dict[str, Any]:
+def _problem(solution: Solved) -> dict[str, Any]:
     """The case; or, for a problem given in Python, the data that a file can hold."""
     if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws: Sequence[Law | CoulombLaw] = solution.problem.laws
+    laws, known = solution.problem.laws, keeping_of(boundary.physics).laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]
-    if not all((law.name in LAWS or isinstance(law, CoulombLaw)) and _storable(vars(law)) for law in laws):
+    if not all(law.name in known and _storable(vars(law)) for law in laws):
         laws, missing = (), [*missing, "laws"]
+    kinds = {each.name: getattr(boundary, each.name) for each in fields(boundary)[1:]}
+    others: dict[str, Any] = {
+        name: dict(parts) if isinstance(parts, Mapping) else list(parts) for name, parts in kinds.items()
+    }
     given = GivenInPython(
         title=solution.title,
         domain=solution.spaces.domain.name,
         signorini=list(solution.contact_parts),
-        neumann=list(boundary.neumann),
-        **({"inner": list(boundary.inner)} if isinstance(boundary, Boundary) else {"fixed": dict(boundary.fixed)}),
+        **others,
         problem=stored,
         laws=[{"kind": law.name, **vars(law)} for law in laws],
         missing=missing,

@@ -87,6 +87,7 @@ class Solved(ABC):
     name: str
     title: str
     boundary: Any
+    problem: Any
     options: Options
     spaces: Any
     outcome: Outcome
@@ -94,6 +95,8 @@ class Solved(ABC):
     source: object
     timings: dict[str, float]
     peak_memory: int
+    step: int | None = None
+    """Number of the step of a problem in time, from 1; None for others."""
 
     WORD: ClassVar[str] = "Solution"
     order: ClassVar[int]
@@ -128,6 +131,12 @@ class Solved(ABC):
     def approach(self) -> str:
         """What was solved and how, in words."""
         return self.method.title
+
+    @property
+    def contact_parts(self) -> Sequence[str]:
+        """The parts in contact."""
+        parts: Sequence[str] = next(iter(self.boundary.named.values()))
+        return parts
 
     @property
     @abstractmethod
@@ -189,9 +198,6 @@ class Solved(ABC):
         from signorini_fenicsx.output.notebook import figure
 
         return figure(cast(Any, self), certificate)
-
-    step: int | None
-    """Number of the step of a problem in time, from 1; None for others."""
 
     @abstractmethod
     def in_cells(self) -> dict[str, Array]:
@@ -281,6 +287,10 @@ class Solved(ABC):
             "peak_memory": self.peak_memory,
             "ranks": domain.mesh.comm.size,
         }
+
+    def contradiction(self) -> str | None:
+        """What in a solution that was read from a file excludes itself, beside residuals (collective)."""
+        return None
 
     @abstractmethod
     def _sets(self) -> dict[str, Any]:

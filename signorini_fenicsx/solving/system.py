@@ -15,11 +15,15 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.solving.evolution import Evolution, Steps
+from signorini_fenicsx.solving.kept import Keeping
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 
-PHYSICS = {name: f"signorini_fenicsx.physics.{name}.solving" for name in ("diffusion", "elasticity")}
-"""The module of each physics that has its `System`. A new physics is a folder and a name here."""
+DIFFUSION = "diffusion"
+"""The physics of files that name none."""
+PHYSICS = {name: f"signorini_fenicsx.physics.{name}" for name in (DIFFUSION, "elasticity")}
+"""The package of each physics: `solving` has its `System`, `kept` its `KEEPING`. A new physics is a folder and a name
+here."""
 
 type Remesh = Callable[[float], Domain]
 """Maps a factor > 1 to a mesh of the domain that is coarser by this factor (collective). Raises InputError if there is
@@ -117,8 +121,14 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
     name = getattr(boundary, "physics", None)
     if name not in PHYSICS:
         raise InputError(f"problem: must be one of Diffusion and Elasticity, not {type(boundary).__name__}")
-    system: System = import_module(PHYSICS[name]).System(domain, boundary, problem)
+    system: System = import_module(f"{PHYSICS[name]}.solving").System(domain, boundary, problem)
     return system
+
+
+def keeping_of(physics: str) -> Keeping:
+    """How a physics keeps its solutions in files."""
+    keeping: Keeping = import_module(f"{PHYSICS[physics]}.kept").KEEPING
+    return keeping
 
 
 def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, Any]:

@@ -17,7 +17,9 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
@@ -121,11 +123,6 @@ class Solution(Solved):
         entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
         ds = ufl.Measure("ds", domain=self.spaces.mesh, subdomain_data=[(1, entities)])
         return self.spaces.integrate(ufl.dot(self.sigma, self.spaces.n) * ds(1))
-
-    @property
-    def contact_parts(self) -> Sequence[str]:
-        """The parts of Γ_S."""
-        return self.boundary.signorini
 
     @cached_property
     def cell_flux(self) -> CellFlux:
@@ -295,6 +292,18 @@ class Solution(Solved):
     def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
         """The files for ParaView, see `Solved.fields`."""
         return fields_of(self)
+
+    def contradiction(self) -> str | None:
+        """Whether σ·n and p do not have the values that the conditions prescribe, see `Solved.contradiction`."""
+        spaces, conditions, iterate = self.spaces, self.outcome.conditions, self.outcome.iterate
+        squares = [
+            spaces.facet_measure @ np.where(conditions.kind == given, values - conditions.value, 0.0) ** 2
+            for values, given in ((iterate.flux, Condition.NO_FLUX), (iterate.p, Condition.ZERO_TRACE))
+        ]
+        left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))
+        sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (self.sigma, self.u)]
+        holds = np.all(np.sqrt(left) <= KKT * np.sqrt(sizes))
+        return None if holds else "its facet conditions are not those of its values"
 
     def _sets(self) -> dict[str, Any]:
         facets, measure = self.contact

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -160,11 +160,6 @@ class ElasticSolution(Solved):
         assert self.data.friction is not None
         is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
         return np.where(is_open, STATES.index("open"), self.states)
-
-    @property
-    def contact_parts(self) -> Sequence[str]:
-        """The parts of Γ_C."""
-        return self.boundary.contact
 
     @collector_off()
     def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:

@@ -1,0 +1,84 @@
+"""How solutions of diffusion problems are kept in files.
+
+RT0 is stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T).
+"""
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, touching
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
+
+LAYOUT: Layout = {
+    "u": (np.float64, "cells"),
+    "sigma": (np.float64, "cells", "dim"),
+    "divergence": (np.float64, "cells"),
+    "facet_part": (np.int64, "facets"),
+    "facet_x": (np.float64, "facets", "space"),
+    "facet_along": (np.float64, "facets"),
+    "facet_measure": (np.float64, "facets"),
+    "facet_u": (np.float64, "facets"),
+    "facet_p": (np.float64, "facets"),
+    "facet_flux": (np.float64, "facets"),
+    "facet_condition": (np.int64, "facets"),
+}
+
+
+def _in_cells(solution: Solution) -> Arrays:
+    memory = solution.data.memory
+    return solution.in_cells() | ({} if memory is None else {"memory": memory.x.array})
+
+
+def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
+    options, mesh = stored.options, spaces.mesh
+    u = fem.Function(spaces.Q, name="u")
+    centroid, divergence, u.x.array[:] = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
+    sigma = CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function()
+    flux, trace, condition = stored.on_facets(mesh.comm, "flux", "p", "condition")
+    sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
+    sigma.x.scatter_forward()
+    p = spaces.multiplier(trace)
+    data = project_data(spaces, problem)
+    if stored.step is not None:
+        memory = fem.Function(spaces.Q, name="memory")
+        memory.x.array[:] = stored.in_cells(spaces, "memory")
+        data = data.after(memory)
+    trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
+    conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))
+    contact = touching(spaces, data, sigma, u)
+    iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, contact=contact)
+    return Solution(
+        boundary=boundary,
+        problem=problem,
+        options=options,
+        spaces=spaces,
+        data=data,
+        p=p,
+        outcome=stored.outcome(iterate, conditions),
+        kkt=kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps),
+        step=stored.step,
+        **stored.about,
+    )
+
+
+KEEPING = Keeping(
+    boundary=Boundary,
+    problem=Problem,
+    laws=LAWS,
+    layout=LAYOUT,
+    codes={"facet_condition": len(Condition)},
+    in_cells=_in_cells,
+    on_facets=lambda solution: vars(solution.table()),
+    read=_read,
+    of_step={"memory": (np.float64, "cells")},  # a load
+)

@@ -1,0 +1,99 @@
+"""How elastic solutions are kept in files: by their values at vertices, in ascending order of their numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.meshes.domain import facet_vertices
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.evolution import spread
+from signorini_fenicsx.physics.elasticity.friction import law_of_sites
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
+
+LAYOUT: Layout = {
+    "u": (np.float64, "cells", "corners", "dim"),
+    "sigma": (np.float64, "cells", "corners", "corners", "dim", "dim"),
+    "facet_p": (np.float64, "facets", "dim"),
+    "facet_condition": (np.int64, "facets", "dim"),
+    "facet_slip": (np.float64, "facets", "dim"),
+    "facet_state": (np.int64, "facets", "dim"),
+    "facet_bound": (np.float64, "facets", "dim"),
+}
+
+
+def _in_cells(solution: ElasticSolution) -> Arrays:
+    return {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)}
+
+
+def _on_facets(solution: ElasticSolution) -> Arrays:
+    spaces = solution.spaces
+    friction = np.zeros((3, *solution.gap.shape))
+    if solution.data.friction is not None:
+        for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
+            values[spaces.rough_rows] = rough
+    slip, state, bound = friction
+    slipped = {} if solution.step is None else {"slipped": spread(spaces, solution.data.slipped.reshape(-1, 2))}
+    return {
+        "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
+        "p": solution.gap,
+        "condition": solution.touching.astype(np.int64),
+        "slip": slip,
+        "state": state.astype(np.int64),
+        "bound": bound,
+        **slipped,
+    }
+
+
+def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> ElasticSolution:
+    stresses, u = (stored.in_cells(spaces, key) for key in ("sigma", "u"))
+    p, condition, slip, state, bound = stored.on_facets(spaces.mesh.comm, "p", "condition", "slip", "state", "bound")
+    rough, slipped = spaces.rough_rows, None
+    if stored.step is not None:
+        slipped = stored.on_facets(spaces.mesh.comm, "slipped")[0][rough].ravel()
+    data = elastic_data(spaces, problem, slipped)
+    if data.friction is not None:
+        by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
+        data = replace(data, friction=replace(data.friction, bound=by_pressure))
+    chains = law_of_sites(spaces, data.friction)
+    opened = (condition != Condition.ZERO_TRACE).ravel()
+    conditions = chains.conditions(np.concatenate([opened, state[rough].ravel()]).astype(np.int8))
+    iterate = Iterate(
+        p=np.concatenate([p.ravel(), slip[rough].ravel() - data.slipped]),
+        flux=np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)]),
+        linear_iterations=0,
+        sigma=spaces.split.stress(stresses),
+        u=spaces.displacement(u),
+    )
+    return ElasticSolution(
+        boundary=boundary,
+        problem=problem,
+        options=stored.options,
+        spaces=spaces,
+        data=data,
+        outcome=stored.outcome(iterate, conditions),
+        kkt=elastic_kkt(spaces, data, stresses, iterate.p),
+        bound_changes=tuple(stored.own["bound_changes"]),
+        step=stored.step,
+        **stored.about,
+    )
+
+
+KEEPING = Keeping(
+    boundary=ElasticBoundary,
+    problem=ElasticProblem,
+    laws={"friction": Friction, CoulombLaw.name: CoulombLaw},
+    layout=LAYOUT,
+    codes={"facet_condition": len(Condition), "facet_state": len(Friction.segments)},
+    in_cells=_in_cells,
+    on_facets=_on_facets,
+    read=_read,
+    own=("bound_changes",),
+    of_step={"facet_slipped": (np.float64, "facets", "dim")},
+)
