@@ -30,7 +30,7 @@ from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_rule
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 FREE = 1e-12
@@ -320,8 +320,7 @@ class BestDisplacement:
         It is linear on each facet, so the coefficients are its values at equidistant points.
         """
         rough, here = self.rough
-        means = self._data.slipped.reshape(-1, 2)[here]
-        values = linear_values(means / 2, np.ones(len(means)))
+        values = linear_from_means(self._data.slipped.reshape(-1, 2)[here])
         ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
         edges = ends[:, 1] - ends[:, 0]
         along = np.einsum("nki,ni->nk", points - ends[:, :1], edges) / (edges**2).sum(axis=1)[:, None]

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.contact.laws import Friction
@@ -57,7 +57,8 @@ def overview(scene: Scene) -> Sheet:
     size = float(np.ptp(fields.points, axis=0).max())
     largest = float(np.linalg.norm(fields.displacement, axis=1).max(initial=0.0))
     factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
-    moved = replace(scene, fields=replace(fields, points=fields.points + factor * fields.displacement))
+    places = fields.points + factor * (fields.displacement - _apart(scene))
+    moved = replace(scene, fields=replace(fields, points=places))
     foundation = foundation_of(scene, moved.fields.points, factor, NEAR * size)
     title = f"{scene.caption}\ndisplacement and gap × {factor:g}"
     if scene.dim == 2:
@@ -65,6 +66,26 @@ def overview(scene: Scene) -> Sheet:
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
 
     return space_files.deformed(moved, foundation[:, : scene.dim], title)
+
+
+def _apart(scene: Scene) -> Array:
+    """How far the named sides of parts inside the domain are from the other ones before any displacement."""
+    facets, inside = scene.facets, _inside(scene)
+    assert isinstance(facets, BodyFacets)
+    apart = facets.apart[inside, :, None] * facets.normals[inside, None]
+    return _at_points(facets.vertices[inside], apart, len(scene.fields.points))
+
+
+def _inside(scene: Scene) -> Mask:
+    """Which facets of Γ_C are inside the domain, where two bodies touch."""
+    return np.isin(scene.facets.part, [index for index, name in enumerate(scene.labels) if name in scene.inside])
+
+
+def _at_points(vertices: Indices, values: Array, size: int) -> Array:
+    """The means of vectors at the vertices of facets, shape (facets, d, d), over the facets around each point."""
+    points, columns = vertices.ravel(), np.moveaxis(values, 2, 0).reshape(values.shape[2], -1)
+    count = np.maximum(np.bincount(points, minlength=size), 1)
+    return np.column_stack([np.bincount(points, column, minlength=size) / count for column in columns])
 
 
 def foundation_of(scene: Scene, moved: Array, factor: float, most: float) -> Array:
@@ -79,15 +100,12 @@ def foundation_of(scene: Scene, moved: Array, factor: float, most: float) -> Arr
     Returns:
         The vertices of each facet, on the surface and then below it, shape (facets, 2 dim, dim).
     """
-    facets, size = scene.facets, len(moved)
+    facets = scene.facets
     assert isinstance(facets, BodyFacets)
-    vertices = facets.vertices.ravel()
-    count = np.maximum(np.bincount(vertices, minlength=size), 1)
-    gaps = (factor * facets.gaps[:, :, None] * facets.normals[:, None]).reshape(len(vertices), -1)
-    lift = np.column_stack([np.bincount(vertices, gap, minlength=size) / count for gap in gaps.T])
+    lift = _at_points(facets.vertices, factor * facets.gaps[:, :, None] * facets.normals[:, None], len(moved))
     surface = (moved + lift)[facets.vertices]
     under = surface + 0.2 * most * facets.normals[:, None]
-    return np.concatenate([surface, under[:, ::-1]], axis=1)[factor * facets.p < most]
+    return np.concatenate([surface, under[:, ::-1]], axis=1)[~_inside(scene) & (factor * facets.p < most)]
 
 
 def _deformed_plane(scene: Scene, moved: Scene, foundation: Array, title: str) -> Sheet:
@@ -104,9 +122,12 @@ def _deformed_plane(scene: Scene, moved: Scene, foundation: Array, title: str) -
     image = axes.tripcolor(after, facecolors=scene.sigma_norm, rasterized=True, **look)
     axes.add_collection(PolyCollection(foundation, facecolors="0.75", edgecolors="face", linewidths=0.3, zorder=0.5))
     axes.add_collection(LineCollection(foundation[:, :2], colors="black", linewidths=1.2))
+    touching = moved.fields.points[scene.facets.vertices[_inside(scene)]]
+    axes.add_collection(LineCollection(touching, colors="black", linewidths=0.8))
     sheet.bar(axes, image, scene.strength, extend)
     style.shape_axes(axes, "", frame)
-    sheet.legend_below([Patch(color="0.75", label="foundation"), Patch(color="0.9", label="before")])
+    below = [Patch(color="0.75", label="foundation")] if len(foundation) else []
+    sheet.legend_below([*below, Patch(color="0.9", label="before")])
     return sheet
 
 

@@ -12,6 +12,7 @@ from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.fields import in_space, von_mises
+from signorini_fenicsx.physics.elasticity.spaces import linear_from_means
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
 
 if TYPE_CHECKING:  # a solution has these pictures
@@ -25,10 +26,12 @@ class BodyFacets(FacetTable):
     Attributes:
         normals: The outer unit normals, shape (facets, d).
         gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
+        apart: The gap before any displacement there, 0 but for parts inside the domain.
     """
 
     normals: Array
     gaps: Array
+    apart: Array
 
 
 def drawn(solution: ElasticSolution) -> Drawn:
@@ -46,6 +49,7 @@ def drawn(solution: ElasticSolution) -> Drawn:
         | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},
         strength="von Mises stress",
         gamma=r"$\Gamma_C$",
+        inside=solution.boundary.inner,
     )
 
 
@@ -54,6 +58,9 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     part = spaces.part_of_facet.astype(np.int64)
     middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - spaces.dim)))
     none = np.zeros(len(middle))
+    apart = np.zeros((len(middle), spaces.dim))
+    means = solution.data.lift[spaces.sites].reshape(apart.shape)
+    apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
     return BodyFacets(
         part=part,
         along=along_parts(spaces, part, middle),
@@ -69,4 +76,5 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
         vertices=facet_vertices(spaces.mesh, contact.facets),
         normals=contact.normals,
         gaps=solution.linear_gap,
+        apart=apart,
     )

@@ -29,7 +29,7 @@ from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.tables import STATES, ContactTable, contact_columns, contact_table
 from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.options import Options
@@ -115,7 +115,7 @@ class ElasticSolution(Solved):
     @property
     def linear_gap(self) -> Array:
         """The gap there as a linear function on each facet: where contact ends it may be a little below 0."""
-        return (self.spaces.dim + 1) * self.gap - self.gap.sum(axis=1, keepdims=True)
+        return linear_from_means(self.gap)
 
     @property
     def touching(self) -> Mask:

@@ -66,6 +66,11 @@ def linear_values(moments: Array, measure: Array) -> Array:
     return scale * np.einsum("ab,nb...->na...", dual, moments)
 
 
+def linear_from_means(means: Array) -> Array:
+    """Values at the vertices of linear functions with these means weighted by the hats, shape (facets, d)."""
+    return (means.shape[1] + 1) * means - means.sum(axis=1, keepdims=True)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ElasticSpaces(MeshSpaces):
     """Spaces on one domain, with the cells' vertices in an order that is the same on any rank, see `node_ranks`.
