@@ -28,7 +28,11 @@ EndFor""",
   loop = newll; Curve Loop(loop) = {m, k};
 Return
 Delete { Surface{1}; }
-x = 0.3; y = 0.5; r = 0.1; Call Opening; holes() = {loop}; x = 0.7; Call Opening; holes() += {loop};
+x = 0.3; y = 0.5; r = 0.1;
+Call Opening;
+holes() = {loop}; x = 0.7;
+Call Opening;
+holes() += {loop};
 Plane Surface(1) = {1, holes()}; Physical Surface("plate") = {1};""",
     "constants": 'DefineConstant[ h = {0.3, Min 0.1, Max 1, Step 0.1, Name "Mesh size", Label "size"}, n = 3 ];\n'
     'DefineConstant[ order = {1, Choices{1="first", 2="second"}, Name "Order"} ];\n' + SQUARE,

@@ -8,12 +8,13 @@ are removed again.
 
 import contextlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
+from signorini_fenicsx.base.signals import pass_on
 from signorini_fenicsx.base.text import counted
 
 MUMPS_WORKSPACE = {"mat_mumps_icntl_14": "100"}
@@ -167,6 +168,33 @@ def take_options(solver: PETSc.KSP | PETSc.SNES, prefix: str, defaults: Mapping[
             solver.setFromOptions()
     except PETSc.Error as error:
         raise InputError(f"PETSc options: {petsc_reason(error)}") from None
+
+
+def snes_failure(
+    snes: PETSc.SNES, solve: Callable[[], object], prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE
+) -> str | None:
+    """Let SNES solve, and say why that failed; None if it did not (collective).
+
+    Args:
+        snes: The solver.
+        solve: Calls it.
+        prefix: Prefix of its options.
+        defaults: See `options_of`.
+
+    Raises:
+        InputError: If PETSc cannot do what the user's options ask for.
+    """
+    try:
+        with options_of(prefix, defaults):
+            solve()
+    except PETSc.Error as error:
+        pass_on(error)
+        refuse_options(error)
+        return f"PETSc: {petsc_reason(error)}"
+    reason = snes.getConvergedReason()
+    if reason > 0:
+        return None
+    return f"SNES reason {reason} after {counted(snes.getIterationNumber(), 'iteration')}"
 
 
 def solver_name(ksp: PETSc.KSP) -> str:

@@ -8,21 +8,12 @@ independent check of them.
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.signals import pass_on
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.linear.petsc import (
-    MUMPS_WORKSPACE,
-    options_of,
-    petsc_reason,
-    refuse_options,
-    set_direct,
-    solver_name,
-    take_options,
-)
+from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct, snes_failure, solver_name, take_options
 from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
 from signorini_fenicsx.physics.diffusion.recorder import Recorder
 from signorini_fenicsx.physics.diffusion.task import DiffusionTask
@@ -59,11 +50,11 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
             recorder.add(*_recovered(system, law, snes.getKSP().getIterationNumber()))
 
     snes.setMonitor(record)
-    failure = _failure(snes, x)
+    failure = snes_failure(snes, lambda: snes.solve(None, x), PREFIX, DEFAULTS)
     ending = failure or "SNESVI converged"
     if failure is not None and snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH:
         snes.getLineSearch().setType("basic")
-        again = _failure(snes, x)
+        again = snes_failure(snes, lambda: snes.solve(None, x), PREFIX, DEFAULTS)
         ending = f"{again or 'SNESVI converged'}, by full steps after {failure}"
         failure = again
     x.copy(system.x)
@@ -82,19 +73,6 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
         dofs=system.dofs,
         linear_solver=name,
     )
-
-
-def _failure(snes: PETSc.SNES, x: PETSc.Vec) -> str | None:
-    """Solve from x; return why that failed, or None (collective)."""
-    try:
-        with options_of(PREFIX, DEFAULTS):
-            snes.solve(None, x)
-    except PETSc.Error as error:
-        pass_on(error)
-        refuse_options(error)
-        return f"PETSc: {petsc_reason(error)}"
-    reason = snes.getConvergedReason()
-    return None if reason > 0 else f"SNESVI stopped with PETSc's reason {reason}"
 
 
 def _snes(system: FacetSystem, law: Chains, max_iterations: int) -> PETSc.SNES:

@@ -9,22 +9,13 @@ from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.signals import pass_on
-from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import OnStep, Outcome
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
-from signorini_fenicsx.linear.petsc import (
-    options_of,
-    petsc_reason,
-    refuse_options,
-    set_direct,
-    solver_name,
-    take_options,
-)
+from signorini_fenicsx.linear.petsc import set_direct, snes_failure, solver_name, take_options
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.recorder import Recorder
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -146,17 +137,7 @@ class PenaltyNewton:
         self._snes.cancelMonitor()
         take_options(self._snes, PREFIX)  # cancelling removed the user's monitors as well
         self._snes.setMonitor(record)
-        try:
-            with options_of(PREFIX):
-                self._problem.solve()
-        except PETSc.Error as error:
-            pass_on(error)
-            refuse_options(error)
-            return f"PETSc: {petsc_reason(error)}"
-        reason = self._snes.getConvergedReason()
-        if reason > 0:
-            return None
-        return f"SNES reason {reason} after {counted(self._snes.getIterationNumber(), 'iteration')}"
+        return snes_failure(self._snes, self._problem.solve, PREFIX)
 
     def _iterate(self) -> Iterate:
         """A copy of the current fields, with the exact values that their facet conditions prescribe (collective)."""
