@@ -57,7 +57,7 @@ def overview(scene: Scene) -> Sheet:
     size = float(np.ptp(fields.points, axis=0).max())
     largest = float(np.linalg.norm(fields.displacement, axis=1).max(initial=0.0))
     factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
-    places = fields.points + factor * (fields.displacement - _apart(scene))
+    places = fields.points + factor * fields.displacement - _apart(scene, factor)
     moved = replace(scene, fields=replace(fields, points=places))
     foundation = foundation_of(scene, moved.fields.points, factor, NEAR * size)
     title = f"{scene.caption}\ndisplacement and gap × {factor:g}"
@@ -68,12 +68,22 @@ def overview(scene: Scene) -> Sheet:
     return space_files.deformed(moved, foundation[:, : scene.dim], title)
 
 
-def _apart(scene: Scene) -> Array:
-    """How far the named sides of parts inside the domain are from the other ones before any displacement."""
-    facets, inside = scene.facets, _inside(scene)
+def _apart(scene: Scene, factor: float) -> Array:
+    """How far named sides of parts inside the domain are drawn from the other ones before any displacement.
+
+    This is the gap times a factor, but at most half of the shortest edge there: cells must not turn over.
+    """
+    facets, fields, inside = scene.facets, scene.fields, _inside(scene)
     assert isinstance(facets, BodyFacets)
-    apart = facets.apart[inside, :, None] * facets.normals[inside, None]
-    return _at_points(facets.vertices[inside], apart, len(scene.fields.points))
+    apart = factor * facets.apart[inside, :, None] * facets.normals[inside, None]
+    found = _at_points(facets.vertices[inside], apart, len(fields.points))
+    corners = fields.points[fields.cells]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
+    shortest = np.full(len(fields.points), np.inf)
+    np.minimum.at(shortest, fields.cells, edges[:, None])
+    length = np.linalg.norm(found, axis=1)
+    most = np.where(np.isfinite(shortest), shortest, 0.0) / 2
+    return found * np.minimum(1.0, most / np.where(length > 0, length, 1.0))[:, None]
 
 
 def _inside(scene: Scene) -> Mask:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import dolfinx.mesh
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
-from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.fields import in_space, von_mises
 from signorini_fenicsx.physics.elasticity.spaces import linear_from_means
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
@@ -61,6 +61,9 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     apart = np.zeros((len(middle), spaces.dim))
     means = solution.data.lift[spaces.sites].reshape(apart.shape)
     apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
+    nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
+    numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
+    ascending = np.argsort(numbers, axis=1)
     return BodyFacets(
         part=part,
         along=along_parts(spaces, part, middle),
@@ -73,8 +76,8 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
         q_S=none,
         condition=solution.contact_set().inside.astype(np.int64),
         segment=none.astype(np.int64),
-        vertices=facet_vertices(spaces.mesh, contact.facets),
+        vertices=np.take_along_axis(numbers, ascending, axis=1),
         normals=contact.normals,
-        gaps=solution.linear_gap,
-        apart=apart,
+        gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
+        apart=np.take_along_axis(apart, ascending, axis=1),
     )
