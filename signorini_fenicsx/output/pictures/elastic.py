@@ -69,21 +69,21 @@ def overview(scene: Scene) -> Sheet:
 
 
 def _apart(scene: Scene, factor: float) -> Array:
-    """How far named sides of parts inside the domain are drawn from the other ones before any displacement.
+    """How far points of named sides are drawn from where their displacement takes them, so that bodies are apart.
 
-    This is the gap times a factor, but at most half of the shortest edge there: cells must not turn over.
+    The distance between the sides is the gap times a factor, but at most half of the shortest edge there: cells must
+    not turn over.
     """
     facets, fields, inside = scene.facets, scene.fields, _inside(scene)
     assert isinstance(facets, BodyFacets)
-    apart = factor * facets.apart[inside, :, None] * facets.normals[inside, None]
-    found = _at_points(facets.vertices[inside], apart, len(fields.points))
     corners = fields.points[fields.cells]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
     shortest = np.full(len(fields.points), np.inf)
     np.minimum.at(shortest, fields.cells, edges[:, None])
-    length = np.linalg.norm(found, axis=1)
-    most = np.where(np.isfinite(shortest), shortest, 0.0) / 2
-    return found * np.minimum(1.0, most / np.where(length > 0, length, 1.0))[:, None]
+    vertices, gaps = facets.vertices[inside], facets.gaps[inside]
+    opened = np.clip(factor * gaps, 0.0, shortest[vertices] / 2)
+    closed = factor * (facets.apart[inside] - gaps)
+    return _at_points(vertices, (closed + opened)[:, :, None] * facets.normals[inside, None], len(fields.points))
 
 
 def _inside(scene: Scene) -> Mask:
