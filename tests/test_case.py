@@ -42,7 +42,10 @@ def test_examples_are_shipped():
             "electropainting",
             "hertz",
             "lprism",
+            "rock",
             "sphere",
+            "stack",
+            "two_cylinders",
         ]
     )
     for name in case_names():

@@ -138,7 +138,7 @@ class ElasticCase(CaseFile):
     @property
     def parts(self) -> ElasticParts:
         """The section `[boundary]`, with the parts of each `[[law]]` in contact."""
-        rough = [part for law in self.law for part in law.parts if part not in self.boundary.contact]
+        rough = dict.fromkeys(part for law in self.law for part in law.parts if part not in self.boundary.contact)
         return self.boundary.model_copy(update={"contact": [*self.boundary.contact, *rough]})
 
     def condition_of(self, part: str) -> str:

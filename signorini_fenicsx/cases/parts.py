@@ -37,7 +37,7 @@ class Parts(Section):
         """
         repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
         if repeated:
-            places = dict.fromkeys(key for key, parts in self.named.items() if repeated[0] in parts)
+            places = dict.fromkeys(key for key, parts in self.named.items() if repeated[0] in parts and key != "inner")
             raise ValueError(f"'{repeated[0]}' is listed twice: in {' and in '.join(places)}")
 
     def check(self, known: list[str], where: str, inside: Collection[str] = ()) -> None:

@@ -25,6 +25,8 @@ from signorini_fenicsx.solving.solved import Solved
 
 SHARE = 0.1
 """Of the body's size that the largest displacement is drawn as."""
+APART = 0.08
+"""Of the body's size: the distance of bodies that are drawn apart."""
 NEAR = 0.12
 """Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
 
@@ -57,10 +59,11 @@ def overview(scene: Scene) -> Sheet:
     size = float(np.ptp(fields.points, axis=0).max())
     largest = float(np.linalg.norm(fields.displacement, axis=1).max(initial=0.0))
     factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
-    places = fields.points + factor * fields.displacement - _apart(scene, factor)
+    apart = _apart(scene, APART * size)
+    places = fields.points + factor * fields.displacement + apart
     moved = replace(scene, fields=replace(fields, points=places))
     foundation = foundation_of(scene, moved.fields.points, factor, NEAR * size)
-    title = f"{scene.caption}\ndisplacement and gap × {factor:g}"
+    title = f"{scene.caption}\ndisplacement and gap × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
     if scene.dim == 2:
         return _deformed_plane(scene, moved, foundation, title)
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
@@ -68,22 +71,31 @@ def overview(scene: Scene) -> Sheet:
     return space_files.deformed(moved, foundation[:, : scene.dim], title)
 
 
-def _apart(scene: Scene, factor: float) -> Array:
-    """How far points of named sides are drawn from where their displacement takes them, so that bodies are apart.
+def _apart(scene: Scene, distance: float) -> Array:
+    """How far the points of each body are moved so that bodies with a gap between them are this far from each other.
 
-    The distance between the sides is the gap times a factor, but at most half of the shortest edge there: cells must
-    not turn over.
+    Their meshes fit together, so that they would cover each other where they are pressed over the gap.
     """
-    facets, fields, inside = scene.facets, scene.fields, _inside(scene)
+    from scipy.sparse import coo_array  # slow to import, and rarely needed
+    from scipy.sparse.csgraph import connected_components
+
+    facets, points, inside = scene.facets, scene.fields.points, _inside(scene)
     assert isinstance(facets, BodyFacets)
-    corners = fields.points[fields.cells]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
-    shortest = np.full(len(fields.points), np.inf)
-    np.minimum.at(shortest, fields.cells, edges[:, None])
-    vertices, gaps = facets.vertices[inside], facets.gaps[inside]
-    opened = np.clip(factor * gaps, 0.0, shortest[vertices] / 2)
-    closed = factor * (facets.apart[inside] - gaps)
-    return _at_points(vertices, (closed + opened)[:, :, None] * facets.normals[inside, None], len(fields.points))
+    if not facets.apart.any():
+        return np.zeros_like(points)
+    cells, size = scene.fields.cells, len(points)
+    links = np.ones(cells.size), (np.repeat(cells[:, 0], cells.shape[1]), cells.ravel())
+    number, body = connected_components(coo_array(links, shape=(size, size)), directed=False)
+    _, place = np.unique(points, axis=0, return_inverse=True)
+    other = np.full(size, -1)
+    for point in np.setdiff1d(np.arange(size), facets.vertices[inside]):
+        other[place[point]] = body[point]
+    here, there = body[facets.vertices[inside, 0]], other[place[facets.vertices[inside]]].max(axis=1)
+    two = (here != there) & (there >= 0)
+    rows, each = np.zeros((int(two.sum()), number)), np.arange(int(two.sum()))
+    rows[each, here[two]], rows[each, there[two]] = 1.0, -1.0
+    moved = np.linalg.lstsq(rows, -distance * facets.normals[inside][two], rcond=None)[0]
+    return np.asarray(moved[body])
 
 
 def _inside(scene: Scene) -> Mask:

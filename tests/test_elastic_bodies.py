@@ -1,0 +1,153 @@
+"""Elastic bodies that touch: patch tests, a second program, symmetry, a crack, a stack, ranks, wrong files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import signorini
+from mpi4py import MPI
+
+from signorini_fenicsx import load_case, load_solution, solve_case
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+BLOCKS = """physics = "elasticity"
+geometry = {file = "FILE"}
+law = [{parts = ["fault"], kind = "contact"}]
+problem = {young = {upper = 1, lower = 2}, poisson = 0.3, g_N = {top = [0, -0.1]}}
+[boundary]
+inner = ["fault"]
+sides = {fault = "upper"}
+neumann = ["top"]
+fixed = {left = "x", right = "x", bottom = "y"}
+"""
+
+
+def blocks(folder: Path, **changes: str) -> Path:
+    """A case file of two blocks that are pressed together, with texts replaced."""
+    text = BLOCKS.replace("FILE", str(Path(__file__).parents[1] / "data" / "meshes" / "fault.msh"))
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "blocks.toml"
+    if COMM.rank == 0:
+        path.write_text(text, encoding="utf-8")
+    COMM.Barrier()
+    return path
+
+
+def compare_with(solution: ElasticSolution, other: ElasticSolution) -> None:
+    """Norms, sets and bounds are the same."""
+    assert solution.norms() == pytest.approx(other.norms(), rel=1e-9, abs=1e-12)
+    assert solution.contact == pytest.approx(other.contact, abs=1e-9)
+    assert solution.certify().bound == pytest.approx(other.certify().bound, rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parallel([1, 3])
+def test_patch(folder: Path):
+    """Uniform pressure is exact across a fault between two materials, and the bound says so."""
+    solution = solve_case(load_case(blocks(folder)))
+    np.testing.assert_allclose(solution.pressure, 0.1, rtol=1e-12)
+    np.testing.assert_allclose(solution.gap, 0.0, atol=1e-14)
+    certificate = solution.certify()
+    assert certificate.guaranteed
+    assert certificate.bound < 1e-8
+    assert solution.norms()["contact_force"] == pytest.approx(0.1)  # the fault counts once
+    np.testing.assert_allclose(solution.resultants()["fault"][:2], [0.0, 0.1], atol=1e-12)
+
+
+@pytest.mark.parallel([1, 2])
+def test_ranks_files_and_starts(folder: Path):
+    """With gap and friction the results are those of one process; they are read again, refined, and started from."""
+    kind = 'kind = "friction", mu = 0.3, gap = "0.2*(x - 0.5)^2"'
+    moved = ("g_N = {top = [0, -0.1]}", "u_D = {top = [0.02, -0.04], bottom = [0, 0]}")
+    free = ('neumann = ["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', 'neumann = ["left", "right"]')
+    case = load_case(blocks(folder, kind=('kind = "contact"', kind), moved=moved, free=free))
+    solution, alone = solve_case(case), solve_case(case, MPI.COMM_SELF)
+    compare_with(solution, alone)
+    assert solution.touching.sum() > 0 or COMM.size > 1
+    assert solution.certify().relative < 0.05
+    solution.write(folder / "out")
+    read = load_solution(folder / "out")
+    compare_with(read, solution)
+    assert solve_case(case, start=read).norms() == pytest.approx(solution.norms(), rel=1e-9)
+
+
+def test_two_cylinders_are_one_on_a_plane():
+    """By symmetry each of two equal bodies is as one that half of the displacement presses onto a rigid plane."""
+    both = solve_case(load_case("two_cylinders"))
+    upper = build_domain(MPI.COMM_SELF, "square", np.sqrt(2) / 16 * (1 + 1e-9), mesh="structured", diagonal="left")
+    boundary = ElasticBoundary(["bottom"], ["right"], {"left": "x", "top": "y"})
+    problem = ElasticProblem(1.0, 0.3, u_D={"top": [0.0, -0.025]}, gap="x^2/2")
+    one = solve(upper, (boundary, problem))
+    norms = one.norms()
+    assert both.norms()["contact_force"] == pytest.approx(norms["contact_force"], rel=2e-3)
+    assert both.norms()["energy"] ** 2 == pytest.approx(2 * norms["energy"] ** 2, rel=2e-3)
+    assert both.certify().guaranteed
+    assert both.touching.sum() == one.touching.sum()
+
+
+def test_a_crack_in_rock():
+    """In a large plane pressure and largest slip are those of an infinite one, within what the boundary changes."""
+    solution = solve_case(load_case("rock"))
+    assert np.median(solution.pressure) == pytest.approx(100 * np.sin(np.pi / 9) ** 2, rel=5e-3)
+    assert np.abs(solution.slip).max() == pytest.approx(3.8077e-3, rel=2e-2)
+    assert solution.friction_states()["slip-"]["vertices"] == solution.touching.size
+    assert solution.certify().relative < 0.01
+
+
+def test_a_stack():
+    """Three bodies that nothing but friction holds; with less of it the uppermost slides away, which is said."""
+    case = load_case("stack")
+    solution = solve_case(case)
+    forces = {part: force[:2] for part, force in solution.resultants().items()}
+    weights = {"high": 0.12 + 0.6 * 0.02, "low": 0.12 + 1.6 * 0.02, "floor": 0.12 + 2.6 * 0.02}
+    for part, weight in weights.items():
+        np.testing.assert_allclose(forces[part], [-0.03, weight], atol=1e-9)
+    assert solution.certify().relative < 0.06
+    slippery = case.with_values({"law": [{"parts": ["floor", "low", "high"], "kind": "friction", "mu": 0.2}]})
+    with pytest.raises(NumericalFailure, match=r"slides away, along \(1, .*body around \(0\.6, 1\.25\)"):
+        solve_case(slippery)
+
+
+def test_a_body_that_nothing_holds(folder: Path):
+    """A body on a slippery one is not held along it: it is told which one, and how it moves."""
+    free = ('["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', '["top", "right"]\nfixed = {bottom = "y"}')
+    case = load_case(blocks(folder, free=free, left=('"right"]', '"right", "left"]')))
+    with pytest.raises(InputError, match=r"the body can move rigidly, along \(1, 0\).*the body around \(0\.5, "):
+        solve_case(case)
+
+
+LAW = 'law = [{parts = ["fault"], kind = "contact"}]'
+WRONG = {
+    "inner": (('kind = "contact"', 'kind = "contact", mu = 0.3'), "unknown key 'mu' of the law 'contact'"),
+    "law": ((LAW, ""), "contact: lists no part, and there is no [[law]]"),
+    "sides": (("sides = {fault", "sides = {crack"), "sides.crack: 'crack' is not an inner part of a mesh file"),
+    "twice": (("contact", 'contact"}, {parts = ["fault"], kind = "contact'), "part 'fault' has two laws"),
+    "given": (("g_N = {top", "u_D = {fault"), "u_D.fault: no displacement is given on this part, it is in contact"),
+    "closed": (('inner = ["fault"]\nsides = {fault = "upper"}', ""), "part 'fault' has 12 facets inside the domain"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files(tmp_path: Path, name: str):
+    """Each is refused in one sentence, and nothing is written."""
+    change, message = WRONG[name]
+    blocks(tmp_path, change=change)
+    done = signorini(tmp_path, "solve", "blocks.toml", "--output", "out")
+    assert (done.returncode, message in done.stderr, (tmp_path / "out").exists()) == (2, True, False), done.stderr
+
+
+def test_command_line(tmp_path: Path):
+    """The summary, the table and the picture of two bodies."""
+    blocks(tmp_path)
+    done = signorini(tmp_path, "solve", "blocks.toml", "--output", "out", "--plot")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["norms"]["contact_force"] == pytest.approx(0.1)
+    assert (tmp_path / "out" / "deformed.png").stat().st_size > 10_000
