@@ -1,7 +1,7 @@
 """Cases: the problem, its domain and its algorithm, read from TOML and validated before anything runs."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +19,7 @@ from pydantic import (
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.costs import COSTS, Cost
 from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
@@ -74,6 +75,17 @@ class CaseFile(Section):
     title: str = ""
     geometry: Geometry
     solve: Solve = Solve()
+    costs: ClassVar[Mapping[int, Cost]] = COSTS
+    """What it costs to solve it, by dimension."""
+    lacks: ClassVar[Sequence[str]] = ()
+    """Options of commands that there are not for it."""
+    held: ClassVar[str] = "u = u_D"
+    """What holds on Γ_D, in words."""
+
+    @property
+    def states(self) -> tuple[str, str]:
+        """What reports call sites under the conditions NO_FLUX and ZERO_TRACE."""
+        return "σ·n = 0", "p = 0"
 
     @property
     def parts(self) -> Parts:

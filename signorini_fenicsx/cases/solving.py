@@ -19,12 +19,9 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.physics.diffusion.evolving import Instant, Past, evolve
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
-
-type AnySolution = Solution | ElasticSolution
 
 
 @collector_off()

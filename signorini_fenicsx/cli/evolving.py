@@ -14,16 +14,16 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
+from signorini_fenicsx.base.text import named
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
-from signorini_fenicsx.cli.report import named
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case
-    from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
     from signorini_fenicsx.physics.diffusion.evolving import Instant
+    from signorini_fenicsx.solving.solved import Solved
 
 
 MOST_BEFORE = 2
@@ -127,7 +127,7 @@ def solve_in_time(
 def _go_on(
     case: Case,
     comm: MPI.Comm,
-    start: AnySolution | None,
+    start: Solved | None,
     steps: StepFolder,
     done: int,
     bounds: StepBounds | None,
