@@ -133,7 +133,7 @@ def _problem(solution: Solved) -> dict[str, Any]:
     if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws, known = solution.problem.laws, keeping_of(boundary.physics).laws
+    laws, known = getattr(solution.problem, "laws", ()), keeping_of(boundary.physics).laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]
