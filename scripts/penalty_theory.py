@@ -20,7 +20,7 @@ from rich.table import Table
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.comparing.differences import differences
+from signorini_fenicsx.comparing.comparison import differences
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 

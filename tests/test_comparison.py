@@ -14,9 +14,9 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import compare
-from signorini_fenicsx.comparing.differences import Differences
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.differences import Differences
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 

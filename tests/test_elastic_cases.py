@@ -16,14 +16,14 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.comparing.comparison import compare
-from signorini_fenicsx.comparing.differences import ElasticDifferences, differences
+from signorini_fenicsx.comparing.comparison import compare, differences
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather
-from signorini_fenicsx.physics.elasticity.fields import in_space, von_mises
+from signorini_fenicsx.physics.elasticity.differences import ElasticDifferences
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.shown import in_space, von_mises
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.solver import solve
@@ -219,7 +219,7 @@ def test_scalar_options_are_refused(tmp_path: Path):
     path = str(write_case(tmp_path))
     for command, option in (("solve", "--rigorous"), ("solve", "--html"), ("adapt", "--html")):
         done = signorini(tmp_path, command, path, option, *(["--max-cells", "99"] if command == "adapt" else []))
-        assert (done.returncode, f"{option}: elastic contact has no such option" in done.stderr) == (2, True)
+        assert (done.returncode, f"{option}: there is no such option for elastic contact" in done.stderr) == (2, True)
     done = signorini(tmp_path, "convergence", path, "--vary", "eps")
     assert (done.returncode, "alg1 has no penalty" in done.stderr) == (2, True)
     case = load_case(path)

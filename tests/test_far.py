@@ -16,8 +16,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx import adapt, certify, domain_of, load_case, solve_case
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain, expected_size
 from signorini_fenicsx.meshes.refinement import refine
@@ -91,7 +91,7 @@ def shifted(text: object, x0: tuple[float, ...]) -> object:
     return text
 
 
-def moved(case: AnyCase, x0: tuple[float, ...]) -> AnyCase:
+def moved(case: CaseFile, x0: tuple[float, ...]) -> CaseFile:
     """A case whose domain is elsewhere."""
     tree = case.model_dump(exclude_unset=True)
     for section in ("problem", "exact"):

@@ -14,10 +14,10 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
-from signorini_fenicsx.comparing.differences import slobodeckij_norm
 from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.diffusion.differences import slobodeckij_norm
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

@@ -48,6 +48,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def named(values: Mapping[str, float], form: str) -> str:
+    """Names and numbers in this form, in one line."""
+    return "  ".join(f"{name} {value:{form}}" for name, value in values.items())
+
+
 def json_text(values: Mapping[str, Any]) -> str:
     """Values as JSON, with null for numbers that are not finite."""
     return json.dumps(_without_nan(values), indent=2, allow_nan=False)

@@ -1,7 +1,7 @@
 """Cases: the problem, its domain and its algorithm, read from TOML and validated before anything runs."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -19,11 +19,12 @@ from pydantic import (
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.costs import COSTS, Cost
 from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
-from signorini_fenicsx.cases.texts import ProblemTexts, Time
+from signorini_fenicsx.cases.texts import ProblemTexts, Time, Times
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, choice, texts_of, within
 from signorini_fenicsx.expressions import parse_expression
@@ -75,6 +76,18 @@ class CaseFile(Section):
     title: str = ""
     geometry: Geometry
     solve: Solve = Solve()
+    time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
+    costs: ClassVar[Mapping[int, Cost]] = COSTS
+    """What it costs to solve it, by dimension."""
+    lacks: ClassVar[Sequence[str]] = ()
+    """Options of commands that there are not for it."""
+    held: ClassVar[str] = "u = u_D"
+    """What holds on Γ_D, in words."""
+
+    @property
+    def states(self) -> tuple[str, str]:
+        """What reports call sites under the conditions NO_FLUX and ZERO_TRACE."""
+        return "σ·n = 0", "p = 0"
 
     @property
     def parts(self) -> Parts:
@@ -96,12 +109,22 @@ class CaseFile(Section):
     @property
     def last_time(self) -> float | None:
         """The end of a problem in time; None for others."""
-        return None
+        return None if self.time is None else self.time.end
 
     @property
     def steps(self) -> int:
         """Number of steps of a problem in time; 0 for others."""
-        return 0
+        return 0 if self.time is None else self.time.steps
+
+    @property
+    def scheme(self) -> str:
+        """The scheme in time, in words; empty if there is none."""
+        return ""
+
+    @property
+    def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
+        """What is printed of a step besides that of all physics: title, width and format of some keys of its row."""
+        return {}
 
     @property
     def inner(self) -> list[str]:
@@ -240,7 +263,7 @@ class Case(CaseFile):
 
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
-        """What is printed of a step besides that of all physics: title, width and format of some keys of its row."""
+        """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
         if self.problem.obstacle is None:
             return {}
         return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")}
@@ -268,11 +291,6 @@ class Case(CaseFile):
         exact = [("exact", *entry) for entry in texts_of("u", self.exact.u or "0")]
         return [*problem, *exact, *laws, *time]
 
-    @property
-    def last_time(self) -> float | None:
-        """The end of a problem in time; None for others."""
-        return None if self.time is None else self.time.end
-
     def posed(self, dim: int) -> tuple[Posed, Problem]:
         """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
         parts = self.boundary
@@ -284,11 +302,6 @@ class Case(CaseFile):
         if step is None or self.time is None:
             return problem
         return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
-
-    @property
-    def steps(self) -> int:
-        """Number of steps of a problem in time; 0 for others."""
-        return 0 if self.time is None else self.time.steps
 
     def data(self, dim: int) -> Problem:
         """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.

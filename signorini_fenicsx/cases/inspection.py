@@ -11,43 +11,19 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
-from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, left_over, neighbours
 from signorini_fenicsx.meshes.cut import opened
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
-from signorini_fenicsx.meshes.memory import BYTES_PER_FACET, FACETS_PER_CELL, PROCESS_BYTES
+from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.system import System, Wish, system_on
 
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a facet costs, as measured; certificate and output included.
-
-    Attributes:
-        unknowns: Unknowns of the linear system.
-        memory: Bytes.
-        solver_rate: Facets per second and core from the assembled problem to the solution.
-        run_rate: Facets per second and core of a whole run, with a structured mesh.
-    """
-
-    unknowns: int
-    memory: float
-    solver_rate: float
-    run_rate: float
-
-
-SCALAR = {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)}
-"""For alg1 to alg4 with the hybrid backend, on at least 395 000 facets; see docs/measured/speed.md."""
-ELASTIC = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
-"""For elastic contact, on 110 000 to 450 000 unknowns; an order of magnitude."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +70,7 @@ class Checked:
     left: Sequence[str]
 
 
-def expected(case: AnyCase, ranks: int) -> Expected:
+def expected(case: CaseFile, ranks: int) -> Expected:
     """Estimate sizes, memory and time of a case; a file is read, a named shape is not meshed (rank 0).
 
     Args:
@@ -132,8 +108,7 @@ def expected(case: AnyCase, ranks: int) -> Expected:
         regions = {name: len(rows) for name, rows in mesh.regions.items()}
         sides = (dim + 1) * len(mesh.cells)
         facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
-    cost = ELASTIC[dim] if isinstance(case, ElasticCase) else SCALAR[dim]
-    steps = 1 if case.time is None else case.time.steps
+    cost, steps = case.costs[dim], max(case.steps, 1)
     return Expected(
         dim=dim,
         parts=parts,
@@ -149,12 +124,12 @@ def expected(case: AnyCase, ranks: int) -> Expected:
     )
 
 
-def is_typical(case: AnyCase) -> bool:
+def is_typical(case: CaseFile) -> bool:
     """Whether the measured rates hold for the algorithm and the backend of the case."""
     return case.method.starts_from_sets and case.solve.backend == "hybrid"
 
 
-def check(case: AnyCase, comm: MPI.Comm) -> Checked:
+def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     """Do everything that a run does before it solves: make or read the mesh, find parts, project data (collective).
 
     In time the data of all steps are projected.
@@ -182,7 +157,7 @@ def check(case: AnyCase, comm: MPI.Comm) -> Checked:
     return Checked(found, _left(case, spaces))
 
 
-def _left(case: AnyCase, spaces: MeshSpaces) -> list[str]:
+def _left(case: CaseFile, spaces: MeshSpaces) -> list[str]:
     """Parts of Γ_D that no list has, and "" for facets in no part (collective)."""
     facets, listed = spaces.domain.facets, case.parts.listed()
     others = {name: numbers for name, numbers in facets.items() if name not in listed}

@@ -12,21 +12,16 @@ from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
-
-type AnySolution = Solution | ElasticSolution
 
 
 @collector_off()
@@ -84,7 +79,7 @@ def _remade(case: CaseFile, comm: MPI.Comm, factor: float) -> Domain:
 
 @collector_off()
 def evolve_case(
-    case: AnyCase,
+    case: CaseFile,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     domain: Domain | None = None,

@@ -24,12 +24,10 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress
 from signorini_fenicsx.certificate.interior_point import minimise
-from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.forms.elasticity import strain, strain_energy, stress_product
 from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
-from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_rule
-from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.data import ElasticData, facet_rule, moduli_on_split
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
@@ -339,37 +337,3 @@ class BestDisplacement:
         """The coefficients of v_t − w on the facets with friction, shape (facets, nodes)."""
         (rough, here), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
         return np.einsum("nki,ni->nk", slips[rough], self.spaces.tangents[here]) - self._slipped()
-
-
-def moduli_on_split(
-    spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int
-) -> tuple[tuple[fem.Function, fem.Function], ufl.Measure]:
-    """2μ and θ in the points of a quadrature, and the measure that takes them there (collective).
-
-    Args:
-        spaces: The spaces.
-        data: The data.
-        split: The split mesh, or a part of it.
-        degree: For which the quadrature is exact; at least that of the data.
-    """
-    mesh, dim = split.mesh, spaces.dim
-    rule = SplitQuadrature.of_degree(dim, max(degree, data.quadrature.degree))
-    element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=rule.degree, scheme="default")
-    space = fenicsx.function_space(mesh, element)
-    mu2, theta = fem.Function(space), fem.Function(space)
-    for block in blocks_of_cells(spaces):
-        cells = block[split.cells[block, 0] >= 0]
-        shape = len(cells), dim + 1, len(rule.weights)
-        order = spaces.order[cells]
-        points = CellPoints(spaces.mesh, cells, rule.points, rule.weights)
-        there = points.x.reshape(*shape, dim)
-        there = np.take_along_axis(there, order[:, :, None, None], axis=1)
-        here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
-        nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
-        dofs = space.dofmap.list[split.cells[cells]]
-        for function, values in zip((mu2, theta), data.moduli(points), strict=True):
-            by_subcell = np.take_along_axis(values.reshape(shape), order[:, :, None], axis=1)
-            function.x.array[dofs] = np.take_along_axis(by_subcell, nearest, axis=2)
-    mu2.x.array[:] = 1 / mu2.x.array
-    metadata = {"quadrature_degree": rule.degree, "quadrature_scheme": "default"}
-    return (mu2, theta), ufl.Measure("dx", domain=mesh, metadata=metadata)

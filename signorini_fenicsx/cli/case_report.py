@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
 from signorini_fenicsx.cases.inspection import Checked, Expected, is_typical
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.solving.solved import Solved
@@ -20,7 +19,7 @@ class CaseReport(Report):
         ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
         self.line(f"{about.approach}, {ranks}")
 
-    def expected(self, case: AnyCase, estimate: Expected) -> None:
+    def expected(self, case: CaseFile, estimate: Expected) -> None:
         """Print the sizes of a case and the expected cost of a run."""
         about = "" if estimate.exact else "≈ "
         mesh = case.fineness.removeprefix("mesh ")
@@ -39,16 +38,15 @@ class CaseReport(Report):
             f"(an estimate, for free cores{usual})",
         )
 
-    def checked(self, case: AnyCase, found: Checked) -> None:
+    def checked(self, case: CaseFile, found: Checked) -> None:
         """Print that a case can be solved, and its sizes."""
         counts = found.counts
         facets = ", ".join(f"{number} on Γ_{kind[0].upper()}" for kind, number in counts.items() if kind != "cells")
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
         self._left(case, found.left)
 
-    def _left(self, case: AnyCase, left: Sequence[str]) -> None:
+    def _left(self, case: CaseFile, left: Sequence[str]) -> None:
         """Print which parts are in Γ_D because no list has them."""
         if left:
             names = ", ".join(name or "facets in no part" for name in left)
-            held = "clamped, u = u_D" if isinstance(case, ElasticCase) else "u = u_D"
-            self.entry("Γ_D", f"{names}: in no list of [boundary], so {held} there")
+            self.entry("Γ_D", f"{names}: in no list of [boundary], so {case.held} there")

@@ -13,10 +13,10 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.cli.options import overrides
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.elastic_case import AnyCase
+    from signorini_fenicsx.cases.case import CaseFile
 
 
-def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "AnyCase":
+def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "CaseFile":
     """The case of a command, of any physics, with its new values (collective).
 
     Args:

@@ -15,14 +15,14 @@ class ComparisonReport(Report):
     def comparison(self, result: Comparison, first: Path, second: Path) -> None:
         """Print the differences of two runs."""
         one, other = result.contact
-        norms = "  ".join(f"{ERRORS.get(name, '‖δσ·n‖_Λ')} {value:.4e}" for name, value in vars(result.norms).items())
+        norms = "  ".join(f"{word(name)} {value:.4e}" for name, value in vars(result.norms).items())
         lines = {
             "A": str(first),
             "B": str(second),
             "contact": f"measure {one:.6g} and {other:.6g}",
             "sets": f"Jaccard {result.jaccard:.6f}, Hausdorff distance {result.hausdorff:.4g}",
             "norms": norms,
-            "relative": "  ".join(f"{ERRORS[name]} {value:.3e}" for name, value in result.relative.items()),
+            "relative": "  ".join(f"{word(name)} {value:.3e}" for name, value in result.relative.items()),
         }
         self.entries(lines)
 
@@ -35,8 +35,8 @@ class ConvergenceReport(CaseReport):
     def errors(self, row: ErrorRow) -> None:
         """Print the errors of one run, below the names of the columns."""
         if not self._named:
-            names = "".join(f" {ERRORS[name]:>11} {'order':>5}" for name in row.errors)
-            slides = "".join(f" {'slides ' + ERRORS[name][2]:>9}" for name in row.slides)
+            names = "".join(f" {word(name):>11} {'order':>5}" for name in row.errors)
+            slides = "".join(f" {'slides ' + word(name)[2]:>9}" for name in row.slides)
             self.table(f"{'h':>8} {'ε':>8} {'cells':>8} {'n':>3}{names}{slides}")
             self._named = True
         errors = "".join(
@@ -52,8 +52,13 @@ class ConvergenceReport(CaseReport):
             Vary.H: "h² where u is smooth, h^(3/2) where contact ends" if "energy" in slopes else of_h,
             Vary.EPS: "ε" if method.stabilised else "√ε in general, ε for a regular flux (21)-(24)",
         }.get(vary, "h + √ε (29), (31)")
-        fitted = "  ".join(f"{ERRORS[name]} {slope:.2f}" for name, slope in slopes.items())
+        fitted = "  ".join(f"{word(name)} {slope:.2f}" for name, slope in slopes.items())
         self.line(f"fitted slopes  {fitted}   theory: {theory}")
+
+
+def word(name: str) -> str:
+    """What reports call a norm of a difference."""
+    return ERRORS.get(name, name)
 
 
 def _cell(value: float | None, width: int, form: str) -> str:

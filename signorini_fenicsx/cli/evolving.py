@@ -14,16 +14,16 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
+from signorini_fenicsx.base.text import named
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
-from signorini_fenicsx.cli.report import named
 
 if TYPE_CHECKING:
-    from signorini_fenicsx.cases.elastic_case import AnyCase
-    from signorini_fenicsx.cases.solving import AnySolution
+    from signorini_fenicsx.cases.case import CaseFile
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
     from signorini_fenicsx.solving.evolving import Instant
+    from signorini_fenicsx.solving.solved import Solved
 
 
 MOST_BEFORE = 2
@@ -38,7 +38,7 @@ OWN = "to the exact solution of the step's own problem"
 class EvolutionReport(CaseReport):
     """What it prints."""
 
-    def columns(self, case: AnyCase, *, certified: bool) -> None:
+    def columns(self, case: CaseFile, *, certified: bool) -> None:
         """Print the problem of the run, and name the columns of the steps."""
         assert case.time is not None
         self.line(f"{case.fineness}, {case.time.steps} steps{case.scheme} to t = {case.time.end:g}")
@@ -94,7 +94,7 @@ def _reservation(about: Mapping[str, Any]) -> str:
 
 
 def solve_in_time(
-    case: AnyCase,
+    case: CaseFile,
     comm: MPI.Comm,
     output: Path | None,
     start_from: Path | None = None,
@@ -133,9 +133,9 @@ def solve_in_time(
 
 
 def _go_on(
-    case: AnyCase,
+    case: CaseFile,
     comm: MPI.Comm,
-    start: AnySolution | None,
+    start: Solved | None,
     steps: StepFolder,
     done: int,
     bounds: StepBounds | None,

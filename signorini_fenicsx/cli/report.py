@@ -13,11 +13,6 @@ from signorini_fenicsx.base.text import json_text
 from signorini_fenicsx.cli.live import Live
 
 
-def named(values: Mapping[str, float], form: str) -> str:
-    """Names and numbers in this form, in one line."""
-    return "  ".join(f"{name} {value:{form}}" for name, value in values.items())
-
-
 class Report:
     """The output of one command; subclasses add the texts of the commands.
 

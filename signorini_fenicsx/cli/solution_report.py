@@ -3,42 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from decimal import ROUND_CEILING, Context, Decimal
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.cases.elastic_case import AnyCase, ElasticCase
+from signorini_fenicsx.base.text import counted, named
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
-from signorini_fenicsx.cases.solving import AnySolution
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
-from signorini_fenicsx.cli.report import named
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.rigorous.theorem import Proven
 
-VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
 PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}
 """What a bound is made of."""
-DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
 
 
 class SolutionReport(CaseReport):
     """What `signorini solve` prints."""
 
-    def columns(self, case: AnyCase) -> None:
+    def columns(self, case: CaseFile) -> None:
         """Print the problem of the run, and name the columns of the iterations."""
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
         self._penalised = case.method.penalty is not None
-        states = ("σ·n = 0", "p = 0")
-        if isinstance(case, ElasticCase):
-            states = ("free", "held") if case.law else ("open", "contact")
-        names = (*states, *(("penalty", "clipped") if self._penalised else ()), "changed")
+        names = (*case.states, *(("penalty", "clipped") if self._penalised else ()), "changed")
         counts = "".join(f"{name:>9}" for name in names)
         self.table(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
@@ -53,46 +45,22 @@ class SolutionReport(CaseReport):
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
         self.row(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
 
-    def solution(self, result: AnySolution, certificate: Certificate, proof: Proof | None = None) -> None:
+    def solution(self, result: Solved, certificate: Certificate, proof: Proof | None = None) -> None:
         """Print the summary of a finished run (collective)."""
-        summary = result.summary()
+        summary, water = result.summary(), seepage(result)
         rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
-        elastic = isinstance(result, ElasticSolution)
-        if elastic:
-            facets, touching = f"{summary['contact_facets']} Γ_C", f"{summary['touching_vertices']} facet vertices"
-        else:
-            facets, touching = f"{summary['signorini_facets']} Γ_S", f"{summary['contact_facets']} facets"
-        on_facets = {"contact": f"{touching}, measure {summary['contact_measure']:.6g}"}
+        facets = f"{result.spaces.Lambda.dofmap.index_map.size_global} {result.gamma} facets"
         lines = {
             "converged": f"{summary['reason']} after {counted(summary['iterations'], 'iteration')}{rough}",
-            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
+            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets}",
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
-            **(on_facets if elastic or summary["signorini_facets"] else {}),
-            **_on_obstacle(summary, result),
+            **result.lines(summary),
+            **({} if water is None else {"seepage": water.in_words()}),
             "norms": named(summary["norms"], ".6g"),
-            **({"forces": _forces(summary["resultants"], result.spaces.mesh.topology.dim)} if elastic else {}),
             "KKT": named(summary["kkt"], ".1e"),
         }
-        if "least_gap" in summary:
-            least = f"negative, down to {summary['least_gap']:.4g}"
-            lines["gap"] = f"{least}: there the foundation reaches into the body at rest, and is taken to press it back"
-        if "friction" in summary:
-            states = (f"{name} {found['vertices']}" for name, found in summary["friction"].items())
-            lines["friction"] = f"facet vertices: {', '.join(states)}"
-        if "coulomb" in summary:
-            lines["Coulomb"] = _fixed_point(summary["coulomb"])
-        for part, segments in summary.get("segments", {}).items():
-            counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
-            lines[f"on {part}"] = f"facets on each segment: {counts}"
         if "errors" in summary:
             lines["errors"] = named(summary["errors"], ".4e")
-        if "violation" in summary:
-            left = named({VIOLATIONS[name]: value for name, value in summary["violation"].items()}, ".3e")
-            lines["ε"] = f"{summary['eps']:g} leaves {left}"
-        if "own_residual" in summary:
-            lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
-        if summary.get("details"):
-            lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
         lines["certified"] = bound(certificate)
         if (error := summary.get("errors", {}).get("energy", 0.0)) > 0 and math.isfinite(certificate.bound):
             lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
@@ -108,39 +76,6 @@ def bound(certificate: Certificate) -> str:
     if not math.isfinite(certificate.bound):
         return f"no error bound: {certificate.if_none}{_reservation(certificate)}"
     return f"energy error{certificate.of} {bounds_in_words(certificate)}{_reservation(certificate)}"
-
-
-def _fixed_point(about: Mapping[str, Any]) -> str:
-    """How the bound of Coulomb's friction was found, and whether there may be others."""
-    changes = about["changes"]
-    few = ", ".join(f"{change:.0e}" for change in changes[-3:])
-    others = "" if about["other_solutions"] == "none" else "; other solutions are not excluded"
-    return f"the bound of the shear, in {len(changes)} steps that last changed it by {few}{others}"
-
-
-def _on_obstacle(summary: dict[str, Any], result: AnySolution) -> dict[str, str]:
-    """The contact with an obstacle, and the seepage through a dam (collective)."""
-    lines, water = {}, seepage(result)
-    if "obstacle" in summary:
-        found = summary["obstacle"]
-        lines["obstacle"] = (
-            f"{found['contact_cells']} cells in contact, measure {found['contact_measure']:.6g}, "
-            f"force {found['force']:.6g}"
-        )
-    if water is not None:
-        lines["seepage"] = (
-            f"separation height {water.separation_height:.6g}, discharge {water.discharge:.6g} "
-            f"(outflow {water.outflow:.6g})"
-        )
-    return lines
-
-
-def _forces(resultants: dict[str, list[float]], dim: int) -> str:
-    """The force on each part, and the largest of what is left of all forces and moments."""
-    forces = {name: ", ".join(f"{value:.5g}" for value in values[:dim]) for name, values in resultants.items()}
-    del forces["sum"]
-    left = max(map(abs, resultants["sum"]))
-    return f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
 
 
 def bounds_in_words(certificate: Certificate) -> str:

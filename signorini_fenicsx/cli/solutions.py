@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from typing import TypeGuard
 
     from signorini_fenicsx.cases.case import Case, CaseFile
-    from signorini_fenicsx.cases.elastic_case import AnyCase
-    from signorini_fenicsx.cases.solving import AnySolution
     from signorini_fenicsx.certificate.certify import Certificate
     from signorini_fenicsx.contact.history import Step
     from signorini_fenicsx.rigorous.proof import Proof
@@ -94,7 +92,7 @@ def solve(
 
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
-    _refuse_if_elastic(problem, {"--rigorous": rigorous, "--html": html})
+    _refuse_lacking(problem, {"--rigorous": rigorous, "--html": html})
     only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
     if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
         from signorini_fenicsx.cli.evolving import solve_in_time
@@ -123,7 +121,7 @@ def solve(
 
 
 def _is_in_time(
-    problem: "AnyCase", only_steady: Mapping[str, object], only_in_time: Mapping[str, object]
+    problem: "CaseFile", only_steady: Mapping[str, object], only_in_time: Mapping[str, object]
 ) -> "TypeGuard[Case]":
     """Whether a case has [time].
 
@@ -139,21 +137,18 @@ def _is_in_time(
     return in_time
 
 
-def _refuse_if_elastic(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
-    """Refuse options that only scalar problems have.
+def _refuse_lacking(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
+    """Refuse options that there are not for a case or a solution.
 
     Raises:
-        InputError: If one is given for elastic contact.
+        InputError: If one is given.
     """
-    from signorini_fenicsx.cases.elastic_case import ElasticCase
-    from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-
     for name, value in options.items():
-        if value and isinstance(about, ElasticCase | ElasticSolution):
-            raise InputError(f"{name}: elastic contact has no such option")
+        if value and name in about.lacks:
+            raise InputError(f"{name}: there is no such option for {about.approach}")
 
 
-def _proof(solution: "AnySolution", certificate: "Certificate") -> "Proof":
+def _proof(solution: "Solved", certificate: "Certificate") -> "Proof":
     """The proof of a bound, whose library takes a second to load (collective)."""
     from signorini_fenicsx.physics.diffusion.solution import Solution
     from signorini_fenicsx.rigorous.proof import proof_of
@@ -162,7 +157,7 @@ def _proof(solution: "AnySolution", certificate: "Certificate") -> "Proof":
     return proof_of(solution, certificate.v)
 
 
-def _check_provable(case: "AnyCase") -> None:
+def _check_provable(case: "CaseFile") -> None:
     """Refuse a case whose bound cannot be proved (rank 0).
 
     Raises:
@@ -218,7 +213,7 @@ def adapt(
     most = max_cells or DEFAULT_MAX_CELLS
     values = overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
-    _refuse_if_elastic(problem, {"--html": html})
+    _refuse_lacking(problem, {"--html": html})
     rows: list[AdaptRow] = []
 
     def on_row(row: AdaptRow) -> None:
@@ -267,7 +262,7 @@ def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[flo
     return wanted, part
 
 
-def _on_first_mesh(name: str, values: dict[str, object]) -> "AnyCase":
+def _on_first_mesh(name: str, values: dict[str, object]) -> "CaseFile":
     """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
     from signorini_fenicsx.cases.case import load_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
@@ -300,15 +295,14 @@ def export(
     from signorini_fenicsx.cli.case_report import CaseReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
-    from signorini_fenicsx.physics.diffusion.solution import Solution
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
     own = os.path.realpath(output or results) == os.path.realpath(results)
     if own:
         on_root(comm, lambda: complete(results))
     solution = load_solution(results, comm)
-    _refuse_if_elastic(solution, {"--html": html})
-    is_step = isinstance(solution, Solution) and solution.step is not None
+    _refuse_lacking(solution, {"--html": html})
+    is_step = solution.step is not None
     if is_step and own and (results / "steps.csv").is_file():
         raise InputError(f"{results}: is a run in time, whose last step would replace it; give --output")
     with ResultsFolder(comm, output or results) as folder:

@@ -9,10 +9,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.cases.solving import AnySolution
-from signorini_fenicsx.comparing.differences import Differences, ElasticDifferences, differences
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
-from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.system import same_domain
 
@@ -25,15 +22,15 @@ class Comparison:
         contact: Measures of the two contact sets.
         jaccard: |A ∩ B| / |A ∪ B|, computed on the facets of the finer mesh.
         hausdorff: Hausdorff distance of the contact sets.
-        norms: Norms of the differences, see `differences`, by quadrature on the finer mesh.
-        relative: The norms for σ, u and p, in elasticity for σ and u, divided by those of the finer solution; infinite
-            if these are 0.
+        norms: Norms of the differences, see `Solved.differences`, by quadrature on the finer mesh.
+        relative: Some of these norms divided by those of the finer solution, see `Solved.sizes`; infinite if these
+            are 0.
     """
 
     contact: tuple[float, float]
     jaccard: float
     hausdorff: float
-    norms: Differences | ElasticDifferences
+    norms: Any
     relative: Mapping[str, float]
 
     def summary(self) -> dict[str, Any]:
@@ -43,11 +40,11 @@ class Comparison:
 
 @collector_off()
 @doing("comparing")
-def compare(one: AnySolution, other: AnySolution) -> Comparison:
+def compare(one: Solved, other: Solved) -> Comparison:
     """Compare two solutions on one communicator (collective; symmetric except for the order of `contact`).
 
     Raises:
-        InputError: If their domains or contact boundaries differ, or only one of them is elastic.
+        InputError: If their domains or contact boundaries differ, or they are of different physics.
     """
     for solution in (one, other):
         check_kind("solution", solution, Solved)
@@ -59,8 +56,7 @@ def compare(one: AnySolution, other: AnySolution) -> Comparison:
     if not domains or set(one.contact_parts) != set(other.contact_parts):
         raise InputError(f"only solutions with the same domain and Γ_S can be compared, not {here} and {there}")
     coarse, fine = sorted((one, other), key=lambda solution: solution.spaces.domain.cells)
-    norms = differences(coarse, fine)
-    sizes = _sizes(fine)
+    norms, sizes = differences(coarse, fine), fine.sizes()
     return Comparison(
         contact=(one.contact.measure, other.contact.measure),
         jaccard=jaccard(coarse.contact_set(), fine.contact_set()),
@@ -70,13 +66,17 @@ def compare(one: AnySolution, other: AnySolution) -> Comparison:
     )
 
 
-def _sizes(solution: AnySolution) -> dict[str, float]:
-    """Norms of the solution itself, by the names of those of differences."""
-    norms = solution.norms()
-    if isinstance(solution, Solution):
-        sigma = math.hypot(norms["sigma_L2"], norms["div_sigma_L2"])
-        return {"sigma_V": sigma, "u_Q": norms["u_L2"], "p_Lambda": norms["p_L2"]}
-    return {name: norms[name] for name in ("energy", "u_L2")}
+def differences(coarse: Solved, fine: Solved) -> Any:
+    """Norms of the difference of two solutions, see `Solved.differences` (collective).
+
+    Raises:
+        InputError: If they are of different physics.
+    """
+    if coarse.physics != fine.physics:
+        raise InputError(
+            f"{coarse.name} and {fine.name} are of different physics; only solutions of one can be compared"
+        )
+    return fine.differences(coarse)
 
 
 def _ratio(value: float, size: float) -> float:

@@ -13,18 +13,20 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.elastic_case import AnyCase
-from signorini_fenicsx.cases.solving import AnySolution, solve_case
-from signorini_fenicsx.comparing.differences import Differences, differences
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.comparing.comparison import differences
 from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
 
 ERRORS = {
-    **{"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½", "flux_scaled": "√ε‖δσ·n‖_Λ"},
+    **{"sigma_V": "‖δσ‖_V", "u_Q": "‖δu‖_Q", "p_Lambda": "‖δp‖_Λ", "p_half": "‖δp‖_½"},
+    **{"flux_Lambda": "‖δσ·n‖_Λ", "flux_scaled": "√ε‖δσ·n‖_Λ"},
     **{"energy": "|δσ|", "u_L2": "‖δu‖", "pressure_L2": "‖δσ_nn‖", "gap_L2": "‖δu_n‖"},
 }
-"""The errors of scalar and then of elastic problems, and their names in reports."""
+"""Norms of differences, and what reports call them; others have their own names there."""
 ASYMPTOTIC_EPS = 1e-2
 """Slopes in ε are fitted to rows with ε up to this value."""
 
@@ -51,10 +53,9 @@ class ErrorRow:
         eps: ε; None without a penalty.
         cells: Number of cells.
         iterations: Iterations of the algorithm.
-        errors: Norms of the difference from the reference, by names of `ERRORS`; √ε‖(σ_ref − σ_h)·n‖_Λ is None without
-            a penalty.
+        errors: Norms of the difference from the reference; √ε‖(σ_ref − σ_h)·n‖_Λ is None without a penalty.
         orders: Their orders.
-        slides: Errors of σ and u in the slides, None where they give none; in elasticity empty.
+        slides: Errors of σ and u in the slides, None where they give none; empty for other norms than those.
     """
 
     level: int
@@ -86,7 +87,7 @@ def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:
 
 @collector_off()
 def convergence_study(
-    case: AnyCase,
+    case: CaseFile,
     vary: Vary,
     levels: Sequence[int],
     reference: int,
@@ -122,9 +123,10 @@ def convergence_study(
     if solver is None:
         best = best.with_values({"solve.h": 2.0**-reference})
 
-    def solved(problem: AnyCase) -> AnySolution:
+    def solved(problem: CaseFile) -> Solved:
         with doing(f"{problem.fineness}, {problem.solve.algorithm}"):
-            return solve_case(problem, comm, domain=solver)
+            solution: Solved = solve_case(problem, comm, domain=solver)
+        return solution
 
     fine = solved(best)
     slides = slides_errors(case.name, case.solve.algorithm) if vary is Vary.H else {}
@@ -137,7 +139,7 @@ def convergence_study(
     return rows
 
 
-def _solver(case: AnyCase, comm: MPI.Comm) -> Solver:
+def _solver(case: CaseFile, comm: MPI.Comm) -> Solver:
     """A solver for the case on its mesh (collective)."""
     domain = mesh_case(case, comm)
     return Solver(domain, case.posed(domain.mesh.geometry.dim))
@@ -158,8 +160,8 @@ def level_values(vary: Vary, level: int) -> dict[str, float]:
 
 def _row(
     level: int,
-    coarse: AnySolution,
-    fine: AnySolution,
+    coarse: Solved,
+    fine: Solved,
     before: ErrorRow | None,
     vary: Vary,
     slides: tuple[float, float] | None,
@@ -169,9 +171,9 @@ def _row(
     domain, options = coarse.spaces.domain, coarse.options
     eps = options.eps if options.method.has_eps else None
     errors: dict[str, float | None] = dict(vars(difference))
-    if isinstance(difference, Differences):
-        errors["flux_scaled"] = None if eps is None else math.sqrt(eps) * difference.flux_Lambda
-        del errors["flux_Lambda"]
+    flux = errors.pop("flux_Lambda", None)
+    if flux is not None:
+        errors["flux_scaled"] = None if eps is None else math.sqrt(eps) * flux
 
     def order(name: str, value: float | None) -> float | None:
         earlier = None if before is None else before.errors[name]

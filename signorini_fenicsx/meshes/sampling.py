@@ -86,6 +86,11 @@ def squares_degree(mesh: dolfinx.mesh.Mesh) -> int:
     return QUADRATURE_DEGREE
 
 
+def measure(mesh: dolfinx.mesh.Mesh, degree: int) -> ufl.Measure:
+    """The measure of a mesh, by quadrature of a degree."""
+    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})
+
+
 def sampled(
     functions: Sequence[fem.Function],
     mesh: dolfinx.mesh.Mesh,

@@ -1,7 +1,6 @@
 """Reads a saved solution on any number of ranks, see `checkpoint_writing`; a damaged one is told by its residuals."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -168,7 +167,8 @@ def _read_problem(found: Checkpoint) -> Any:
     if found.case is not None:
         return found.case.problem_at(found.dim, found.about.step)
     given = _given(found)
-    return replace(_made(found.keeping.problem, given.problem), laws=[_law(found.keeping, law) for law in given.laws])
+    laws = [_law(found.keeping, table) for table in given.laws]
+    return _made(found.keeping.problem, given.problem | ({"laws": laws} if laws else {}))
 
 
 def _given(found: Checkpoint) -> GivenInPython:

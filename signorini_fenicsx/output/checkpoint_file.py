@@ -70,7 +70,7 @@ class GivenInPython(BaseModel):
     title: str
     domain: str
     signorini: list[str]
-    neumann: list[str]
+    neumann: list[str] = []
     inner: list[str] = []
     problem: dict[str, Any]
     laws: list[dict[str, Any]] = []

@@ -77,7 +77,7 @@ def _finish(folder: Path) -> None:
 
 def _about(solution: Solved) -> dict[str, Any]:
     """Everything that is the same on all ranks, see `checkpoint_file.About`."""
-    domain, physics = solution.spaces.domain, solution.boundary.physics
+    domain, physics = solution.spaces.domain, solution.physics
     in_time = solution.step is not None and isinstance(solution.source, CaseFile)
     return {
         "format": FORMAT,
@@ -105,7 +105,7 @@ def _arrays(solution: Solved) -> Arrays:
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     points = Order(comm, geometry.input_global_indices[: geometry.index_map().size_local])
     places = points.places(geometry.input_global_indices)
-    keeping = keeping_of(solution.boundary.physics)
+    keeping = keeping_of(solution.physics)
     size = mesh.topology.index_map(dim).size_local
     order = Order(comm, mesh.topology.original_cell_index[:size])
 
@@ -133,7 +133,7 @@ def _problem(solution: Solved) -> dict[str, Any]:
     if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws, known = solution.problem.laws, keeping_of(boundary.physics).laws
+    laws, known = getattr(solution.problem, "laws", ()), keeping_of(boundary.physics).laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]

@@ -18,7 +18,7 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
-from signorini_fenicsx.cases.elastic_case import AnyCase
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
@@ -150,7 +150,7 @@ def draw(
 
 
 def write_convergence(
-    case: AnyCase, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+    case: CaseFile, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
 ) -> None:
     """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
 

@@ -99,6 +99,8 @@ class Solved(ABC):
     """Number of the step of a problem in time, from 1; None for others."""
 
     WORD: ClassVar[str] = "Solution"
+    lacks: ClassVar[Sequence[str]] = ()
+    """Options of commands that there are not for it."""
     order: ClassVar[int]
     """Order in h of ‖σ − σ_h‖ for a smooth u."""
 
@@ -131,6 +133,17 @@ class Solved(ABC):
     def approach(self) -> str:
         """What was solved and how, in words."""
         return self.method.title
+
+    @property
+    def physics(self) -> str:
+        """Name of the physics."""
+        name: str = self.boundary.physics
+        return name
+
+    @property
+    def gamma(self) -> str:
+        """What the boundary in contact is called: Γ with the first letter of its key."""
+        return f"Γ_{next(iter(self.boundary.named))[0].upper()}"
 
     @property
     def contact_parts(self) -> Sequence[str]:
@@ -218,6 +231,25 @@ class Solved(ABC):
     @abstractmethod
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective)."""
+
+    @abstractmethod
+    def differences(self, coarse: Any) -> Any:
+        """Norms of the difference from a solution on another mesh, by quadrature on that of this one (collective).
+
+        The coarse fields are evaluated at the quadrature points. Near a curved boundary a point may be outside the
+        coarse mesh; then the nearest coarse cell is used.
+
+        Returns:
+            A dataclass whose attributes are the norms.
+        """
+
+    @abstractmethod
+    def sizes(self) -> dict[str, float]:
+        """Norms of the solution itself, by the names of those of differences (collective)."""
+
+    @abstractmethod
+    def lines(self, summary: Mapping[str, Any]) -> dict[str, str]:
+        """What a report tells of its summary beside that which all solutions have, by the names of the lines."""
 
     @abstractmethod
     def table(self) -> SiteTable:

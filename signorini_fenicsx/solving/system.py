@@ -120,9 +120,14 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
     """
     name = getattr(boundary, "physics", None)
     if name not in PHYSICS:
-        raise InputError(f"problem: must be one of Diffusion and Elasticity, not {type(boundary).__name__}")
+        raise InputError(f"problem: must be one of {_problems()}, not {type(boundary).__name__}")
     system: System = import_module(f"{PHYSICS[name]}.solving").System(domain, boundary, problem)
     return system
+
+
+def _problems() -> str:
+    """What the problems of all physics are called."""
+    return " and ".join(map(str.capitalize, PHYSICS))
 
 
 def keeping_of(physics: str) -> Keeping:
@@ -146,7 +151,7 @@ def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, 
         boundary, data = problem.on(domain)
         return boundary, data
     if boundary is None or not is_dataclass(problem):
-        raise InputError(f"problem: must be one of Diffusion and Elasticity, not {type(problem).__name__}")
+        raise InputError(f"problem: must be one of {_problems()}, not {type(problem).__name__}")
     return boundary, problem
 
 

@@ -14,10 +14,9 @@ from pydantic import Field, ValidationError, model_validator
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
-from signorini_fenicsx.cases.case import Solve, load_case
+from signorini_fenicsx.cases.case import CaseFile, Solve, load_case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.domains import rough_cells
-from signorini_fenicsx.cases.elastic_case import AnyCase
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
@@ -90,7 +89,7 @@ class Run:
     """
 
     name: str
-    case: AnyCase
+    case: CaseFile
     convergence: Convergence | None
     fields: bool
     plot: bool
@@ -216,7 +215,7 @@ def _file_digest(path: str) -> str:
         raise InputError(f"mesh {path}: {error.strerror}") from None
 
 
-def make_run(case: AnyCase, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
+def make_run(case: CaseFile, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
     """A run; its name contains a digest of its contents.
 
     Keys with default values do not enter the digest, so old runs stay valid when a new key is introduced.
@@ -238,7 +237,7 @@ def make_run(case: AnyCase, task: Convergence | None = None, *, fields: bool = F
     return Run(f"{case.name}-{case.solve.algorithm}-{digest}", case, task, fields, plot, sum(_cells(case, task)))
 
 
-def _cells(case: AnyCase, task: Convergence | None) -> Iterator[float]:
+def _cells(case: CaseFile, task: Convergence | None) -> Iterator[float]:
     """Rough sizes of the meshes of a run."""
     if task is None:
         yield rough_cells(case)

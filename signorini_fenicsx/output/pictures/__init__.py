@@ -67,7 +67,7 @@ def scene_of(
     phreatic_line: Array | None = None,
 ) -> Scene:
     """The scene for pictures of a solution, from its gathered arrays (rank 0)."""
-    spaces, physics = solution.spaces, solution.boundary.physics
+    spaces, physics = solution.spaces, solution.physics
     in_words = OF_PHYSICS[physics].caption if physics in OF_PHYSICS else caption
     return Scene(
         title=solution.title or solution.name,

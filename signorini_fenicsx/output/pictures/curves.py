@@ -83,8 +83,9 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
         for key, look, suffix in ((name, "o-", ""), (f"slides_{name}", "x:", ", slides")):
             values = [table.get(key) or np.nan for table in tables]
             if not np.all(np.isnan(values)):
-                axes.loglog(x, values, look, color=f"C{index}", label=ERROR_LABELS[name] + suffix, markersize=5)
-    for slope, look in zip(GUIDES[first], ("k--", "k:"), strict=True):
+                label = ERROR_LABELS.get(name, name) + suffix
+                axes.loglog(x, values, look, color=f"C{index}", label=label, markersize=5)
+    for slope, look in zip(GUIDES.get(first, ()), ("k--", "k:"), strict=False):
         guide = (tables[0][first] or np.nan) * 0.5 * (x / x[0]) ** slope
         axes.loglog(x, guide, look, linewidth=0.8, label=f"slope {slope:g}")
     axes.set_xscale("log", base=base)

@@ -19,8 +19,7 @@ from signorini_fenicsx.output.pictures import plane_files, style
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.drawn import BodyFacets
-from signorini_fenicsx.physics.elasticity.tables import ContactTable
+from signorini_fenicsx.physics.elasticity.shown import BodyFacets, ContactTable
 from signorini_fenicsx.solving.solved import Solved
 
 SHARE = 0.1

@@ -12,7 +12,7 @@ from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.tables import ContactTable
+from signorini_fenicsx.physics.elasticity.shown import ContactTable
 
 MOVES = 1e-6
 """A part moves if the mean of its displacement changes by more than this share of the largest of all parts."""

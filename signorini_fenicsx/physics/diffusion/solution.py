@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -24,20 +25,17 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
 from signorini_fenicsx.discrete.mesh_spaces import assembled
-from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.physics.diffusion import shown
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.drawn import drawn
+from signorini_fenicsx.physics.diffusion.differences import differences
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
-from signorini_fenicsx.physics.diffusion.fields import FluxSeries, fields_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.tables import facet_columns, facet_table, free_boundary
-from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import Columns, InContact, Solved
+from signorini_fenicsx.solving.solved import InContact, Series, Solved
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,6 +93,9 @@ class Solution(Solved):
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     order = 1
+    fields, drawn, lines = shown.fields, shown.drawn, shown.lines
+    table, columns, other_tables = shown.table, shown.columns, shown.other_tables
+    differences = differences
 
     @collector_off()
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
@@ -257,6 +258,12 @@ class Solution(Solved):
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
 
+    def sizes(self) -> dict[str, float]:
+        """The norms of σ, u and p in the spaces of the slides (collective)."""
+        norms = self.norms()
+        sigma = math.hypot(norms["sigma_L2"], norms["div_sigma_L2"])
+        return {"sigma_V": sigma, "u_Q": norms["u_L2"], "p_Lambda": norms["p_L2"]}
+
     def in_cells(self) -> dict[str, Array]:
         """u_h, σ_h at the centroids and ∇·σ_h in the cells of this rank (collective when first used)."""
         return {"u": self.u.x.array, "sigma": self.cell_flux.centroid, "divergence": self.cell_flux.divergence}
@@ -269,29 +276,9 @@ class Solution(Solved):
         measure, force = found["contact_measure"], found["force"]
         return {"contact_cells": found["contact_cells"], "cells_measure": measure, "force": force}
 
-    def series(self) -> FluxSeries:
+    def series(self) -> Series:
         """u_h and σ_h over time (collective)."""
-        return FluxSeries(self.spaces)
-
-    def table(self) -> FacetTable:
-        """One row for each facet of Γ_S of this rank."""
-        return facet_table(self)
-
-    def columns(self, table: FacetTable) -> Columns:
-        """The columns of `facets.csv`."""
-        return facet_columns(self, table)
-
-    def other_tables(self) -> dict[str, Columns]:
-        """With an obstacle `free_boundary.csv`, see `Solved.other_tables`."""
-        return {} if self.data.obstacle is None else {"free_boundary": free_boundary(self)}
-
-    def drawn(self) -> Drawn:
-        """What pictures show, see `Solved.drawn`."""
-        return drawn(self)
-
-    def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
-        """The files for ParaView, see `Solved.fields`."""
-        return fields_of(self)
+        return shown.FluxSeries(self.spaces)
 
     def contradiction(self) -> str | None:
         """Whether σ·n and p do not have the values that the conditions prescribe, see `Solved.contradiction`."""

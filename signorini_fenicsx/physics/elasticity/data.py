@@ -6,12 +6,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import basix
+import basix.ufl
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
@@ -20,9 +22,10 @@ from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, friction_bounds
-from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature
+from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum, vector_datum_of, vector_on_parts
 
 DEGREE, MOST = DEGREES
@@ -210,6 +213,40 @@ def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:
     if not (low > -1 and high < 0.5):
         wrong = low if not low > -1 else high
         raise InputError(f"[problem] poisson: must be between -1 and 1/2, without these; it is {wrong:.6g} somewhere")
+
+
+def moduli_on_split(
+    spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int
+) -> tuple[tuple[fem.Function, fem.Function], ufl.Measure]:
+    """2μ and θ in the points of a quadrature, and the measure that takes them there (collective).
+
+    Args:
+        spaces: The spaces.
+        data: The data.
+        split: The split mesh, or a part of it.
+        degree: For which the quadrature is exact; at least that of the data.
+    """
+    mesh, dim = split.mesh, spaces.dim
+    rule = SplitQuadrature.of_degree(dim, max(degree, data.quadrature.degree))
+    element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=rule.degree, scheme="default")
+    space = fenicsx.function_space(mesh, element)
+    mu2, theta = fem.Function(space), fem.Function(space)
+    for block in blocks_of_cells(spaces):
+        cells = block[split.cells[block, 0] >= 0]
+        shape = len(cells), dim + 1, len(rule.weights)
+        order = spaces.order[cells]
+        points = CellPoints(spaces.mesh, cells, rule.points, rule.weights)
+        there = points.x.reshape(*shape, dim)
+        there = np.take_along_axis(there, order[:, :, None, None], axis=1)
+        here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
+        nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
+        dofs = space.dofmap.list[split.cells[cells]]
+        for function, values in zip((mu2, theta), data.moduli(points), strict=True):
+            by_subcell = np.take_along_axis(values.reshape(shape), order[:, :, None], axis=1)
+            function.x.array[dofs] = np.take_along_axis(by_subcell, nearest, axis=2)
+    mu2.x.array[:] = 1 / mu2.x.array
+    metadata = {"quadrature_degree": rule.degree, "quadrature_scheme": "default"}
+    return (mu2, theta), ufl.Measure("dx", domain=mesh, metadata=metadata)
 
 
 def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:

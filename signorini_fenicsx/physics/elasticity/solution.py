@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -22,18 +21,17 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.physics.elasticity import shown
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
-from signorini_fenicsx.physics.elasticity.drawn import drawn
-from signorini_fenicsx.physics.elasticity.fields import StressSeries, fields_of
+from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
+from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
-from signorini_fenicsx.physics.elasticity.tables import STATES, ContactTable, contact_columns, contact_table
-from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import Columns, InContact, Solved
+from signorini_fenicsx.solving.solved import InContact, Series, Solved
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
@@ -90,7 +88,11 @@ class ElasticSolution(Solved):
     source: object = None
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
+    lacks = ("--rigorous", "--html")
     order = 2
+    fields, drawn, lines = shown.fields, shown.drawn, shown.lines
+    table, columns = shown.table, shown.columns
+    differences = differences
 
     @property
     def approach(self) -> str:
@@ -305,25 +307,13 @@ class ElasticSolution(Solved):
             found |= {f"{name}_u_{axis}": x / measure for axis, x in zip(axes, moved, strict=True)}
         return found
 
-    def series(self) -> StressSeries:
+    def series(self) -> Series:
         """σ_h and u_h over time (collective)."""
-        return StressSeries(self.spaces, self.data)
+        return shown.StressSeries(self.spaces, self.data)
 
-    def table(self) -> ContactTable:
-        """One row for each vertex of each facet of Γ_C of this rank."""
-        return contact_table(self)
-
-    def columns(self, table: ContactTable) -> Columns:
-        """The columns of `contact.csv`."""
-        return contact_columns(self, table)
-
-    def drawn(self) -> Drawn:
-        """What pictures show, see `Solved.drawn`."""
-        return drawn(self)
-
-    def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
-        """The files for ParaView, see `Solved.fields`."""
-        return fields_of(self)
+    def sizes(self) -> dict[str, float]:
+        """The energy norm of σ, and ‖u‖ (collective)."""
+        return {name: size for name, size in self.norms().items() if name in ("energy", "u_L2")}
 
     def _sets(self) -> dict[str, Any]:
         return {

@@ -1,0 +1,205 @@
+"""What is shown of a solution of a diffusion problem: fields, tables, pictures, lines of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import dolfinx.mesh
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.base.text import named
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.discrete.cell_shapes import arms, some_at_a_time
+from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
+from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
+from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.solved import Columns
+
+if TYPE_CHECKING:  # it shows this
+    from signorini_fenicsx.physics.diffusion.solution import Solution
+
+
+def fields(solution: Solution) -> Iterator[tuple[str, list[fem.Function]]]:
+    """The functions of each file, see `Solved.fields`; `solution.bp` has DG1, in which u_h and σ_h are exact."""
+    spaces, on_obstacle = solution.spaces, _on_obstacle(solution)
+    yield "solution.bp", _linear(solution, on_obstacle)
+    if spaces.part_names:
+        flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
+        condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
+        segments = []
+        if solution.data.laws.listed:
+            segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
+        yield "multiplier.bp", [solution.p, flux, condition, *segments]
+    centroid = solution.cell_flux.centroid
+    sigma = fem.Function(fenicsx.function_space(spaces.mesh, ("DG", 0, centroid.shape[1:])), name="sigma")
+    sigma.x.array[:] = centroid.ravel()  # no ghost cells
+    magnitude = fem.Function(spaces.Q, name="sigma_norm")
+    magnitude.x.array[:] = np.linalg.norm(centroid, axis=1)
+    yield "solution.xdmf", [solution.u, sigma, magnitude, *on_obstacle]
+
+
+def _linear(solution: Solution, on_obstacle: list[fem.Function]) -> list[fem.Function]:
+    """σ_h, u_h, |σ_h| and what there is on the obstacle, in DG1 (collective)."""
+    mesh, dim = solution.spaces.mesh, solution.spaces.mesh.geometry.dim
+    linear = fenicsx.function_space(mesh, ("DG", 1))
+    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
+    u, magnitude = fem.Function(linear, name="u"), fem.Function(linear, name="sigma_norm")
+    nodes, vectors = linear.dofmap.list, sigma.x.array.reshape(-1, dim)
+    for some in some_at_a_time(mesh):
+        values = solution.cell_flux.in_vertices(some)
+        vectors[nodes[some]] = values
+        magnitude.x.array[nodes[some]] = np.sqrt(np.einsum("cvi,cvi->cv", values, values))
+        u.x.array[nodes[some]] = solution.u.x.array[some, None]
+    larger = [fem.Function(linear, name=function.name) for function in on_obstacle]
+    for function, constant in zip(larger, on_obstacle, strict=True):
+        function.interpolate(constant)
+    return [sigma, u, magnitude, *larger]
+
+
+def _on_obstacle(solution: Solution) -> list[fem.Function]:
+    """1 in the cells in contact with the obstacle, and its force, in P0; none without one (collective)."""
+    inside = solution.outcome.iterate.contact
+    if inside is None:
+        return []
+    contact = fem.Function(solution.spaces.Q, name="contact")
+    contact.x.array[:] = inside
+    return [contact, solution.force()]
+
+
+class FluxSeries:
+    """u_h and σ_h over time, see `Series`."""
+
+    names = ("u", "sigma", "divergence")
+
+    def __init__(self, spaces: Spaces):
+        """Make the functions (collective)."""
+        mesh, dim = spaces.mesh, spaces.mesh.geometry.dim
+        self._arms, self._dim = arms(mesh), dim
+        shapes = {"sigma": ((dim,),), "u": ()}
+        self.exact, self.means = (
+            [
+                fem.Function(fenicsx.function_space(mesh, ("DG", degree, *shape)), name=name)
+                for name, shape in shapes.items()
+            ]
+            for degree in (1, 0)
+        )
+
+    def take(self, values: Mapping[str, Array]) -> None:
+        """Set all functions, see `Series.take`."""
+        sigma, u = self.exact
+        u.x.array[u.function_space.dofmap.list] = values["u"].reshape(-1, 1)
+        slope = values["divergence"].reshape(-1, 1, 1) / self._dim
+        linear = values["sigma"][:, None] + slope * self._arms
+        sigma.x.array.reshape(-1, self._dim)[sigma.function_space.dofmap.list] = linear
+        for mean in self.means:
+            mean.x.array[:] = values[mean.name].ravel()  # no ghost cells, one value per cell in their order
+
+
+def table(solution: Solution) -> FacetTable:
+    """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
+    spaces = solution.spaces
+    part = spaces.part_of_facet.astype(np.int64)
+    size, u = len(spaces.facets), solution.u.x.array[spaces.cells]
+    u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
+    return FacetTable(
+        part=part,
+        along=along_parts(spaces, part, midpoints),
+        x=midpoints,
+        measure=spaces.facet_measure,
+        u=u,
+        p=solution.p.x.array[:size],
+        flux=spaces.normal_flux(solution.sigma),
+        psi=solution.data.psi_h,
+        q_S=solution.data.q_Sh,
+        condition=solution.outcome.conditions.kind.astype(np.int64),
+        segment=solution.data.laws.labels(solution.segments().segment),
+        vertices=facet_vertices(spaces.mesh, spaces.facets),
+    )
+
+
+def columns(solution: Solution, table: FacetTable) -> Columns:
+    """The columns of `facets.csv`; `segment` is among them if there are other laws than Signorini's."""
+    laws = solution.data.laws
+    return {
+        "part": np.array(solution.spaces.part_names)[table.part],
+        **dict(zip("xyz", table.x.T, strict=True)),
+        **{key: getattr(table, key) for key in ("measure", "p", "flux")},
+        "condition": np.array([condition.name.lower() for condition in Condition])[table.condition],
+        **({"segment": np.array(laws.names())[table.segment]} if laws.listed else {}),
+    }
+
+
+def other_tables(solution: Solution) -> dict[str, Columns]:
+    """With an obstacle `free_boundary.csv`, see `Solved.other_tables` (collective)."""
+    return {} if solution.data.obstacle is None else {"free_boundary": _free_boundary(solution)}
+
+
+def _free_boundary(solution: Solution) -> Columns:
+    """Midpoint and measure of each facet between a cell in contact with the obstacle and another, on rank 0."""
+    spaces, space = solution.spaces, solution.spaces.crouzeix_raviart
+    mesh, dofs, dim = spaces.mesh, solution.free_boundary(), spaces.mesh.topology.dim
+    mesh.topology.create_connectivity(dim, dim - 1)
+    of_dof = np.empty(space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts, dtype=np.int32)
+    of_dof[space.dofmap.list.ravel()] = mesh.topology.connectivity(dim, dim - 1).array
+    corners = mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, of_dof[dofs])].reshape(-1, dim, 3)
+    edges = corners[:, 1:] - corners[:, :1]
+    measure = np.sqrt(np.linalg.det(edges @ edges.transpose(0, 2, 1))) / (dim - 1)
+    rows = gather_rows(mesh.comm, np.column_stack([corners.mean(axis=1), measure]))
+    if rows is None:
+        return {}
+    in_order = rows[np.lexsort(in_digits(rows[:, :3]).T[::-1])]
+    return dict(zip(("x", "y", "z", "measure"), in_order.T, strict=True))
+
+
+def drawn(solution: Solution) -> Drawn:
+    """The solution for pictures (collective)."""
+    spaces, lift, laws = solution.spaces, solution.data.u_lift, solution.data.laws
+    p = solution.p.x.array[: len(spaces.facets)].copy()
+    p[spaces.inner.rows] = np.nan
+    u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
+    u = solution.u.x.array
+    return Drawn(
+        u=np.broadcast_to(u[:, None, None], (len(u), spaces.mesh.topology.dim + 1, 1)),
+        sigma=solution.cell_flux.centroid,
+        facets=table(solution),
+        boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
+        divergence=solution.cell_flux.divergence,
+        contact=solution.outcome.iterate.contact,
+        segments=laws.names() if laws.listed else (),
+        inside=solution.boundary.inner,
+    )
+
+
+VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
+DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
+
+
+def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
+    """The lines of a report, see `Solved.lines`."""
+    found = {}
+    if solution.spaces.part_names:
+        found["contact"] = f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}"
+    if "obstacle" in summary:
+        on = summary["obstacle"]
+        size = f"measure {on['contact_measure']:.6g}, force {on['force']:.6g}"
+        found["obstacle"] = f"{on['contact_cells']} cells in contact, {size}"
+    for part, segments in summary.get("segments", {}).items():
+        counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
+        found[f"on {part}"] = f"facets on each segment: {counts}"
+    if "violation" in summary:
+        left = named({VIOLATIONS[name]: value for name, value in summary["violation"].items()}, ".3e")
+        found["ε"] = f"{summary['eps']:g} leaves {left}"
+    if "own_residual" in summary:
+        found["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
+    if summary["details"]:
+        found["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
+    return found

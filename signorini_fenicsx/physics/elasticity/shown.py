@@ -1,0 +1,277 @@
+"""What is shown of an elastic solution: fields, tables, pictures, lines of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
+from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.residuals import imbalance
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_from_means
+from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
+from signorini_fenicsx.solving.solved import Columns
+
+if TYPE_CHECKING:  # it shows this
+    from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+
+
+def fields(solution: ElasticSolution) -> Iterator[tuple[str, list[fem.Function]]]:
+    """The functions of each file, see `Solved.fields`; `solution.bp` is on the mesh of the subcells."""
+    series = StressSeries(solution.spaces, solution.data)
+    series.take(solution.in_cells())
+    yield "solution.bp", series.exact
+    values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
+    if solution.data.friction is not None:
+        values |= dict(zip(("shear", "slip", "friction"), solution.on_all_contact(), strict=True))
+    yield "contact.bp", [solution.on_contact(each, name) for name, each in values.items()]
+    left = imbalance(solution.spaces, solution.data, solution.stresses)
+    equilibrium = fem.Function(solution.spaces.Q, name="equilibrium")
+    equilibrium.x.array[:] = np.linalg.norm(left, axis=2).max(axis=1)
+    yield "solution.xdmf", [*series.means, equilibrium]
+
+
+class StressSeries:
+    """σ_h, u_h and the von Mises stress, at one time or after each step, see `Series`; `exact` is on the subcells."""
+
+    names = ("u", "sigma")
+
+    def __init__(self, spaces: ElasticSpaces, data: ElasticData):
+        """Make the functions (collective)."""
+        self._spaces, self._data = spaces, data
+        dim = spaces.dim
+        self.exact = [
+            fem.Function(fenicsx.function_space(spaces.split.mesh, ("DG", 1, shape)), name=name)
+            for name, shape in (("sigma", (3, 3)), ("u", (dim,)), ("von_mises", ()))
+        ]
+        self.means = [
+            fem.Function(fenicsx.function_space(spaces.mesh, ("DG", 0, shape)), name=name)
+            for name, shape in (("u", (dim,)), ("sigma", (3, 3)), ("von_mises", ()))
+        ]
+
+    def take(self, values: Mapping[str, Array]) -> None:
+        """Set all functions, see `Series.take`."""
+        spaces, dim = self._spaces, self._spaces.dim
+        stresses, at_vertices = in_space(spaces, self._data, values["sigma"]), values["u"]
+        corners = np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
+        centroids = np.broadcast_to(at_vertices.mean(axis=1)[:, None, None], (len(at_vertices), dim + 1, 1, dim))
+        linear = {
+            "sigma": stresses,  # VTX takes no others than matrices in space
+            "u": np.concatenate([at_vertices[:, corners], centroids], axis=2),
+            "von_mises": von_mises(stresses),
+        }
+        for function in self.exact:
+            spaces.split.set_values(function, linear[function.name])
+        mean = stresses.mean(axis=(1, 2))
+        means = {"u": at_vertices.mean(axis=1), "sigma": mean, "von_mises": von_mises(mean)}
+        for function in self.means:
+            function.x.array[:] = means[function.name].ravel()  # no ghost cells, a value per cell in their order
+
+
+def in_space(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
+    """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
+
+    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
+    """
+    missing = 3 - spaces.dim
+    found = np.pad(stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
+    if missing and not data.in_space:
+        for cells in blocks_of_cells(spaces):
+            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
+            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", stresses[cells])
+    return found
+
+
+def von_mises(stresses: Array) -> Array:
+    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
+    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
+    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
+    return found
+
+
+STATES = (*Friction.segments, "open")
+"""The states of a vertex with friction."""
+
+
+@dataclass(frozen=True)
+class ContactTable(SiteTable):
+    """One row per vertex of each facet of Γ_C.
+
+    Attributes:
+        facet: Midpoint of the facet, shape (rows, 3).
+        pressure: −σ_nn.
+        gap: g − u_n, linear on the facet.
+        touching: Whether it is in contact.
+        shear: σ_t, NaN without friction.
+        slip: u_t likewise.
+        state: Index into `STATES`, −1 without friction.
+        forward: 1 where the coordinate along the part grows along the tangent, −1 where it falls; 0 in space.
+    """
+
+    facet: Array
+    pressure: Array
+    gap: Array
+    touching: Mask
+    shear: Array
+    slip: Array
+    state: npt.NDArray[np.int64]
+    forward: npt.NDArray[np.int64]
+    name = "contact"
+    places = ("along", "x", "facet")
+
+
+def table(solution: ElasticSolution) -> ContactTable:
+    """The vertices of the facets of Γ_C of this rank."""
+    spaces = solution.spaces
+    contact, dim = spaces.contact, spaces.dim
+    x = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim)))
+    part, places = np.repeat(spaces.part_of_facet, dim).astype(np.int64), x.reshape(-1, 3)
+    along = along_parts(spaces, part, places)
+    shear, slip, state = (values.ravel() for values in solution.on_all_contact())
+    return ContactTable(
+        part=part,
+        along=along,
+        x=places,
+        facet=np.repeat(np.sort(x, axis=1).mean(axis=1), dim, axis=0),
+        pressure=solution.pressure.ravel(),
+        gap=solution.linear_gap.ravel(),
+        touching=solution.touching.ravel(),
+        shear=shear,
+        slip=slip,
+        state=np.nan_to_num(state, nan=-1.0).astype(np.int64),
+        forward=np.repeat(_forward(contact, along), dim),
+    )
+
+
+def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
+    """The columns of `contact.csv`."""
+    columns: dict[str, npt.NDArray] = {
+        "part": np.array(solution.contact_parts)[table.part],
+        **dict(zip("xyz", table.x.T, strict=True)),
+        "pressure": table.pressure,
+        "gap": table.gap,
+        "condition": np.where(table.touching, "contact", "open"),
+    }
+    if solution.data.friction is None:
+        return columns
+    states = np.array(STATES)[table.state]
+    for name, values in {"shear": table.shear, "slip": table.slip, "friction": states}.items():
+        columns[name] = values.astype(object)
+        columns[name][table.state < 0] = None
+    return columns
+
+
+def _forward(contact: BoundaryFacets, along: Array) -> npt.NDArray[np.int64]:
+    """The sign with which the coordinate along the part grows along the tangent of each facet; 0 in space."""
+    if contact.vertices.shape[2] == 3:
+        return np.zeros(len(contact.facets), dtype=np.int64)
+    tangents = np.column_stack([-contact.normals[:, 1], contact.normals[:, 0]])
+    edges = np.einsum("ni,ni->n", contact.vertices[:, 1] - contact.vertices[:, 0], tangents)
+    return np.sign(edges * np.diff(along.reshape(-1, 2), axis=1)[:, 0]).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class BodyFacets(FacetTable):
+    """Γ_C: for p the mean gap, for σ·n the mean pressure.
+
+    Attributes:
+        normals: The outer unit normals, shape (facets, d).
+        gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
+        apart: The gap before any displacement there, 0 but for parts inside the domain.
+    """
+
+    normals: Array
+    gaps: Array
+    apart: Array
+
+
+def drawn(solution: ElasticSolution) -> Drawn:
+    """The solution for pictures: for σ the largest von Mises stress of each cell (collective)."""
+    spaces, nothing = solution.spaces, np.empty(0, dtype=np.int32)
+    by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
+    fixed = np.concatenate([nothing, *(spaces.domain.facets[part] for part in solution.boundary.fixed)])
+    free = np.setdiff1d(spaces.neumann_facets, fixed)
+    kinds = {NEUMANN: free, PARTLY_FIXED: fixed}
+    return Drawn(
+        u=np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1),
+        sigma=von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None],
+        facets=_facets(solution),
+        boundary=whole_boundary(spaces)
+        | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},
+        strength="von Mises stress",
+        gamma=r"$\Gamma_C$",
+        inside=solution.boundary.inner,
+    )
+
+
+def _facets(solution: ElasticSolution) -> BodyFacets:
+    spaces, contact = solution.spaces, solution.spaces.contact
+    part = spaces.part_of_facet.astype(np.int64)
+    middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - spaces.dim)))
+    none = np.zeros(len(middle))
+    apart = np.zeros((len(middle), spaces.dim))
+    means = solution.data.lift[spaces.sites].reshape(apart.shape)
+    apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
+    nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
+    numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
+    ascending = np.argsort(numbers, axis=1)
+    return BodyFacets(
+        part=part,
+        along=along_parts(spaces, part, middle),
+        x=middle,
+        measure=contact.measure,
+        u=none,
+        p=solution.gap.mean(axis=1),
+        flux=solution.pressure.mean(axis=1),
+        psi=none,
+        q_S=none,
+        condition=solution.contact_set().inside.astype(np.int64),
+        segment=none.astype(np.int64),
+        vertices=np.take_along_axis(numbers, ascending, axis=1),
+        normals=contact.normals,
+        gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
+        apart=np.take_along_axis(apart, ascending, axis=1),
+    )
+
+
+def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, str]:
+    """The lines of a report, see `Solved.lines`."""
+    found = {
+        "contact": f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}",
+        "forces": _forces(summary["resultants"], solution.spaces.dim),
+    }
+    if "least_gap" in summary:
+        least = f"negative, down to {summary['least_gap']:.4g}"
+        found["gap"] = f"{least}: there the foundation reaches into the body at rest, and is taken to press it back"
+    if "friction" in summary:
+        states = (f"{name} {of_state['vertices']}" for name, of_state in summary["friction"].items())
+        found["friction"] = f"facet vertices: {', '.join(states)}"
+    if "coulomb" in summary:
+        found["Coulomb"] = _fixed_point(summary["coulomb"])
+    return found
+
+
+def _forces(resultants: dict[str, list[float]], dim: int) -> str:
+    """The force on each part, and the largest of what is left of all forces and moments."""
+    forces = {name: ", ".join(f"{value:.5g}" for value in values[:dim]) for name, values in resultants.items()}
+    del forces["sum"]
+    left = max(map(abs, resultants["sum"]))
+    return f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
+
+
+def _fixed_point(about: Mapping[str, Any]) -> str:
+    """How the bound of Coulomb's friction was found, and whether there may be others."""
+    changes = about["changes"]
+    few = ", ".join(f"{change:.0e}" for change in changes[-3:])
+    others = "" if about["other_solutions"] == "none" else "; other solutions are not excluded"
+    return f"the bound of the shear, in {len(changes)} steps that last changed it by {few}{others}"

@@ -1,0 +1,26 @@
+"""How beds are kept in files."""
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.solving.kept import Keeping
+from springs.solving import Bed, Edges, Rested, residuals, state
+
+
+def _read(boundary, problem, spaces, stored):
+    u = fem.Function(spaces.Q, name="u")
+    u.x.array[:] = stored.in_cells(spaces, "u")
+    outcome, kkt = stored.outcome(*state(spaces, u)), residuals(problem, u)
+    return Rested(boundary, problem, stored.options, spaces, outcome, kkt, **stored.about)
+
+
+KEEPING = Keeping(
+    boundary=Edges,
+    problem=Bed,
+    laws={},
+    layout={"u": (np.float64, "cells")},
+    codes={},
+    in_cells=lambda solution: {"u": solution.u.x.array},
+    on_facets=lambda solution: {"vertices": solution.table().vertices},
+    read=_read,
+)

@@ -1,0 +1,199 @@
+"""Its problem, its solution and its system; `Solved`, `System` and `Run` say what their methods are."""
+# ruff: noqa: D102
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces
+from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
+from signorini_fenicsx.meshes.domain import Domain, facet_vertices
+from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solved import InContact, Solved
+
+
+@dataclass(frozen=True)
+class Edges:
+    """The parts of Γ."""
+
+    rests: Sequence[str]
+    physics: ClassVar[str] = "springs"
+
+    @property
+    def named(self):
+        return {"rests": self.rests}
+
+
+@dataclass(frozen=True)
+class Bed:
+    """k and f, as numbers, and the parts of Γ."""
+
+    k: float
+    f: float
+    parts: Sequence[str] = ()
+
+    def on(self, domain: Domain):
+        return Edges(self.parts), self
+
+
+@dataclass(frozen=True)
+class Balance(Residuals):
+    """The largest |ku − f| where u > 0."""
+
+    balance: float
+
+
+@dataclass(frozen=True)
+class Distance:
+    """‖u − u'‖."""
+
+    u_L2: float
+
+
+@dataclass(frozen=True, repr=False)
+class Rested(Solved):
+    """A bed at rest."""
+
+    boundary: Edges
+    problem: Bed
+    options: Options
+    spaces: MeshSpaces
+    outcome: Outcome
+    kkt: Balance
+    name: str = "bed"
+    title: str = ""
+    source: object = None
+    timings: dict[str, float] = field(default_factory=dict)
+    peak_memory: int = 0
+    order = 1
+
+    @property
+    def p(self):
+        return self.u.x.array[self.spaces.cells]
+
+    def contact_set(self):
+        return FacetSet(self.spaces, self.outcome.conditions.kind == Condition.ZERO_TRACE)
+
+    @property
+    def contact(self):
+        inside = self.contact_set().inside
+        found = np.array([inside.sum(), self.spaces.facet_measure[inside].sum()])
+        count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
+        return InContact(int(count), measure)
+
+    def sites_in_contact(self):
+        return self.contact
+
+    def norms(self):
+        square = self.spaces.mesh.comm.allreduce(self.spaces.cell_measures @ self.u.x.array**2)
+        return {"u_L2": float(np.sqrt(square))}
+
+    sizes = norms
+
+    def errors(self):
+        return None
+
+    def _sets(self):
+        return {"dofs": self.outcome.dofs, "contact_facets": self.contact.facets}
+
+    def _particular(self):
+        return {}
+
+    def lines(self, summary):
+        return {"contact": f"{summary['contact_facets']} facets"}
+
+    def differences(self, coarse):
+        assert np.array_equal(coarse.spaces.domain.cells, self.spaces.domain.cells)
+        return Distance(float(np.linalg.norm(self.u.x.array - coarse.u.x.array)))
+
+    def fields(self):
+        yield "solution.bp", [self.u]
+        yield "rests.bp", [self.spaces.multiplier(self.p, "u")]
+        yield "solution.xdmf", [self.u]
+
+    def table(self):
+        spaces, none = self.spaces, np.zeros(len(self.spaces.facets))
+        x = spaces.mesh.geometry.x[spaces.mesh.geometry.dofmaps[0][spaces.cells]].mean(axis=1).reshape(-1, 3)
+        part = spaces.part_of_facet.astype(np.int64)
+        return FacetTable(
+            part=part,
+            along=along_parts(spaces, part, x),
+            x=x,
+            measure=spaces.facet_measure,
+            u=self.p,
+            p=self.p,
+            flux=none,
+            psi=none,
+            q_S=none,
+            condition=self.outcome.conditions.kind.astype(np.int64),
+            segment=none.astype(np.int64),
+            vertices=facet_vertices(spaces.mesh, spaces.facets),
+        )
+
+    def columns(self, table):
+        return {"x": table.x[:, 0], "u": table.u}
+
+    def drawn(self):
+        u, dim = self.u.x.array, self.spaces.mesh.geometry.dim
+        corners = np.broadcast_to(u[:, None, None], (len(u), dim + 1, 1))
+        return Drawn(corners, np.zeros((len(u), dim)), self.table(), whole_boundary(self.spaces))
+
+
+class System:
+    """The spaces of a bed."""
+
+    def __init__(self, domain: Domain, boundary: Edges, problem: Bed):
+        self.boundary = boundary
+        self.spaces = build_mesh_spaces(domain, boundary.rests)
+
+    def prepared(self, given: Any, wish: Any):
+        return Run(self.spaces, *given, wish.options)
+
+    def forget(self):
+        """Nothing is kept."""
+
+
+@dataclass
+class Run:
+    """A bed that is not at rest yet."""
+
+    spaces: MeshSpaces
+    boundary: Edges
+    problem: Bed
+    options: Options
+
+    def outcome(self):
+        u = fem.Function(self.spaces.Q, name="u")
+        u.x.array[:] = self.problem.f / self.problem.k
+        u.x.array[self.spaces.cells] = max(self.problem.f / self.problem.k, 0.0)
+        return Outcome(*state(self.spaces, u), [], "all springs rest", True, "springs", len(u.x.array), "none")
+
+    def judged(self, outcome: Outcome):
+        return outcome, residuals(self.problem, outcome.iterate.u)
+
+    def solution(self, outcome: Outcome, kkt: Balance, **about: Any):
+        return Rested(self.boundary, self.problem, self.options, self.spaces, outcome, kkt, **about)
+
+
+def state(spaces: MeshSpaces, u: fem.Function):
+    """The last solution and its conditions."""
+    dim, p = spaces.mesh.geometry.dim, u.x.array[spaces.cells]
+    sigma = fem.Function(fenicsx.function_space(spaces.mesh, ("DG", 0, (dim,))), name="sigma")
+    kind = np.where(p > 0, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
+    return Iterate(p=p, flux=0 * p, linear_iterations=0, sigma=sigma, u=u), SiteConditions(kind)
+
+
+def residuals(problem: Bed, u: fem.Function):
+    """How far the springs are from rest."""
+    left = np.abs(problem.k * u.x.array - problem.f)[u.x.array != 0].max(initial=0.0)
+    return Balance(float(max(u.function_space.mesh.comm.allgather(left))))
