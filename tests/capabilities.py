@@ -138,6 +138,8 @@ def _shipped() -> Iterator[Capability]:
     yield solved("dam_baiocchi", *STRUCTURED, h="2", beside=PATH)
     yield solved("hertz", *STRUCTURED, h="1/8")
     yield solved("clamp", "--h", "4")
+    for case in ("two_cylinders", "rock", "stack"):
+        yield solved(case)
     few = ("--set", "time.steps=4", "--certify-steps")
     yield solved("membrane", *STRUCTURED, *few, h="1/6", beside=TIES)
     yield solved("moving_transition", *STRUCTURED, *few, h="1/6")
@@ -175,6 +177,7 @@ def _rare() -> Iterator[Capability]:
     yield own("block")
     yield own("tresca", FRICTION="g = 0.01")
     yield replace(own("tresca", FRICTION="mu = 0.3"), name="solve coulomb")
+    yield own("pushed", "--certify-steps")
     yield solved("example1", *STRUCTURED, "--rigorous", h="1/8")
     yield solved("cube", *STRUCTURED, "--rigorous", h="1/2")
     yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2", slow=True)

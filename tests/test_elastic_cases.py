@@ -144,7 +144,7 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ("gap", "gip", "unknown key 'gip' in [problem]"),
         ("young", "yuong", "unknown key 'yuong' in [problem]; known are young, poisson, f"),
         ('physics = "elasticity"', "", "'young' is of elasticity, which needs physics = \"elasticity\""),
-        ('h = "1/4"', 'h = "1/4"\n[time]\nend = 1', "[time] is of problems without physics"),
+        ('h = "1/4"', 'h = "1/4"\n[time]\nend = 1', "missing key 'steps' in [time]"),
         ('neumann = ["right"]', 'neumann = ["right", "top"]', "the body can move rigidly"),
     ],
 )

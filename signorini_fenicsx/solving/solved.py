@@ -212,17 +212,25 @@ class Solved(ABC):
 
         return figure(cast(Any, self), certificate)
 
-    @abstractmethod
     def in_cells(self) -> dict[str, Array]:
-        """The values of the fields in the cells of this rank, of which a run in time is written (collective)."""
+        """The values of the fields in the cells of this rank, of which a run in time is written (collective).
 
-    @abstractmethod
+        Raises:
+            NotImplementedError: If the physics has no runs in time.
+        """
+        raise NotImplementedError
+
     def of_step(self) -> dict[str, float]:
         """Numbers of a step that this physics has, for `steps.csv` (collective)."""
+        return {}
 
-    @abstractmethod
     def series(self) -> Series:
-        """The fields over time for ParaView (collective)."""
+        """The fields over time for ParaView (collective).
+
+        Raises:
+            NotImplementedError: If the physics has no runs in time.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def norms(self) -> dict[str, float]:
