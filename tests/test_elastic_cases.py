@@ -167,7 +167,8 @@ def test_von_mises_and_table():
     domain = box(COMM, 2, [0.0, 0.0], [1.0, 1.0])
     boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
     solution = solve(domain, (boundary, ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.1"]})))
-    np.testing.assert_allclose(von_mises(in_space(solution)), 0.1 * np.sqrt(1 - 0.3 + 0.3**2), rtol=1e-10)
+    stresses = in_space(solution.spaces, solution.data, solution.stresses)
+    np.testing.assert_allclose(von_mises(stresses), 0.1 * np.sqrt(1 - 0.3 + 0.3**2), rtol=1e-10)
     table = solution.table().gathered(COMM)
     assert table is not None
     np.testing.assert_allclose(table.pressure, 0.1)
@@ -284,5 +285,5 @@ def test_problems_given_in_python_are_saved(tmp_path: Path):
     solution.write(tmp_path / "new" / "run")
     read = load_solution(tmp_path / "new" / "run", MPI.COMM_SELF)
     assert isinstance(read, ElasticSolution)
-    assert read.problem.laws == problem.laws
+    assert list(read.problem.laws) == list(problem.laws)
     assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.certify import certify as certify_diffusion
@@ -31,6 +32,7 @@ def certify(solution: Any, *, for_signorini: bool = False) -> Certificate:
     Raises:
         InputError: If the solution has not converged, or is none that can be bounded.
     """
+    check_kind("solution", solution, Solved)
     if solution.physics not in BOUNDS:
         return _none(solution)
     return BOUNDS[solution.physics](solution, for_signorini)

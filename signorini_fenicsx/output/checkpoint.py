@@ -167,7 +167,7 @@ def _read_problem(found: Checkpoint) -> Any:
     if found.case is not None:
         return found.case.problem_at(found.dim, found.about.step)
     given = _given(found)
-    laws = [_law(found.keeping, table) for table in given.laws]
+    laws = tuple(_law(found.keeping, table) for table in given.laws)
     return _made(found.keeping.problem, given.problem | ({"laws": laws} if laws else {}))
 
 

@@ -5,19 +5,16 @@ import html as text
 
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solved import Solved
 
 
 def figure(solution: Solved, certificate: Certificate | None = None) -> Sheet | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
-    gathered = gather(solution, None if certificate is None else certificate.indicator)
-    if gathered is None:
-        return None
     from signorini_fenicsx.output import pictures  # takes a second to import
 
-    return pictures.overview(pictures.scene_of(solution, gathered, certificate))
+    scene = pictures.gathered_scene(solution, certificate)
+    return None if scene is None else pictures.overview(scene)
 
 
 def html(solution: Solved) -> str | None:

@@ -175,7 +175,7 @@ class Elasticity:
             gap=one_value({part: each.gap for each in touching for part in each.parts}, 0.0),
             plane=self.plane,
             exact=self.exact,
-            laws=[each.friction.law(each.parts) for each in touching if each.friction is not None],
+            laws=tuple(each.friction.law(each.parts) for each in touching if each.friction is not None),
         )
         return boundary, problem
 
