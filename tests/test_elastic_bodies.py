@@ -3,12 +3,26 @@
 import json
 from pathlib import Path
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from commands import signorini
 from mpi4py import MPI
 
-from signorini_fenicsx import load_case, load_solution, solve_case
+from signorini_fenicsx import (
+    Contact,
+    Diffusion,
+    Dirichlet,
+    Domain,
+    Elasticity,
+    Friction,
+    Neumann,
+    Tresca,
+    domain_of,
+    load_case,
+    load_solution,
+    solve_case,
+)
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
@@ -121,6 +135,38 @@ def test_a_body_that_nothing_holds(folder: Path):
     case = load_case(blocks(folder, free=free, left=('"right"]', '"right", "left"]')))
     with pytest.raises(InputError, match=r"the body can move rigidly, along \(1, 0\).*the body around \(0\.5, "):
         solve_case(case)
+
+
+def from_python(comm: MPI.Comm) -> Domain:
+    """Two blocks on a mesh of DOLFINx, cut along their common side."""
+    mesh = dolfinx.mesh.create_rectangle(comm, [[0.0, -0.5], [1.0, 0.5]], [4, 4])
+    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, -0.5), "top": (1, 0.5), "fault": (1, 0.0)}
+    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
+    regions = {"upper": lambda x: x[1] > -1e-9, "lower": lambda x: x[1] < 1e-9}
+    return domain_of(mesh, parts, regions, sides={"fault": "upper"})
+
+
+@pytest.mark.parallel([1, 2])
+def test_bodies_from_python():
+    """A mesh of DOLFINx, with ghosts on several ranks, is cut along a part inside; both physics have laws there."""
+    apart = Contact("fault", gap="0.2*(x - 0.5)^2", friction=Tresca(0.005))
+    held = [Dirichlet("top", ["0.02", "-0.04"]), Dirichlet("bottom", 0), Neumann(["left", "right"])]
+    body = Elasticity(young={"upper": 1.0, "lower": 2.0}, poisson=0.3, conditions=[apart, *held])
+    compare_with(solve(from_python(COMM), body), solve(from_python(MPI.COMM_SELF), body))
+    heat = Diffusion(f=1.0, conditions=[Friction("fault", g=0.1), Neumann(["left", "right"])])
+    together, alone = (solve(from_python(comm), heat) for comm in (COMM, MPI.COMM_SELF))
+    assert together.norms() == pytest.approx(alone.norms(), rel=1e-9, abs=1e-12)
+    assert together.certify().bound == pytest.approx(alone.certify().bound, rel=1e-9)
+
+
+def test_wrong_sides_from_python():
+    """A side is told of parts inside the domain only, and must be clear."""
+    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 4, 4)
+    parts = {"bottom": lambda x: np.isclose(x[1], 0), "fault": lambda x: np.isclose(x[1], 0.5)}
+    with pytest.raises(InputError, match="sides: 'bottom' is not a part inside the domain"):
+        domain_of(mesh, parts, sides={"bottom": (0, 1)})
+    with pytest.raises(InputError, match="unknown region 'upper'"):
+        domain_of(mesh, parts, sides={"fault": "upper"})
 
 
 LAW = 'law = [{parts = ["fault"], kind = "contact"}]'

@@ -203,7 +203,7 @@ def own_domain(
     if h is not None:
         check_memory(comm, f"mesh {path}, h = {h:g}", *on_root(comm, lambda: expected_size(path, h)), h)
 
-    def about() -> tuple[int, int, int, dict[str, str], tuple[str, ...], float]:
+    def about() -> tuple[int, int, int]:
         levels = _file_refinements(path, h)
         mesh = _coarse_enough(path, h, levels)
         try:
@@ -212,28 +212,46 @@ def own_domain(
         except InputError as error:
             raise InputError(f"mesh {path}: {error}") from None
         read.append(mesh)
-        labels = {name: AXES[_longest_axis(mesh.points[facets])] for name, facets in mesh.parts.items()}
-        size = float(np.ptp(mesh.points, axis=0).max())
-        return mesh.dim, len(mesh.cells), levels, labels, tuple(mesh.regions), OWN_CURVATURE / size
+        return mesh.dim, len(mesh.cells), levels
 
-    dim, size, levels, labels, regions, curvature = on_root(comm, about)
+    dim, size, levels = on_root(comm, about)
     check_memory(comm, f"mesh {path}", dim, size * 2 ** (dim * levels))
-    points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
-    facets: Mapping[str, Indices] = {name: np.empty((0, dim), dtype=np.int64) for name in labels}
-    inside, together = None, np.empty((0, 2), dtype=np.int64) if inner else None
-    if read:
-        together = read[0].together
-        points, cells, facets = read[0].points, read[0].cells, read[0].parts
-        inside = np.zeros((len(cells), len(regions)), dtype=bool)
-        for column, chosen in enumerate(read[0].regions.values()):
-            inside[chosen, column] = True
-    parts = {name: axis_part(label) for name, label in labels.items()}
-    mesh, marks = distribute(comm, points, cells, dim, together=together), Marks(facets, inside, regions)
     made = "Gmsh" if is_geometry(path) else "file"
-    domain = marked_domain(mesh, parts, marks, curvature=curvature, name=Path(path).name, made=made)
+    domain = handed_out(comm, read[0] if read else None, Path(path).name, made)
     for _ in range(levels):
         domain = refined_uniformly(domain)
     return domain
+
+
+def handed_out(comm: MPI.Comm, whole: FileMesh | None, name: str, made: str = "given") -> Domain:
+    """The domain of a mesh that rank 0 has, distributed (collective).
+
+    Args:
+        comm: Communicator of the domain.
+        whole: The mesh; None on other ranks.
+        name: Name of the domain.
+        made: How the mesh was made, in words.
+    """
+
+    def about() -> tuple[int, dict[str, str], tuple[str, ...], float, bool]:
+        assert whole is not None
+        labels = {part: AXES[_longest_axis(whole.points[facets])] for part, facets in whole.parts.items()}
+        size = float(np.ptp(whole.points, axis=0).max())
+        return whole.dim, labels, tuple(whole.regions), OWN_CURVATURE / size, whole.together is not None
+
+    dim, labels, regions, curvature, is_cut = on_root(comm, about)
+    points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
+    facets: Mapping[str, Indices] = {part: np.empty((0, dim), dtype=np.int64) for part in labels}
+    inside, together = None, np.empty((0, 2), dtype=np.int64) if is_cut else None
+    if whole is not None:
+        together = whole.together
+        points, cells, facets = whole.points, whole.cells, whole.parts
+        inside = np.zeros((len(cells), len(regions)), dtype=bool)
+        for column, chosen in enumerate(whole.regions.values()):
+            inside[chosen, column] = True
+    parts = {part: axis_part(label) for part, label in labels.items()}
+    mesh, marks = distribute(comm, points, cells, dim, together=together), Marks(facets, inside, regions)
+    return marked_domain(mesh, parts, marks, curvature=curvature, name=name, made=made)
 
 
 def _file_refinements(path: str, h: float | None) -> int:

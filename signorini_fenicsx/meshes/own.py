@@ -11,7 +11,9 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
+from signorini_fenicsx.meshes.checks import FileMesh
+from signorini_fenicsx.meshes.cut import Side, opened
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -22,7 +24,7 @@ from signorini_fenicsx.meshes.domain import (
     largest_diameter,
     other_side,
 )
-from signorini_fenicsx.meshes.meshing import OWN_CURVATURE
+from signorini_fenicsx.meshes.meshing import OWN_CURVATURE, handed_out
 
 type Entities = npt.NDArray[np.int32]
 type Chosen = npt.ArrayLike | Callable[[Array], Mask]
@@ -36,19 +38,28 @@ def domain_of(
     parts: Mapping[str, Chosen],
     regions: Mapping[str, Chosen] | None = None,
     name: str = "mesh",
+    *,
+    sides: Mapping[str, Side] | None = None,
 ) -> Domain:
     """A mesh with its parts, in the form that the solver needs (collective).
+
+    A part may be inside the domain: a crack, a fault, two bodies that touch. The mesh is cut along it, so that u may
+    jump there. Then the domain has a new mesh, made on rank 0, and UFL data must be written on `domain.mesh`.
 
     Args:
         mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, the domain gets a new mesh: the same
             cells on the same ranks without the ghosts. Then UFL data must be written on `domain.mesh`, whose cell c is
             cell `original_cell_index[c]` of the given mesh, numbered over all ranks.
-        parts: Boundary facets for each name of a part, with or without ghosts; the same names on all ranks.
+        parts: Facets for each name of a part, with or without ghosts; the same names on all ranks. A part is inside the
+            domain if none of its facets is on the boundary.
         regions: Cells for each name of a region, for κ by region.
         name: Name of the domain.
+        sides: For parts inside the domain the named side, out of which n points: a region, or a direction that points
+            to it. Without one it is where the last coordinate is larger.
 
     Raises:
-        InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function.
+        InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function; if
+            a side is not clear, or of a part that is not inside.
     """
     check_kind("mesh", mesh, dolfinx.mesh.Mesh)
     check_kind("parts", parts, Mapping, hint='; an example is {"bottom": facets}')
@@ -63,6 +74,19 @@ def domain_of(
     topology.create_connectivity(dim - 1, dim)
     facets = {part: _entities(mesh, dim - 1, f"parts['{part}']", chosen) for part, chosen in parts.items()}
     cells = {region: _entities(mesh, dim, f"regions['{region}']", chosen) for region, chosen in (regions or {}).items()}
+    inner = [part for part, numbers in facets.items() if _is_inside(mesh, numbers)]
+    others = [part for part in sides or {} if part not in inner]
+    if others:
+        raise InputError(f"sides: '{others[0]}' is not a part inside the domain")
+    if inner:
+        whole, cut = _gathered(mesh, facets, cells), list[FileMesh]()
+
+        def open_them() -> None:
+            assert whole is not None
+            cut.append(opened(whole, inner, sides or {}))
+
+        on_root(mesh.comm, open_them)
+        return handed_out(mesh.comm, cut[0] if cut else None, name)
     if mesh.comm.allreduce(topology.index_map(dim).num_ghosts > 0, MPI.LOR):
         mesh, facets, cells = _without_ghosts(mesh, facets, cells)
     else:
@@ -84,8 +108,11 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
         probe = np.asarray(chosen(np.zeros((3, 2))))
         if probe.shape != (2,) or probe.dtype != bool:
             raise InputError(f"{key}: the function of points of shape (3, n) must return n truth values")
-        locate = dolfinx.mesh.locate_entities if dim == mesh.topology.dim else dolfinx.mesh.locate_entities_boundary
-        return np.unique(locate(mesh, dim, chosen))
+        if dim < mesh.topology.dim:
+            outside = dolfinx.mesh.locate_entities_boundary(mesh, dim, chosen)
+            if mesh.comm.allreduce(len(outside) > 0, MPI.LOR):
+                return np.unique(outside)
+        return np.unique(dolfinx.mesh.locate_entities(mesh, dim, chosen))
     index_map = mesh.topology.index_map(dim)
     size = index_map.size_local + index_map.num_ghosts
     try:
@@ -106,6 +133,43 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
     return np.unique(numbers).astype(np.int32)
 
 
+def _is_inside(mesh: dolfinx.mesh.Mesh, facets: Entities) -> bool:
+    """Whether a part has facets, and none of them is on the boundary (collective)."""
+    outside = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    count, on_boundary = mesh.comm.allreduce(np.array([len(facets), np.count_nonzero(outside)]))
+    return bool(count > 0 and on_boundary == 0)
+
+
+def _gathered(
+    mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
+) -> FileMesh | None:
+    """The whole mesh on rank 0; None elsewhere (collective)."""
+    dim, comm, nodes = mesh.topology.dim, mesh.comm, mesh.geometry.index_map()
+    size = mesh.topology.index_map(dim).size_local
+
+    def numbers(local: Entities) -> Indices:
+        return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
+
+    facets = {
+        name: numbers(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, chosen)).reshape(-1, dim)
+        for name, chosen in parts.items()
+    }
+    inside = np.zeros((size, len(regions)), dtype=bool)
+    for column, chosen in enumerate(regions.values()):
+        inside[chosen[chosen < size], column] = True
+    points = gather_rows(comm, mesh.geometry.x[: nodes.size_local, :dim])
+    cells, rows = gather_rows(comm, numbers(mesh.geometry.dofmaps[0][:size])), gather_rows(comm, inside)
+    found = {name: gather_rows(comm, np.sort(chosen, axis=1)) for name, chosen in facets.items()}
+    if points is None or cells is None or rows is None:
+        return None
+    return FileMesh(
+        points=points,
+        cells=cells,
+        parts={name: np.unique(chosen, axis=0) for name, chosen in found.items() if chosen is not None},
+        regions={name: np.flatnonzero(rows[:, column]) for column, name in enumerate(regions)},
+    )
+
+
 def _without_ghosts(
     mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
 ) -> tuple[dolfinx.mesh.Mesh, dict[str, Entities], dict[str, Entities]]:
@@ -117,7 +181,7 @@ def _without_ghosts(
     def global_nodes(local: Entities) -> Indices:
         return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
 
-    cells, points = global_nodes(mesh.geometry.dofmap[:size]), mesh.geometry.x[: nodes.size_local, :dim]
+    cells, points = global_nodes(mesh.geometry.dofmaps[0][:size]), mesh.geometry.x[: nodes.size_local, :dim]
     own = distribute(comm, points, cells, dim, stay=True)
     own.topology.create_connectivity(dim - 1, dim)
     marked = {
