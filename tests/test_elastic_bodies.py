@@ -143,7 +143,7 @@ def from_python(comm: MPI.Comm) -> Domain:
     walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, -0.5), "top": (1, 0.5), "fault": (1, 0.0)}
     parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
     regions = {"upper": lambda x: x[1] > -1e-9, "lower": lambda x: x[1] < 1e-9}
-    return domain_of(mesh, parts, regions, sides={"fault": "upper"})
+    return domain_of(mesh, parts, regions, inner=["fault"], sides={"fault": "upper"})
 
 
 @pytest.mark.parallel([1, 2])
@@ -164,9 +164,13 @@ def test_wrong_sides_from_python():
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 4, 4)
     parts = {"bottom": lambda x: np.isclose(x[1], 0), "fault": lambda x: np.isclose(x[1], 0.5)}
     with pytest.raises(InputError, match="sides: 'bottom' is not a part inside the domain"):
-        domain_of(mesh, parts, sides={"bottom": (0, 1)})
+        domain_of(mesh, parts, inner=["fault"], sides={"bottom": (0, 1)})
+    with pytest.raises(InputError, match="part 'bottom' has 4 facets that are not between two cells"):
+        domain_of(mesh, parts, inner=["bottom"])
+    with pytest.raises(InputError, match="unknown part 'slit'"):
+        domain_of(mesh, parts, inner=["slit"])
     with pytest.raises(InputError, match="unknown region 'upper'"):
-        domain_of(mesh, parts, sides={"fault": "upper"})
+        domain_of(mesh, parts, inner=["fault"], sides={"fault": "upper"})
 
 
 LAW = 'law = [{parts = ["fault"], kind = "contact"}]'

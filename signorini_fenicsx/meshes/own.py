@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
@@ -39,21 +39,24 @@ def domain_of(
     regions: Mapping[str, Chosen] | None = None,
     name: str = "mesh",
     *,
+    inner: Sequence[str] = (),
     sides: Mapping[str, Side] | None = None,
 ) -> Domain:
     """A mesh with its parts, in the form that the solver needs (collective).
 
-    A part may be inside the domain: a crack, a fault, two bodies that touch. The mesh is cut along it, so that u may
-    jump there. Then the domain has a new mesh, made on rank 0, and UFL data must be written on `domain.mesh`.
+    The parts of `inner` are inside the domain: a crack, a fault, two bodies that touch. The mesh is cut along them, so
+    that u may jump there. Then the domain has a new mesh, made on rank 0, and UFL data must be written on
+    `domain.mesh`.
 
     Args:
         mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, the domain gets a new mesh: the same
             cells on the same ranks without the ghosts. Then UFL data must be written on `domain.mesh`, whose cell c is
             cell `original_cell_index[c]` of the given mesh, numbered over all ranks.
-        parts: Facets for each name of a part, with or without ghosts; the same names on all ranks. A part is inside the
-            domain if none of its facets is on the boundary.
+        parts: Facets of the boundary, or inside, for each name of a part, with or without ghosts; the same names on all
+            ranks.
         regions: Cells for each name of a region, for κ by region.
         name: Name of the domain.
+        inner: Names of the parts inside the domain.
         sides: For parts inside the domain the named side, out of which n points: a region, or a direction that points
             to it. Without one it is where the last coordinate is larger.
 
@@ -72,9 +75,12 @@ def domain_of(
     if dim != mesh.geometry.dim:
         raise InputError(f"the mesh is a surface in space: its cells have dimension {dim}, not {mesh.geometry.dim}")
     topology.create_connectivity(dim - 1, dim)
-    facets = {part: _entities(mesh, dim - 1, f"parts['{part}']", chosen) for part, chosen in parts.items()}
+    check_names("inner", inner)
+    facets = {
+        part: _entities(mesh, dim - 1, f"parts['{part}']", chosen, inside=part in inner)
+        for part, chosen in parts.items()
+    }
     cells = {region: _entities(mesh, dim, f"regions['{region}']", chosen) for region, chosen in (regions or {}).items()}
-    inner = [part for part, numbers in facets.items() if _is_inside(mesh, numbers)]
     others = [part for part in sides or {} if part not in inner]
     if others:
         raise InputError(f"sides: '{others[0]}' is not a part inside the domain")
@@ -98,8 +104,8 @@ def domain_of(
     return Domain(mesh, largest_diameter(mesh), labels, facets, cells, curvature, name)
 
 
-def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> Entities:
-    """Chosen entities of this rank, ascending (collective).
+def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen, *, inside: bool = False) -> Entities:
+    """Chosen entities of this rank, ascending; a function chooses facets of the boundary if not `inside` (collective).
 
     Raises:
         InputError: On all ranks, if one of them gets neither numbers of such entities nor a function.
@@ -108,11 +114,9 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
         probe = np.asarray(chosen(np.zeros((3, 2))))
         if probe.shape != (2,) or probe.dtype != bool:
             raise InputError(f"{key}: the function of points of shape (3, n) must return n truth values")
-        if dim < mesh.topology.dim:
-            outside = dolfinx.mesh.locate_entities_boundary(mesh, dim, chosen)
-            if mesh.comm.allreduce(len(outside) > 0, MPI.LOR):
-                return np.unique(outside)
-        return np.unique(dolfinx.mesh.locate_entities(mesh, dim, chosen))
+        everywhere = inside or dim == mesh.topology.dim
+        locate = dolfinx.mesh.locate_entities if everywhere else dolfinx.mesh.locate_entities_boundary
+        return np.unique(locate(mesh, dim, chosen))
     index_map = mesh.topology.index_map(dim)
     size = index_map.size_local + index_map.num_ghosts
     try:
@@ -131,13 +135,6 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen) -> En
     if wrong:
         raise InputError(wrong)
     return np.unique(numbers).astype(np.int32)
-
-
-def _is_inside(mesh: dolfinx.mesh.Mesh, facets: Entities) -> bool:
-    """Whether a part has facets, and none of them is on the boundary (collective)."""
-    outside = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    count, on_boundary = mesh.comm.allreduce(np.array([len(facets), np.count_nonzero(outside)]))
-    return bool(count > 0 and on_boundary == 0)
 
 
 def _gathered(
