@@ -179,6 +179,7 @@ WRONG = {
     "law": ((LAW, ""), "contact: lists no part, and there is no [[law]]"),
     "sides": (("sides = {fault", "sides = {crack"), "sides.crack: 'crack' is not an inner part of a mesh file"),
     "twice": (("contact", 'contact"}, {parts = ["fault"], kind = "contact'), "part 'fault' has two laws"),
+    "listed": (('inner = ["fault"]', 'inner = ["fault", "fault"]'), "[boundary] inner: 'fault' is listed twice"),
     "given": (("g_N = {top", "u_D = {fault"), "u_D.fault: no displacement is given on this part, it is in contact"),
     "closed": (('inner = ["fault"]\nsides = {fault = "upper"}', ""), "part 'fault' has 12 facets inside the domain"),
 }

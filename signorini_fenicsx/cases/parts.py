@@ -98,7 +98,7 @@ class PartsInside(Parts):
         return [part for key, parts in self.named.items() for part in parts if key != "inner"]
 
     def check_inner(self, with_law: Collection[str], file: str | None, law: str) -> None:
-        """Make sure that inner parts have laws, and that sides are told of inner parts of a mesh file.
+        """Make sure that inner parts have laws and are listed once, and that sides are those of inner parts of a file.
 
         Args:
             with_law: The parts with a law.
@@ -109,6 +109,8 @@ class PartsInside(Parts):
             ValueError: If not.
         """
         for part in self.inner:
+            if self.inner.count(part) > 1:
+                raise ValueError(f"[boundary] inner: '{part}' is listed twice")
             if part not in with_law:
                 raise ValueError(f"[boundary] inner: '{part}' needs {law}")
         for part in self.sides:

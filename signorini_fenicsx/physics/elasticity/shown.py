@@ -252,7 +252,8 @@ def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, st
     }
     if "least_gap" in summary:
         least = f"negative, down to {summary['least_gap']:.4g}"
-        found["gap"] = f"{least}: there the foundation reaches into the body at rest, and is taken to press it back"
+        other = "another body" if any(solution.boundary.inner) else "the foundation"
+        found["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
     if "friction" in summary:
         states = (f"{name} {of_state['vertices']}" for name, of_state in summary["friction"].items())
         found["friction"] = f"facet vertices: {', '.join(states)}"
