@@ -22,7 +22,8 @@ from random_problems import Result, distance, distort, random_case, random_data,
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.contact.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution

@@ -24,7 +24,7 @@ solves one linear problem under given conditions on its sites. With `FacetBacken
 from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import Outcome, Step
-from signorini_fenicsx.contact.laws import Graph, Law
+from signorini_fenicsx.contact.law import Graph, Law
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.task import Task

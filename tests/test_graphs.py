@@ -9,7 +9,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.contact.laws import Corners, Graph, Law, TwoSided, Values
+from signorini_fenicsx.contact.law import Graph, Law, Values
+from signorini_fenicsx.contact.laws import Corners, TwoSided
 from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain

@@ -18,7 +18,8 @@ from signorini_fenicsx.certificate import relaxation
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.laws import Corners, Friction, Law, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine

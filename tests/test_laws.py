@@ -18,7 +18,8 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.laws import Corners, Friction, Graph, Law, Regulator, Signorini, TwoSided, Values, Wall
+from signorini_fenicsx.contact.law import Graph, Law, Values
+from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, Present
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain

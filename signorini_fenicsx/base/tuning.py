@@ -21,7 +21,7 @@ class Tuning:
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
         coarsen_from: From this number of facets on the sets are predicted on a coarser mesh first; on smaller meshes
             that costs more than it saves.
-        predict_obstacle_from: The same where there is an obstacle, whose contact moves by one cell per step.
+        predict_in_cells_from: The same where there are laws in Ω, whose sets of cells move by one cell per step.
         patience: A solve stops early if the sets that its iterates ask for are steady for this many iterations of the
             linear solver.
         leeway: The sets count as steady if at most this share of the sites that want to change still varies. Where many
@@ -43,7 +43,7 @@ class Tuning:
     elastic_predict_from: int = 15_000
     coarsening: float = 4.0
     coarsen_from: int = 30_000
-    predict_obstacle_from: int = 300
+    predict_in_cells_from: int = 300
     patience: int = 2
     leeway: float = 0.02
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})

@@ -10,7 +10,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.cases.values import choice, text_of
-from signorini_fenicsx.contact.laws import LAWS, Law
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import LAWS
 
 OWN_KEYS = ("kind", "parts")
 

@@ -41,7 +41,7 @@ class AdaptRow:
         cells: Number of cells.
         unknowns: Unknowns of the linear system.
         h: Largest cell diameter.
-        contact_facets: Number of facets in contact; in elasticity, of their vertices; with an obstacle, of cells.
+        contact_facets: Number of facets in contact; in elasticity, of their vertices; with laws in Ω, of cells.
         contact_measure: Their measure.
         iterations: Iterations of the algorithm, which starts from the sets of the mesh before.
         bound: Bound of the energy error.

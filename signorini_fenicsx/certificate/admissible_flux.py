@@ -15,12 +15,13 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.certificate.inside import room, selected
 from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.obstacle import force
 from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
@@ -48,14 +49,14 @@ def admissible_flux(
 ) -> tuple[fem.Function, CellFlux, fem.Function, float]:
     """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
-    Under other laws y·n is between the least and the largest flux that they allow. In contact with an obstacle ≤ is
-    enough in the balance.
+    Under other laws y·n is between the least and the largest flux that they allow. With laws in Ω the balance has an s
+    that they allow.
 
     Returns:
         y, y cell by cell, u*, and ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be
         corrected.
     """
-    spaces, data, touched = solution.spaces, solution.data, solution.outcome.iterate.contact
+    spaces, data, cells = solution.spaces, solution.data, solution.outcome.iterate.cells
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
@@ -68,14 +69,16 @@ def admissible_flux(
     rounding = float(np.sqrt(squares) @ [ROUNDING, OF_SUMS * constant])
     for _ in range(CORRECTIONS):
         imbalance = fem.Function(spaces.Q)
-        imbalance.x.array[:] = flux.divergence + data.source(u).x.array
-        if touched is not None:  # there what is negative is the force of the obstacle
-            imbalance.x.array[touched] = np.maximum(imbalance.x.array[touched], 0.0)
+        imbalance.x.array[:] = s = flux.divergence + data.source(u).x.array
+        may = None
+        if data.inside is not None and cells is not None:
+            imbalance.x.array[:] -= selected(data.inside, cells, s, u.x.array)
+            may = room(data.inside, cells, s, u.x.array)
         left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
         if left <= rounding:
             return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma))
         try:
-            correction = balancing_flux(spaces, data, y, imbalance, limits, touched)
+            correction = balancing_flux(spaces, data, y, imbalance, limits, may)
         except LinearSolveFailure:
             break
         correction.sigma.x.array[:] += y.x.array
@@ -125,22 +128,25 @@ def balancing_flux(
     y: fem.Function,
     imbalance: fem.Function,
     limits: Limits = NONE,
-    touched: Mask | None = None,
+    may: Array | None = None,
 ) -> Iterate:
     """The flux z of the module for the load `imbalance`; where c > 0 with −∇·z + cu = imbalance (collective).
+
+    `may` says by how much the s of laws in Ω may change, per owned cell.
 
     Raises:
         LinearSolveFailure: If the solve fails.
     """
-    kind, obstacle = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), None
+    kind, inside = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), None
     if not data.holds(spaces):
         flux = spaces.normal_flux(y)
         excess = np.minimum(flux - limits[0], limits[1] - flux)
         excess[spaces.inner.rows] = 0.0  # what flows through these stays in the domain
         kind = _most_room(excess, spaces.mesh.comm)
-        if data.obstacle is not None:
-            obstacle = replace(data.obstacle, means=np.zeros_like(data.obstacle.means))
-            kind = np.append(kind, _most_room(force(spaces, y, data.f_h, touched), spaces.mesh.comm))
+        if data.inside is not None and may is not None:
+            number = len(may)
+            inside = replace(data.inside, means=np.zeros(number), chains=Chains.at_corner(number))
+            kind = np.append(kind, _most_room(may, spaces.mesh.comm))
     nothing = np.zeros(len(spaces.facets))
     loads = replace(
         data,
@@ -149,7 +155,7 @@ def balancing_flux(
         u_lift=fem.Function(data.u_lift.function_space),
         psi_h=nothing,
         q_Sh=nothing,
-        obstacle=obstacle,
+        inside=inside,
     )
     return HybridBackend(spaces, loads).solve(SiteConditions(kind))
 

@@ -44,7 +44,7 @@ class Trace:
         cells: Owned cells on which v and exact may differ.
         at_dirichlet: Those of these cells where u_D itself enters.
         touching: Those of these cells where data that hold u on Γ_S enter themselves.
-        altered: Those of these cells where not only an obstacle in Ω may make a difference.
+        altered: Those of these cells where not only a bound in Ω may make a difference.
         hindrance: Why no continuous function is admissible, in words; empty if one is. The same on all ranks.
         degree: Degree of a quadrature in `cells`.
     """

@@ -23,8 +23,8 @@ so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational i
 If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
 Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
 
-Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws`; for an obstacle in
-Ω see `obstacle`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws`; for laws in Ω see
+`inside`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
 one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 
 With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
@@ -47,10 +47,10 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
-from signorini_fenicsx.certificate import obstacle
 from signorini_fenicsx.certificate.admissible_flux import admissible_flux
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.hidden import Pressure, degree_near, hidden_parts
+from signorini_fenicsx.certificate.inside import Inside
 from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, positive_quadrature
@@ -158,7 +158,7 @@ def certify(solution: Solution, *, for_signorini: bool = False, memory: Memory |
 
 
 def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certificate:
-    spaces, data, touched = solution.spaces, solution.data, solution.outcome.iterate.contact
+    spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     metric = cell_metric(spaces, data)
     size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
@@ -166,17 +166,20 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
     resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
     metric, deviation = resolution.conductivity(metric, size)
     y, flux, level, remainder = admissible_flux(solution, metric, goal)
-    force = None if data.obstacle is None else obstacle.Force.of(data, y, level, touched, resolution)
-    trace, contact, load, pressure = _on_gamma_s(solution, metric, goal, y, force, resolution)
-    if data.obstacle is not None and force is not None:
-        contact = contact + obstacle.gap(data.obstacle, spaces, trace, force.largest)
+    inside = Inside.of(solution, y, level, resolution)
+    trace, contact, load, pressure = _on_gamma_s(solution, metric, goal, y, inside, resolution)
+    of_laws = None
+    if inside is not None:
+        gap_inside, of_laws = inside.gap(trace, metric, resolution)
+        contact = contact + gap_inside
     reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, force)
+    takes_f = None if inside is None else inside.takes_f
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, takes_f)
     if reaction is not None:
         contact = contact + reaction.gap
     mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), deviation)
     known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
-    hidden = hidden_parts(resolution, trace, metric, pressure, force, known)
+    hidden = hidden_parts(resolution, trace, metric, pressure, inside, known)
     contact = contact + hidden.gap
     mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     least = None if reaction is None else reaction.least
@@ -235,14 +238,14 @@ def _on_gamma_s(
     metric: CellMetric,
     goal: Goal,
     y: fem.Function,
-    force: obstacle.Force | None,
+    inside: Inside | None,
     resolution: Resolution,
 ) -> tuple[Trace, Array, list[FacetLoad], Pressure | None]:
     """v, twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
     spaces, data = solution.spaces, solution.data
     on, number = OnGammaS.of(solution, goal, metric, y), len(metric.volume)
-    trace = law_trace(solution, metric, y, on, None if force is None else force.largest)
-    if goal.plain and force is None:
+    trace = law_trace(solution, metric, y, on, inside)
+    if goal.plain and inside is None:
         points, excess, load = contact_excess(spaces, data, metric, on.flux, resolution)
         above = np.maximum(trace.on_gamma_s(points) - data.psi.values(points), 0.0)
         gap = points.per_cell(2 * points.integrals(excess * above), number)

@@ -1,4 +1,4 @@
-"""What quadrature may miss of data that v contains themselves: u_D, ψ, an obstacle.
+"""What quadrature may miss of data that v contains themselves: u_D, ψ, bounds in Ω.
 
 v contains χe near Γ_D and Γ_S, with such a datum e and a χ that is linear, or a product of two such functions, on each
 cell. Quadrature integrates the squares of polynomials exactly. So it misses of ‖κ^½∇v − κ^-½y‖_T,
@@ -10,8 +10,8 @@ cell. Quadrature integrates the squares of polynomials exactly. So it misses of 
 The smaller of both is added, unless this were more than all other terms of the bound. Then, and where no bound of ∇d
 is known, the datum is not resolved: the bound relies on quadrature there, and this is said.
 
-On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With an
-obstacle in Ω the gap has (λ, v − ψ) in the same way.
+On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With a
+bound in Ω the gap has (λ, v − ψ) in the same way.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.admissible_trace import Trace
+from signorini_fenicsx.certificate.inside import Inside, Ray
 from signorini_fenicsx.certificate.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.obstacle import Force
 from signorini_fenicsx.certificate.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.datum import Datum
@@ -69,7 +69,7 @@ def hidden_parts(
     trace: Trace,
     metric: CellMetric,
     pressure: Pressure | None,
-    force: Force | None,
+    inside: Inside | None,
     known: float,
 ) -> Hidden:
     """Bound what may be hidden (collective).
@@ -82,7 +82,7 @@ def hidden_parts(
         trace: Has v.
         metric: Metric of the owned cells.
         pressure: What presses v against ψ on Γ_S under the law of Signorini alone; None under others.
-        force: λ of an obstacle in Ω, None without one.
+        inside: The laws in Ω, None without any.
         known: The bound without what is hidden.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
@@ -94,12 +94,12 @@ def hidden_parts(
         cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree)).astype(np.int64)
         slope[cells] += missed.of("psi", tree, cells)[0]
         gap += pressure.missed(resolution, tree, len(gap))
-    tree = None if data.obstacle is None else resolution.tree("obstacle", data.obstacle.psi)
-    if tree is not None and force is not None:
-        cells = _cells_of_obstacle(resolution, trace, tree)
-        steep, size = missed.of("obstacle", tree, cells)
-        slope[cells] += steep
-        gap[cells] += 2 * force.largest[cells] * metric.volume[cells] * size
+    for ray in inside.rays if inside is not None else ():
+        if inside is not None and (tree := resolution.tree(ray.name, ray.datum)) is not None:
+            cells = _cells_of_ray(resolution, trace, tree, ray)
+            steep, size = missed.of(ray.name, tree, cells)
+            slope[cells] += steep
+            gap[cells] += 2 * inside.largest[cells] * metric.volume[cells] * size
     return Hidden(slope, gap)
 
 
@@ -119,13 +119,13 @@ def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
     return np.asarray(spaces.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
 
 
-def _cells_of_obstacle(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
-    """Owned cells where the obstacle may be larger than the quadratic v, or v is not quadratic (collective)."""
+def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) -> Indices:
+    """Owned cells where v may be beyond a bound in Ω, or is not quadratic (collective)."""
     vertices = resolution.vertices
     corners = vertices.shape[1]
     nodes = trace.v.function_space.dofmap.list[: len(vertices), [*range(corners), *edge_order(corners)]]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
-    above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1), 0.0)
+    above = np.maximum((ray.sign * (trace.v.x.array[nodes] - bernstein(p, vertices))).min(axis=1), 0.0)
     above[trace.altered] = 0.0
     return np.flatnonzero(_beyond(resolution, tree, vertices, p, above))
 

@@ -21,6 +21,7 @@ u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D �
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -33,9 +34,9 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
+from signorini_fenicsx.certificate.inside import Inside, add_load, coefficients
 from signorini_fenicsx.certificate.law_bounds import ROUNDING, Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.obstacle import add_load, bound, coefficients, is_quadratic, lower_inside, touch
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -61,30 +62,30 @@ HINDRANCES = (
 OF_JUMPS = "a jump of u_D, or of u where parts inside the domain end or meet others, is beyond a bound"
 
 
-def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, forces: Array | None) -> Trace:
+def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, inside: Inside | None) -> Trace:
     """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective).
 
-    `forces` is λ of the obstacle in each owned cell, None without one.
+    `inside` has the laws in Ω, None without any.
     """
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
     v = averaged(solution, metric)
     space = v.function_space
-    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
+    edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), () if inside is None else inside.rays
     on_dirichlet = _given(space, spaces, data.u_D)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     values, fully, nearly = on.held(at_nodes)
-    floor = np.full(len(v.x.array), -np.inf) if obstacle is None else coefficients(obstacle.psi, space, edges)
+    limits_inside = [ray.coefficients(space, edges) for ray in rays]
     u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
     tips, meets = (np.empty(0, dtype=np.intp),) * 2 if jumps is None else (jumps.tips, jumps.meets)
-    fixed, inside = np.union1d(on_dirichlet, tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
-    at_meeting = inside[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
+    fixed, on_cuts = np.union1d(on_dirichlet, tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
+    at_meeting = on_cuts[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
     if jumps is not None:
         jumps.taken(v)
-    for facets, kept in ((inside, np.union1d(fixed, meets)), (~inside, fixed)):
+    for facets, kept in ((on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed)):
         before = v.x.array[kept]
         for some in (nearly & facets, fully & facets):
             set_means(v, nodes[some], values[some])
@@ -101,11 +102,20 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         jumps.undone(v)
     for function in (v, u_D):
         edges.to_bernstein(function.x.array)
-    touch(v, solution.outcome.iterate.contact, floor, on_dirichlet)
+    for ray, limit in zip(rays, limits_inside, strict=True):
+        ray.touch(v, limit, on_dirichlet)
+    floor, ceiling = (np.full(len(v.x.array), end) for end in (-np.inf, np.inf))
     if jumps is not None:
         jumps.taken(v)
-        floor = np.where(jumps.jump, -np.inf, floor)  # the maximum with ψ takes care of the named side
-    box = Box.of((np.maximum(low, floor), high), (np.maximum(soft_low, floor), soft_high), fixed)
+        for ray, limit in zip(rays, limits_inside, strict=True):
+            limit[jumps.jump] = -ray.sign * np.inf  # cutting off takes care of the named side
+    for ray, limit in zip(rays, limits_inside, strict=True):
+        if ray.sign > 0:
+            floor = np.maximum(floor, limit)
+        else:
+            ceiling = np.minimum(ceiling, limit)
+    hard, soft = ((np.maximum(a, floor), np.minimum(b, ceiling)) for a, b in ((low, high), (soft_low, soft_high)))
+    box = Box.of(hard, soft, fixed)
     box.project(v.x.array)
     if jumps is not None:
         named, across = jumps.pairs
@@ -114,16 +124,16 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         jumps.join(v, beyond, on_dirichlet)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     apart = ~at_meeting.any(axis=1)
-    load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, None if forces is None else (spaces, forces))
+    load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, inside)
     slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
     still = np.union1d(on_dirichlet, meets)
     rubs = mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
     relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
     if jumps is not None:
         jumps.undone(v)
-    if obstacle is not None:
-        lower_inside(v, floor, obstacle, edges, on_dirichlet)
-    return _with_exact_data(on, data, v, u_D, hindrance=hindrance)
+    for ray, limit in zip(rays, limits_inside, strict=True):
+        ray.move_inside(v, limit, edges, on_dirichlet)
+    return _with_exact_data(on, data, v, u_D, inside, hindrance=hindrance)
 
 
 def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[Any]:
@@ -156,9 +166,9 @@ def _load(
     loads: Array,
     tips: npt.NDArray[np.intp],
     jumps: Jumps | None,
-    obstacle: tuple[Spaces, Array] | None,
+    inside: Inside | None,
 ) -> Array:
-    """The slope of the gap on Γ_S, and of an obstacle with its forces, per node of this rank (collective).
+    """The slope of the gap on Γ_S, and on bounds in Ω, per node of this rank (collective).
 
     On facets inside the domain, for the jumps.
     """
@@ -167,8 +177,8 @@ def _load(
     on_facets.x.scatter_reverse(la.InsertMode.add)
     load = np.asarray(on_facets.x.array, dtype=np.float64)
     load[tips] = 0.0
-    if obstacle is not None:
-        add_load(in_cells, *obstacle)
+    if inside is not None:
+        add_load(in_cells, inside.spaces, inside.forces)
         in_cells.x.scatter_reverse(la.InsertMode.add)
         size = v.function_space.dofmap.index_map.size_local
         own = np.asarray(in_cells.x.array[:size], dtype=np.float64)
@@ -202,7 +212,9 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
     return np.hstack([values[:, :corners], middle])
 
 
-def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, *, hindrance: str) -> Trace:
+def _with_exact_data(
+    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, inside: Inside | None, *, hindrance: str
+) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
     mesh, linear = spaces.mesh, fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
@@ -234,11 +246,14 @@ def _with_exact_data(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Functio
             changed.append(here)
             known.append(datum)
     altered = _cells_with(changed, linear)
-    if data.obstacle is not None:
-        trace.bounds.append(bound(data.obstacle, linear))
-        if not is_quadratic(data.obstacle.psi):
-            changed.append(trace.bounds[-1].near)
-            known.append(data.obstacle.psi)
+    for ray in () if inside is None else inside.rays:
+        bound = ray.bound(linear)
+        if not ray.everywhere:
+            bound = replace(bound, depth=depth(trace, ray.datum, ray.sign, bound.near, spaces))
+        trace.bounds.append(bound)
+        if not ray.is_quadratic or not ray.everywhere:
+            changed.append(bound.near)
+            known.append(ray.datum)
     if spaces.inner.present:
         if changed:
             _move_jumps(trace, on)

@@ -31,7 +31,8 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, facet_constants
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.contact.laws import Graph, Signorini, Values
+from signorini_fenicsx.contact.law import Graph, Values
+from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.points import FacetPoints, in_facets
 from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw

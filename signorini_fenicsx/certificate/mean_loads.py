@@ -69,7 +69,7 @@ def load_left(
         found = math.sqrt(comm.allreduce(volume @ squares))
     if not spaces.has_dirichlet or not np.isfinite(whole) or found <= enough:
         return found
-    bounds = _Bounds(spaces, replace(data, c_h=None, obstacle=None), metric)
+    bounds = _Bounds(spaces, replace(data, c_h=None, inside=None), metric)
     try:
         found = min(found, bounds.constant() * whole)
         if found > enough:

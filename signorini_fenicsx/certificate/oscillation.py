@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.interpolants import quadratic_of
 from signorini_fenicsx.certificate.laws import with_mean
 from signorini_fenicsx.certificate.local_fluxes import (
@@ -37,7 +37,6 @@ from signorini_fenicsx.certificate.local_fluxes import (
     projected,
 )
 from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.obstacle import Force
 from signorini_fenicsx.certificate.reaction import ReactionTerms
 from signorini_fenicsx.certificate.resolution import Resolution, Seen
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -110,7 +109,8 @@ def load_oscillation(
     reaction: ReactionTerms | None,
     memory: Memory | None,
     resolution: Resolution,
-    force: Force | None,
+    of_laws: Projection | None = None,
+    takes_f: Mask | None = None,
 ) -> Array:
     """osc_T per owned cell (collective).
 
@@ -122,7 +122,8 @@ def load_oscillation(
         reaction: The terms of cu.
         memory: What a step in time takes from those before; None if it is constant on each cell.
         resolution: Records what quadrature may have missed.
-        force: The force of an obstacle; where it takes f as it is, f − f_h is no load.
+        of_laws: The load s_T − η of laws in Ω, see `inside`; None without laws.
+        takes_f: Mask of the owned cells where f − f_h is no load, as a law takes f as it is; None for none.
     """
     mesh = spaces.mesh
     facet_loads = [*on_signorini]
@@ -133,7 +134,9 @@ def load_oscillation(
         g_N, missed = on_facets("g_N", data.g_N, on_neumann, g_h, metric, resolution)
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
         facet_loads.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
-    load, cell = _load(spaces, data, metric, resolution, force), mesh.basix_cell()
+    load, cell = _load(spaces, data, metric, resolution, takes_f), mesh.basix_cell()
+    if of_laws is not None:
+        load = of_laws if load is None else load.plus(of_laws)
     if memory is not None and data.memory is not None:
         remembered = _remembered(spaces, data.memory, metric, memory, resolution)
         load = remembered if load is None else load.plus(remembered)
@@ -219,7 +222,7 @@ def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int)
 
 
 def _load(
-    spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, force: Force | None
+    spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, takes_f: Mask | None
 ) -> Projection | None:
     """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective)."""
     if data.f.number is not None:
@@ -228,9 +231,9 @@ def _load(
     degree = quadrature_degree(data.f, power=2)
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
     cells = owned_cells(spaces.mesh)
-    if force is not None:
-        load.coefficients[force.takes_f], load.rest[force.takes_f] = 0.0, 0.0
-        cells = cells[~force.takes_f]
+    if takes_f is not None:
+        load.coefficients[takes_f], load.rest[takes_f] = 0.0, 0.0
+        cells = cells[~takes_f]
     if not resolution.encloses("f", data.f):
         return load
     p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)))

@@ -114,7 +114,7 @@ def relax(
         v: Bernstein coefficients within their bounds, with ghosts; changed in place.
         y: Flux in RT0.
         kappa: κ_h.
-        excess: ∫ (y·n − level) φ on Γ_S, less an obstacle's force, per node φ of this rank.
+        excess: ∫ (y·n − level) φ on Γ_S, with the forces of bounds in Ω, per node φ of this rank.
         fixed: Nodes on Γ_D.
         box: The bounds.
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.

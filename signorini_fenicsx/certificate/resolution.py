@@ -10,7 +10,7 @@ certificate replaces a load e by a polynomial p; d = e − p is the difference.
 - *κ*, with P2 interpolant κ̃ and S = sup |κ − κ̃| on T: ‖κ^½∇v − κ^-½y‖ ≤ ρ^½‖κ̃^½∇v − κ̃^-½y‖ + S‖y‖/(κ_min^½ κ̃_min),
   ρ = 1 + S/κ̃_min, since κ^½∇v − κ^-½y = κ^½κ̃⁻¹(κ̃∇v − y) + κ^-½(κ − κ̃)κ̃⁻¹y. The same holds with κ and κ̃ exchanged,
   and the quadrature has κ, so this is applied twice.
-- *u_D, ψ and an obstacle*, where v contains them themselves: see `hidden`.
+- *u_D, ψ and bounds in Ω*, where v contains them themselves: see `hidden`.
 
 Polynomials are integrated exactly. Data given in Python have no trees; for these the bound relies on quadrature.
 """

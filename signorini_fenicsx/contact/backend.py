@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,17 @@ class Iterate(Pairs):
     Attributes:
         sigma: Flux in RT0.
         u: Scalar in P0.
-        contact: Mask of the owned cells in contact with the obstacle; None if there is no obstacle.
+        cells: Conditions of the owned cells; None without laws in Ω.
     """
 
     sigma: fem.Function
     u: fem.Function
-    contact: Mask | None = None
+    cells: SiteConditions | None = None
+
+    @property
+    def contact(self) -> Mask | None:
+        """Mask of the owned cells where a law holds u, as an obstacle in contact does; None without laws in Ω."""
+        return None if self.cells is None else self.cells.kind == Condition.ZERO_TRACE
 
 
 class Inexact(Protocol):

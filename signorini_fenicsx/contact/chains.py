@@ -47,17 +47,20 @@ class Chains:
         """Chains through these corners.
 
         Args:
-            p: Ascending, shape (sites, corners).
-            flux: Descending, shape (sites, corners).
+            p: Ascending, shape (sites, corners), ∞ for corners that a site does not have.
+            flux: Descending, shape (sites, corners), −∞ there.
             before: β of the first segment, ∞ if it is vertical, shape (sites,).
             beyond: β of the last one.
         """
-        run, fall = np.diff(p, axis=1), -np.diff(flux, axis=1)
+        there = np.isfinite(p)
+        at, fallen = np.where(there, p, 0.0), np.where(there, flux, 0.0)
+        run, fall = np.diff(at, axis=1), -np.diff(fallen, axis=1)
         between = np.divide(fall, run, out=np.full_like(run, np.inf), where=run > 0)
-        slope = np.column_stack([before, between, beyond])
+        slope = np.column_stack([before, np.where(there[:, 1:], between, 0.0), np.zeros(len(p))])
+        slope[np.arange(len(p)), there.sum(axis=1)] = beyond
         left = np.maximum(np.arange(slope.shape[1]) - 1, 0)
         vertical = np.isinf(slope)
-        value = np.where(vertical, p[:, left], flux[:, left] + np.where(vertical, 0.0, slope) * p[:, left])
+        value = np.where(vertical, at[:, left], fallen[:, left] + np.where(vertical, 0.0, slope) * at[:, left])
         return cls(p, flux, slope, value)
 
     def with_penalty(self, penalty: Penalty | None, eps: float) -> Chains:
@@ -168,6 +171,60 @@ class Chains:
         off[:, :-1] = np.maximum(off[:, :-1], past)
         off[:, 1:] = np.maximum(off[:, 1:], short)
         return p - inner_p, flux - inner, off.min(axis=1)
+
+    def ends_at(self, p: Array) -> tuple[Array, Array]:
+        """The largest and the least σ·n at a p per site: they differ on vertical segments; outside those of the ends.
+
+        Corners at p = ∞, which there are on chains with fewer corners than others, do not count.
+        """
+        rows, last = np.arange(len(p)), np.maximum(self.count - 1, 0)
+        found = []
+        for passed in ((self.p < p[:, None]).sum(axis=1), (self.p <= p[:, None]).sum(axis=1)):
+            passed = np.minimum(passed, self.count)
+            corner = np.clip(passed - 1, 0, last)
+            slope = self.slope[rows, passed]
+            steep = np.isinf(slope)
+            beside = np.where(passed == 0, 0, corner)
+            fallen = np.where(steep, 0.0, slope) * np.where(steep, 0.0, p - self.p[rows, beside])
+            found.append(self.flux[rows, beside] - fallen)
+        return found[0], found[1]
+
+    def plus(self, other: Chains) -> Chains:
+        """The chains whose σ·n is the sum of both at equal p, with the corners of both.
+
+        Where p of a corner is outside of what the other chain allows, the corner is moved to the end of it.
+
+        Raises:
+            ValueError: If no p is allowed by both chains of a site.
+        """
+        low, high = (
+            np.maximum(self.extent()[0], other.extent()[0]),
+            np.minimum(self.extent()[1], other.extent()[1]),
+        )
+        if np.any(low > high):
+            raise ValueError
+        p = np.hstack([self.p, other.p])
+        own = np.repeat([True, False], [self.corners, other.corners])
+        # Own corners come first at equal p: at them the other chain has not fallen yet, at its corners this one has.
+        with np.errstate(invalid="ignore"):
+            inside = np.where(np.isinf(p), p, np.clip(p, low[:, None], high[:, None]))
+        flux = np.empty_like(p)
+        for column in range(p.shape[1]):
+            there = np.where(np.isinf(p[:, column]), 0.0, inside[:, column])
+            mine, theirs = self.ends_at(there), other.ends_at(there)
+            at = self.flux[:, column] if own[column] else other.flux[:, column - self.corners]
+            moved = there != p[:, column]
+            at = np.where(moved, (mine if own[column] else theirs)[int(column >= self.corners)], at)
+            flux[:, column] = at + (theirs[0] if own[column] else mine[1])
+        flux = np.where(np.isinf(p), -np.inf, flux)
+        order = np.lexsort((np.broadcast_to(~own, p.shape), inside), axis=1)
+        inside, flux = (np.take_along_axis(values, order, axis=1) for values in (inside, flux))
+        known = np.isfinite(inside)
+        flux = np.where(known, np.minimum.accumulate(np.where(known, flux, np.inf), axis=1), -np.inf)
+        rows = np.arange(len(p))
+        before = self.slope[:, 0] + other.slope[:, 0]
+        beyond = self.slope[rows, self.count] + other.slope[rows, other.count]
+        return Chains.through(inside, flux, before, beyond)
 
     def take(self, sites: slice | np.ndarray) -> Chains:
         """Those of some sites."""

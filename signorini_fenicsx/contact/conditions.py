@@ -1,7 +1,7 @@
 """One condition per site: with these each step of every algorithm is a linear problem.
 
-A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex. With an obstacle in Ω each cell is a
-site as well, with u_T − ψ_T for p and λ_T, the force of the obstacle, for σ·n.
+A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex. With laws in Ω each cell is a site
+as well, with u_T less a reference for p and −s_T, of an obstacle its force, for σ·n.
 """
 
 from __future__ import annotations
@@ -80,16 +80,17 @@ class SiteConditions:
         beta, value = (x[sites] if isinstance(x, np.ndarray) else x for x in (self.beta, self.value))
         return SiteConditions(self.kind[sites], beta, value)
 
-    def and_cells(self, contact: Mask | None) -> SiteConditions:
-        """These, and behind them the conditions of cells in contact with an obstacle or not; None without one."""
-        if contact is None:
+    def and_cells(self, cells: SiteConditions | None) -> SiteConditions:
+        """The conditions of facets, and behind them those of cells; None without laws in Ω."""
+        if cells is None:
             return self
-        kind = np.where(contact, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
         beta, value = (
-            np.append(x, np.full(len(contact), of_cells)) if isinstance(x, np.ndarray) else x
-            for x, of_cells in ((self.beta, 1.0), (self.value, 0.0))
+            np.append(*(np.broadcast_to(x, each.kind.shape) for x, each in zip(pair, (self, cells), strict=True)))
+            if any(isinstance(x, np.ndarray) for x in pair)
+            else pair[0]
+            for pair in ((self.beta, cells.beta), (self.value, cells.value))
         )
-        return SiteConditions(np.append(self.kind, kind), beta, value)
+        return SiteConditions(np.append(self.kind, cells.kind), beta, value)
 
     def values_where(self, sites: Mask) -> Array:
         """Values v on some sites."""

@@ -1,119 +1,20 @@
-"""The laws on Γ_S as the user gives them: monotone, piecewise linear graphs between u and κ∇u·n.
+"""The laws that there are, on parts of the boundary and in regions of Ω; see `law` for what a law is.
 
-They are those of Duvaut and Lions: Inequalities in Mechanics and Physics (1976), chapter I. What a law says at a point
-is a `Graph` in the values of its data there. A law of one's own is a small class:
-
->>> from dataclasses import dataclass
->>> @dataclass(frozen=True)
-... class Spring(Law):
-...     stiffness: Given
-...     level: Given = 0.0
-...     segments = ("spring",)
-...     def graph(self, values):
-...         return Graph((values["level"], 0.0), [(values["level"], 0.0)], values["stiffness"], values["stiffness"])
+They are those of Duvaut and Lions: Inequalities in Mechanics and Physics (1976), chapter I, and what hydrologists ask
+for on Γ_S: seepage faces and rivers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Literal, Self
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from signorini_fenicsx.base.arguments import names_of
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-
-type Given = Any
-"""A datum: a number, a text in x, y, z, UFL on the mesh, or a function of points, see `expressions.given`."""
-type Values = Mapping[str, Array]
-"""The data of a law, by their names, at some points or as means over some facets."""
-VERTICAL = "vertical"
-
-
-@dataclass(frozen=True)
-class Graph:
-    """A chain of segments in the plane of u and κ∇u·n, at some points.
-
-    Where it ends in a vertical segment, u of that corner is a bound of u: a number, or one of the values that the law
-    was given, and no new array, so that the datum is known by it.
-
-    Attributes:
-        reference: A point of it, from which u and κ∇u·n are measured, so that values there are exactly 0.
-        corners: The corners, u ascending and κ∇u·n descending.
-        before: How steeply κ∇u·n falls with u before the first corner: ∞ where u cannot be less.
-        beyond: The same beyond the last corner: ∞ where u cannot be larger.
-    """
-
-    reference: tuple[Array | float, Array | float]
-    corners: Sequence[tuple[Array | float, Array | float]]
-    before: Array | float = 0.0
-    beyond: Array | float = 0.0
-
-
-@dataclass(frozen=True)
-class OnParts:
-    """What holds on some parts of the boundary.
-
-    Attributes:
-        parts: Name of a part, or a list of names.
-    """
-
-    parts: Sequence[str]
-
-    def __post_init__(self) -> None:
-        """Make a list of one name."""
-        object.__setattr__(self, "parts", names_of("parts", self.parts))
-
-
-@dataclass(frozen=True)
-class Law(OnParts):
-    """A law on some parts of the boundary. Its fields but `parts` are data.
-
-    Attributes:
-        parts: Name of a part, or a list of names.
-        segments: Names of the segments of its graph, in the order of ascending u.
-        weights: For data whose mean is weighted by others: their names, each with that of its weight.
-    """
-
-    segments: ClassVar[Sequence[str]] = ()
-    weights: ClassVar[Mapping[str, str]] = {}
-
-    def data(self) -> dict[str, Given]:
-        """The data by their names."""
-        return {name: getattr(self, name) for name in self._data_names()}
-
-    def _data_names(self) -> list[str]:
-        return [field.name for field in fields(self) if field.name != "parts"]
-
-    def with_data(self, change: Callable[[str, Any], Any]) -> Self:
-        """The law with each of its data changed by a function of its name, with the law's in front, and value."""
-        given = {name: getattr(self, name) for name in self._data_names()}
-        new = {
-            name: value if value == VERTICAL else change(f"{self.name}.{name}", value) for name, value in given.items()
-        }
-        return replace(self, **new)
-
-    def graph(self, values: Values) -> Graph:
-        """The graph where the data have these values."""
-        raise NotImplementedError
-
-    def level_of(self, segment: int) -> str | None:
-        """The name of the datum with which u varies on a vertical or steep segment; None if it is not one datum."""
-        return None
-
-    def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """What the data must not be, in words, and where they are: a number > 0 there.
-
-        A graph that is not monotone is refused without it.
-        """
-        yield from ()
-
-    @property
-    def name(self) -> str:
-        """What case files and messages call it."""
-        return next((name for name, kind in LAWS.items() if type(self) is kind), type(self).__name__)
+from signorini_fenicsx.contact.law import VERTICAL, Given, Graph, Law, Values
 
 
 @dataclass(frozen=True)
@@ -129,6 +30,7 @@ class Dirichlet(Law):
     value: Given = 0.0
     components: str | None = None
     segments = ("given",)
+    places = ("parts",)
 
     def _data_names(self) -> list[str]:
         return ["value"]
@@ -154,6 +56,7 @@ class Neumann(Law):
 
     value: Given = 0.0
     segments = ("given",)
+    places = ("parts",)
 
     def graph(self, values: Values) -> Graph:
         """A horizontal line."""
@@ -174,6 +77,8 @@ class Signorini(Law):
     psi: Given = 0.0
     q_S: Given = 0.0
     segments = ("contact", "open")
+    places = ("parts",)
+    word = "signorini"
 
     def graph(self, values: Values) -> Graph:
         """The corner is the reference."""
@@ -196,6 +101,8 @@ class Friction(Law):
 
     g: Given = 0.0
     segments = ("slip+", "stick", "slip-")
+    places = ("parts",)
+    word = "friction"
 
     def graph(self, values: Values) -> Graph:
         """The reference is in the middle of the vertical segment."""
@@ -222,6 +129,8 @@ class TwoSided(Law):
     psi: Given = 0.0
     q_S: Given = 0.0
     segments = ("lower", "open", "upper")
+    places = ("parts",)
+    word = "two-sided"
 
     def graph(self, values: Values) -> Graph:
         """The reference is the lower corner."""
@@ -250,6 +159,8 @@ class Wall(Law):
     beta: Given
     level: Given = 0.0
     segments = ("inflow", "closed")
+    places = ("parts",)
+    word = "wall"
     weights: ClassVar[Mapping[str, str]] = {"level": "beta"}
 
     def graph(self, values: Values) -> Graph:
@@ -283,6 +194,8 @@ class Regulator(Law):
     g_high: Given
     a: Given = 0.0
     segments = ("high", "regulated", "low")
+    places = ("parts",)
+    word = "regulator"
     weights: ClassVar[Mapping[str, str]] = {"a": "k"}
 
     def graph(self, values: Values) -> Graph:
@@ -302,25 +215,160 @@ class Regulator(Law):
 
 
 @dataclass(frozen=True)
+class Seepage(Law):
+    """u ≤ level and κ∇u·n ≤ rain, one of them equal: the surface of a soil, with the pressure head or the head as u.
+
+    κ∇u·n is what flows in. Below the level all rain flows in; at the level water may leave.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        rain: What falls on the surface, per area and time; evaporation where it is negative.
+        level: The largest u: 0 for a pressure head, the height of the surface for a head; continuous.
+    """
+
+    rain: Given = 0.0
+    level: Given = 0.0
+    segments = ("open", "seepage")
+    places = ("parts",)
+    word = "seepage"
+
+    def graph(self, values: Values) -> Graph:
+        """The corner is the reference."""
+        corner = values["level"], values["rain"]
+        return Graph(corner, [corner], beyond=np.inf)
+
+    def level_of(self, segment: int) -> str | None:
+        """The level where water may leave."""
+        return "level" if segment == 1 else None
+
+
+@dataclass(frozen=True)
+class River(Law):
+    """κ∇u·n = q + r (level − u) where u ≥ bed, q + r (level − bed) where u < bed, with the head as u.
+
+    κ∇u·n is what flows in: out of a river through a bed that leaks, cut where the head falls below the bed.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        r: Conductance of the bed per area, > 0.
+        level: Level of the river.
+        bed: Height of its bed, at most the level.
+        q: What flows in besides.
+    """
+
+    r: Given
+    level: Given
+    bed: Given
+    q: Given = 0.0
+    segments = ("below", "leaking")
+    places = ("parts",)
+    word = "river"
+
+    def graph(self, values: Values) -> Graph:
+        """The corner at the bed is the reference."""
+        r, level, bed, q = (values[name] for name in ("r", "level", "bed", "q"))
+        corner = bed, q + r * (level - bed)
+        return Graph(corner, [corner], beyond=r)
+
+    def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
+        """An r that is not positive, a bed above the level."""
+        yield "r must be positive", np.where(values["r"] > 0, 0.0, 1.0)
+        yield "bed must not be above level", values["bed"] - values["level"]
+
+
+@dataclass(frozen=True)
+class Obstacle(Law):
+    """ψ ≤ u ≤ ψ_upper in a region: s = 0 where u is in between, ≤ 0 where u = ψ, ≥ 0 where u = ψ_upper.
+
+    Attributes:
+        parts: Left out; `region` is in its place.
+        psi: ψ, continuous; None for no lower bound.
+        psi_upper: ψ_upper, continuous; None for no upper bound. One of both is given.
+    """
+
+    psi: Given | None = None
+    psi_upper: Given | None = None
+    places = ("region",)
+    word = "obstacle"
+
+    def __post_init__(self) -> None:
+        """Refuse an obstacle without a bound."""
+        super().__post_init__()
+        if self.psi is None and self.psi_upper is None:
+            raise InputError("obstacle: needs psi, psi_upper or both")
+
+    def data(self) -> dict[str, Given]:
+        """The bounds that are given."""
+        return {name: given for name, given in super().data().items() if given is not None}
+
+    @property
+    def segments(self) -> Sequence[str]:  # type: ignore[override]
+        """In contact, or open; with two bounds in contact below or above."""
+        if self.psi_upper is None:
+            return "contact", "open"
+        return ("open", "contact") if self.psi is None else ("lower", "open", "upper")
+
+    def graph(self, values: Values) -> Graph:
+        """The first corner is the reference."""
+        corners = [(values[name], np.zeros_like(values[name])) for name in ("psi", "psi_upper") if name in values]
+        ends = (np.inf if name in values else 0.0 for name in ("psi", "psi_upper"))
+        return Graph(corners[0], corners, *ends)
+
+    def level_of(self, segment: int) -> str | None:
+        """The bound that holds u."""
+        held = {"lower": "psi", "upper": "psi_upper", "contact": next(iter(self.data()))}
+        return held.get(self.segments[segment])
+
+    def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
+        """Bounds in the wrong order."""
+        if self.psi is not None and self.psi_upper is not None:
+            yield "psi must not be above psi_upper", values["psi"] - values["psi_upper"]
+
+
+@dataclass(frozen=True)
+class Reaction(Law):
+    """s = cu in a region.
+
+    Attributes:
+        parts: Left out; `region` is in its place.
+        c: c ≥ 0.
+    """
+
+    c: Given
+    segments = ("reaction",)
+    places = ("region",)
+    word = "reaction"
+
+    def graph(self, values: Values) -> Graph:
+        """A line through 0."""
+        c = values["c"]
+        return Graph((0.0, 0.0), [(np.zeros_like(c), np.zeros_like(c))], c, c)
+
+
+@dataclass(frozen=True)
 class Corners(Law):
     """A graph by its corners.
 
     Attributes:
         parts: Name of a part, or a list of names.
-        corners: Pairs of u and κ∇u·n, u ascending and κ∇u·n descending.
-        before: How steeply κ∇u·n falls before the first corner, a number ≥ 0; "vertical" if u cannot be less.
-        beyond: The same beyond the last corner.
+        corners: Pairs of u and κ∇u·n, u ascending and κ∇u·n descending; in regions pairs of u and s, both ascending.
+        before: How steeply κ∇u·n falls, or s grows, before the first corner, a number ≥ 0; "vertical" if u cannot be
+            less.
+        beyond: How steeply it does beyond the last corner; "vertical" if u cannot be larger.
     """
 
     corners: Sequence[tuple[Given, Given]]
     before: Given | Literal["vertical"] = 0.0
     beyond: Given | Literal["vertical"] = 0.0
+    word = "graph"
 
     def __post_init__(self) -> None:
         """Refuse what are no corners."""
         super().__post_init__()
         if not self.corners or any(not isinstance(pair, list | tuple) or len(pair) != 2 for pair in self.corners):
-            raise InputError("corners: must be pairs of u and κ∇u·n, such as [[0, 1], [0.5, 0]]")
+            raise InputError(
+                "corners: must be pairs of u and κ∇u·n, or of u and s in regions, such as [[0, 1], [0.5, 0]]"
+            )
         object.__setattr__(self, "corners", tuple(map(tuple, self.corners)))
 
     def data(self) -> dict[str, Given]:
@@ -350,6 +398,14 @@ LAWS: Mapping[str, type[Law]] = {
     "two-sided": TwoSided,
     "wall": Wall,
     "regulator": Regulator,
+    "seepage": Seepage,
+    "river": River,
     "graph": Corners,
 }
-"""The laws by the names that case files have for them."""
+"""The laws on parts of the boundary by the names that case files have for them."""
+LAWS_INSIDE: Mapping[str, type[Law]] = {
+    "obstacle": Obstacle,
+    "reaction": Reaction,
+    "graph": Corners,
+}
+"""The laws in regions by the names that case files have for them."""

@@ -19,8 +19,6 @@ from signorini_fenicsx.meshes.sampling import curve_gap, of_unit_size, sampled
 
 OVERLAP_DEGREE = 10
 """Quadrature degree for the part of a facet that the other set covers; it is found to about 1/6 of the facet."""
-OPEN = 1
-"""Segment of a cell that is not in contact with an obstacle."""
 SUBDIVISIONS = 4
 """Parts of each edge of a facet; distances are measured from the points of this grid."""
 
@@ -59,7 +57,7 @@ class Segments:
     Attributes:
         spaces: Where they are.
         segment: Number of its segment for each of `spaces.facets`.
-        cells: The same for each owned cell, if there is an obstacle; otherwise None.
+        cells: The same for each owned cell, if there are laws in Ω; otherwise None.
     """
 
     spaces: MeshSpaces
@@ -67,10 +65,11 @@ class Segments:
     cells: Indices | None = None
 
     @classmethod
-    def of_sites(cls, spaces: MeshSpaces, segment: Indices, *, obstacle: bool) -> Self:
-        """Those of facets and, with an obstacle, of the cells behind them."""
+    def of_sites(cls, spaces: MeshSpaces, segment: Indices) -> Self:
+        """The segments of facets and, if there are more, of the cells behind them (collective)."""
         number = len(spaces.facets)
-        return cls(spaces, segment[:number], segment[number:] if obstacle else None)
+        more = spaces.mesh.comm.allreduce(len(segment) > number, MPI.LOR)
+        return cls(spaces, segment[:number], segment[number:] if more else None)
 
     def on(self, spaces: MeshSpaces) -> Indices:
         """Those of the sites of another mesh of the domain: that at the midpoint of each (collective)."""
@@ -82,10 +81,16 @@ class Segments:
         found = found[: len(spaces.facets)]
         if self.cells is None:
             return found
-        numbers = fem.Function(self.spaces.Q)
-        numbers.x.array[:] = self.cells - OPEN  # no ghost cells
-        near = self._near_contact(self.cells, spaces.mesh)
-        return np.append(found, self._sample(numbers, spaces.mesh, near) + OPEN)
+        numbers, usual = fem.Function(self.spaces.Q), self._usual(self.cells)
+        numbers.x.array[:] = self.cells - usual  # no ghost cells
+        near = self._near_others(self.cells != usual, spaces.mesh)
+        return np.append(found, self._sample(numbers, spaces.mesh, near) + usual)
+
+    def _usual(self, segment: Indices) -> int:
+        """The segment that most cells of all ranks are on (collective)."""
+        comm = self.spaces.mesh.comm
+        most = comm.allreduce(int(segment.max(initial=0)), MPI.MAX)
+        return int(np.argmax(comm.allreduce(np.bincount(segment, minlength=most + 1))))
 
     def _sample(
         self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32] | None = None
@@ -93,13 +98,13 @@ class Segments:
         (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0, cells=cells)
         return np.rint(sample.x.array).astype(np.int64)
 
-    def _near_contact(self, segment: Indices, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
-        """Owned cells of another mesh with their centroid in the box around all cells that are not open (collective).
+    def _near_others(self, others: Mask, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+        """Owned cells of another mesh with their centroid in the box around all cells of a mask (collective).
 
         The search of cells takes longer than anything else in a prediction.
         """
         geometry, gap = self.spaces.mesh.geometry, curve_gap(self.spaces.domain)
-        corners = geometry.x[geometry.dofmaps[0][: len(segment)][segment != OPEN]].reshape(-1, 3)
+        corners = geometry.x[geometry.dofmaps[0][: len(others)][others]].reshape(-1, 3)
         ends = np.stack([corners, -corners]).min(axis=1, initial=np.inf)
         mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
         low, high = ends[0] - gap, gap - ends[1]

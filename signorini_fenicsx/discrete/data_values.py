@@ -36,7 +36,7 @@ def check_nodes(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray
     mesh = spaces.mesh
     found = datum.values(in_facets(mesh, facets, quadratic_nodes(facet_type(mesh.topology.dim))))
     if not mesh.comm.allreduce(bool(np.isfinite(found).all()), op=MPI.LAND):
-        raise InputError(f"{_key(name)}: not finite everywhere {where}")
+        raise InputError(f"{in_problem(name)}: not finite everywhere {where}")
 
 
 def check_finite(spaces: MeshSpaces, name: str, where: str, datum: Datum, cells: npt.NDArray[np.int32]) -> None:
@@ -89,11 +89,13 @@ def check_means(name: str, where: str, means: Array, spaces: MeshSpaces) -> None
     """
     comm = spaces.mesh.comm
     if not comm.allreduce(bool(np.isfinite(means).all()), op=MPI.LAND):
-        raise InputError(f"{_key(name)}: not finite everywhere {where}")
+        raise InputError(f"{in_problem(name)}: not finite everywhere {where}")
     largest = comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
     low, high = DATA_RANGE
     if largest != 0 and not low <= largest <= high:
-        raise InputError(f"{_key(name)}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it")
+        raise InputError(
+            f"{in_problem(name)}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it"
+        )
 
 
 def facet_means(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:
@@ -111,7 +113,7 @@ def facet_means(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray
     return means
 
 
-def _key(name: str) -> str:
+def in_problem(name: str) -> str:
     """How a case file names a datum."""
     return name if name.startswith(("law.", "[")) else f"[problem] {name}"
 

@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.laws import OnParts
+from signorini_fenicsx.contact.law import OnParts
 from signorini_fenicsx.meshes.domain import Domain, other_side
 
 

@@ -43,7 +43,7 @@ def _from_best_start(
         with task.watch.phase("prediction"):
             earlier, inexact, worth_it = task.start, backend.inexact, task.predict and prediction.is_worth_it(spaces)
             if earlier is None and task.predict and task.in_cells:
-                earlier = prediction.over_obstacle(spaces)
+                earlier = prediction.with_laws_inside(spaces)
             elif earlier is None and worth_it:
                 earlier = prediction.from_coarser_mesh(spaces)
             if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
@@ -76,7 +76,7 @@ def _made_precise(
         kkt = task.kkt(outcome.iterate, rule.penalty)
     if (violation := kkt.violation()) is None:
         return replace(outcome, kkt=kkt)
-    start = outcome.conditions.and_cells(outcome.iterate.contact)
+    start = outcome.conditions.and_cells(outcome.iterate.cells)
     again = iterate_sets(precise(), rule, parameters, start=start, history=history)
     remark = f"by the saddle point, because the facet system left {violation}"
     return replace(again, reason=f"{again.reason}, {remark}")

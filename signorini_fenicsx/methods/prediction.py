@@ -26,10 +26,10 @@ from signorini_fenicsx.methods.task import Coarser
 
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
-OBSTACLE_COARSENING = 2.0
-"""Mesh size of the coarser mesh of a prediction with an obstacle, divided by that of the finer mesh."""
+COARSENING_IN_CELLS = 2.0
+"""Mesh size of the coarser mesh of a prediction with laws in Ω, divided by that of the finer mesh."""
 MOST_STEPS = 200
-"""Largest number of set updates on a coarser mesh with an obstacle."""
+"""Largest number of set updates on a coarser mesh with laws in Ω."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,11 @@ class Prediction:
         """Whether the problem is so large that a prediction saves more than it costs."""
         return spaces.facets_of_mesh >= self.tuning.predict_from
 
-    def over_obstacle(self, spaces: MeshSpaces, factor: float = 1.0) -> Segments | None:
+    def with_laws_inside(self, spaces: MeshSpaces, factor: float = 1.0) -> Segments | None:
         """The segments on a mesh that is coarser by 2, from those on one that is coarser still (collective).
 
-        From a cold start the edge of the contact with an obstacle moves by one cell per step, so that the number of
-        steps grows like 1/h. From the contact on a mesh that is coarser by 2 a few steps are left.
+        From a cold start the edge of a set of cells, such as those on an obstacle, moves by one cell per step, so that
+        the number of steps grows like 1/h. From the contact on a mesh that is coarser by 2 a few steps are left.
 
         Args:
             spaces: The spaces on the present mesh.
@@ -76,12 +76,12 @@ class Prediction:
         Returns:
             The set. None if the present mesh is small, or there is no coarser mesh or no solution on it.
         """
-        if self.coarser is None or spaces.facets_of_mesh < self.tuning.predict_obstacle_from:
+        if self.coarser is None or spaces.facets_of_mesh < self.tuning.predict_in_cells_from:
             return None
-        factor *= OBSTACLE_COARSENING
+        factor *= COARSENING_IN_CELLS
         with contextlib.suppress(InputError, NumericalFailure):
             coarse, backend_of = self.coarser(factor)
-            start = self.over_obstacle(coarse, factor)
+            start = self.with_laws_inside(coarse, factor)
             backend = backend_of(False)
             law, conditions = self.law(backend.chains), self.start(coarse, backend.chains, start)
             for _ in range(MOST_STEPS):
@@ -91,7 +91,7 @@ class Prediction:
                     break
                 conditions = wanted
             PETSc.garbage_cleanup(coarse.mesh.comm)  # in parallel PETSc frees objects only here
-            return Segments.of_sites(coarse, law.segments(conditions), obstacle=True)
+            return Segments.of_sites(coarse, law.segments(conditions))
         return None
 
     def from_coarser_mesh(self, present: MeshSpaces, factor: float = 1.0) -> Segments | None:

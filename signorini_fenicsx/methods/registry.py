@@ -18,15 +18,16 @@ from typing import Any, Self
 
 from signorini_fenicsx.contact.conditions import Condition, Penalty
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.contact.laws import Law, Signorini, TwoSided
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import Signorini, TwoSided
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
 from signorini_fenicsx.methods.by_sets import solve_by_sets
 from signorini_fenicsx.methods.task import Task
 
 MANY = 100_000
 """Iterations allowed for methods with cheap iterations."""
-FOR_OBSTACLE = 20
-"""Factor of the iterations allowed where there is an obstacle."""
+IN_CELLS = 20
+"""Factor of the iterations allowed where cells are sites."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Method:
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
         takes_inner: Whether it takes parts of Γ_S inside the domain.
-        obstacle: Whether it takes an obstacle in Ω.
+        laws_inside: Whether it takes laws in Ω, as an obstacle is one.
         single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
         on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
@@ -61,7 +62,7 @@ class Method:
     needs_dirichlet: bool = False
     laws: tuple[type[Law], ...] | None = (Signorini,)
     takes_inner: bool = False
-    obstacle: bool = False
+    laws_inside: bool = False
     single_call: bool = False
     max_iterations: int = 50
     on_one_rank: bool = False
@@ -82,7 +83,7 @@ class Method:
             starts_from_sets=True,
             laws=laws,
             takes_inner=exact,
-            obstacle=exact,
+            laws_inside=exact,
         )
 
     def most_iterations(self, corners: int, *, in_cells: bool = False) -> int:
@@ -90,7 +91,7 @@ class Method:
 
         A site moves by one segment of its law in a step. Where cells are sites a cold start takes about 1/h steps.
         """
-        return (self.max_iterations + corners - 1) * (FOR_OBSTACLE if in_cells else 1)
+        return (self.max_iterations + corners - 1) * (IN_CELLS if in_cells else 1)
 
     @property
     def has_eps(self) -> bool:
@@ -211,7 +212,7 @@ METHODS: Mapping[str, Method] = {
         "quadratic.quadratic_programme",
         laws=None,
         takes_inner=True,
-        obstacle=True,
+        laws_inside=True,
         single_call=True,
         max_iterations=250,
         on_one_rank=True,

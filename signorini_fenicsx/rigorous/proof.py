@@ -67,8 +67,8 @@ def proof_of(solution: Solution, v: fem.Function) -> Proof:
                 raise InputError("the proof is for the law of Signorini alone")
             if solution.data.c_h is not None:
                 raise InputError("the proof is for c = 0 alone")
-            if solution.data.obstacle is not None:
-                raise InputError("the proof is for problems without an obstacle")
+            if solution.data.inside is not None:
+                raise InputError("the proof is for problems without an obstacle and other laws in Ω")
             given = Given.of(solution.data.trees, FromArb())
             discrete = gathered(solution, v)
             proven = on_root(comm, lambda: None if discrete is None else prove(discrete, given))

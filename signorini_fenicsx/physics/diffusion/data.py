@@ -31,7 +31,7 @@ from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.given import Given, Rows
 from signorini_fenicsx.physics.diffusion.boundary_laws import BoundaryLaws, boundary_laws
-from signorini_fenicsx.physics.diffusion.obstacle import Obstacle, obstacle_of
+from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws, cell_laws, with_reactions
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -65,10 +65,10 @@ class Data:
         psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
         q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
         laws: The laws on Γ_S.
-        obstacle: The obstacle in Ω, or None.
+        inside: The laws in Ω but for reactions, which are in c; None if there are none.
         conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
-            same with the largest flux, often ∞, as with an obstacle. Exactly 0 if it is only rounding.
+            same with the largest flux, often ∞; less the s that laws in Ω allow. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
         memory: What the step of a problem in time takes from those before, in P0; a part of f_h, but not of f.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
@@ -90,7 +90,7 @@ class Data:
     psi_h: Array
     q_Sh: Array
     laws: BoundaryLaws
-    obstacle: Obstacle | None
+    inside: CellLaws | None
     conductance: float
     total_load: tuple[float, float]
     exact: Datum | None
@@ -99,12 +99,12 @@ class Data:
 
     @property
     def chains(self) -> Chains:
-        """The law of each site: of each facet of Γ_S and, with an obstacle, of each owned cell."""
+        """The law of each site: of each facet of Γ_S and, with laws in Ω, of each owned cell."""
         facets = self.laws.chains
-        if self.obstacle is None:
+        if self.inside is None:
             return facets
-        number, cells = len(self.psi_h), len(self.obstacle.means)
-        of_cells = np.arange(number, number + cells), Chains.at_corner(cells)
+        number, cells = len(self.psi_h), len(self.inside.means)
+        of_cells = np.arange(number, number + cells), self.inside.chains
         return joined([(np.arange(number), facets), of_cells], number + cells)
 
     def conductivities(self, spaces: Spaces) -> Array:
@@ -149,8 +149,8 @@ class Data:
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest mean of u_D, of ψ on the boundary, and of the obstacle (collective)."""
-        in_cells = np.empty(0) if self.obstacle is None else self.obstacle.means
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of references in Ω (collective)."""
+        in_cells = np.empty(0) if self.inside is None else self.inside.means
         means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
         return extent(np.concatenate(means), spaces.mesh.comm)
 
@@ -187,7 +187,7 @@ class Data:
             f_h=f_h,
             u_lift=u_lift,
             psi_h=psi_h,
-            obstacle=self.obstacle and self.obstacle.less(constant),
+            inside=self.inside and self.inside.less(constant),
         )
 
 
@@ -206,22 +206,31 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     """
     check_kind("problem", problem, Problem)
     problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known(spaces.mesh.comm)
+    problem = with_reactions(spaces, problem)
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
     kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
     f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))
     c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
-    of_laws = [(id(type(law)), law.parts, law.data()) for law in problem.laws]
+    of_laws = [(id(type(law)), law.parts, law.region, law.data()) for law in problem.laws]
     on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, problem.obstacle, of_laws]
     boundary = known.get("boundary", on_boundary, lambda: _boundary(spaces, problem))
     laws, q_Sh, sigma_lift = (boundary[name] for name in ("laws", "q_Sh", "sigma_lift"))
     given_flux = sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
-    loads = [spaces.cell_measures * f_h.x.array, given_flux]
+    inside: CellLaws | None = boundary["inside"]
+    in_cells = (0.0, 0.0) if inside is None else inside.chains.extent()[2:]
     lowest, highest = (
-        total(np.concatenate([*loads, (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows]]), spaces.mesh.comm)
-        for flux in laws.chains.extent()[2:]
+        total(
+            np.concatenate(
+                [
+                    spaces.cell_measures * (f_h.x.array + in_cell),
+                    given_flux,
+                    (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows],
+                ]
+            ),
+            spaces.mesh.comm,
+        )
+        for flux, in_cell in zip(laws.chains.extent()[2:], in_cells, strict=True)
     )
-    if boundary["obstacle"] is not None:
-        highest = np.inf
     return Data(
         f=f,
         kappa=kappa,
@@ -272,8 +281,8 @@ def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
     spaces.carry_across(sigma_lift)
-    obstacle = obstacle_of(spaces, problem.obstacle, u_D)
-    given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws, "obstacle": obstacle}
+    inside = cell_laws(spaces, problem, u_D)
+    given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws, "inside": inside}
     return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
 
 

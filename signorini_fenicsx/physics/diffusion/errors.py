@@ -20,6 +20,7 @@ from signorini_fenicsx.discrete.points import (
     owned_cells,
 )
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -29,7 +30,7 @@ def exact_errors(
 ) -> dict[str, float]:
     """The error of σ in the energy norm, and L² norms of those of σ, ∇·σ, u over Ω and of p over Γ_S (collective).
 
-    In time, and with an obstacle, ∇·σ is not known from u and the data, and left out.
+    In time, and with laws in Ω, ∇·σ is not known from u and the data, and left out.
     """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
     squares = np.zeros(5)
@@ -52,19 +53,20 @@ def exact_errors(
     squares[4] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
     found = dict(zip(("energy", "sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
-    if data.memory is not None or data.obstacle is not None:
+    if data.memory is not None or data.inside is not None:
         del found["div_sigma_L2"]
     return found
 
 
-def missed_contact(spaces: Spaces, data: Data, exact: Datum, contact: Mask) -> float:
-    """Measure of the cells in contact where u > ψ in the centroid, and of the others where u = ψ (collective)."""
-    assert data.obstacle is not None
-    mesh, held = spaces.mesh, np.zeros(len(contact), dtype=bool)
-    for points in cell_quadrature(mesh, owned_cells(mesh), 1):
-        u, psi = exact.values(points)[:, 0], data.obstacle.psi.values(points)[:, 0]
-        held[points.cells] = u - psi <= EXACT_CONTACT * np.maximum(np.abs(u), np.abs(psi))
-    return float(mesh.comm.allreduce(spaces.cell_measures[held != contact].sum()))
+def missed_contact(spaces: Spaces, laws: CellLaws, exact: Datum, contact: Mask) -> float:
+    """Measure of the cells where one of u_h and u only, in the centroid, is held by a law in Ω (collective)."""
+    held = np.zeros(len(contact), dtype=bool)
+    for part in laws.of_regions:
+        for points in part.quadrature(spaces, 1):
+            u, law = exact.values(points), part.chains(points)
+            near = np.abs(u - law.value) <= EXACT_CONTACT * np.maximum(np.abs(u), np.abs(law.value))
+            held[points.cells] |= (near & np.isinf(law.slope)).any(axis=1)
+    return float(spaces.mesh.comm.allreduce(spaces.cell_measures[held != contact].sum()))
 
 
 def exact_trace(spaces: Spaces, exact: Datum, points: FacetPoints) -> Array:

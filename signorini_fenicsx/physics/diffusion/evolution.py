@@ -6,7 +6,7 @@ all data at the time of the step. u_(n−k) is in P0, and C has its mean on each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +20,8 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
-from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
-from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.physics.diffusion.cell_laws import plus
 from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -99,7 +99,7 @@ class DiffusionSteps:
             u = fem.Function(self.spaces.Q, name="u")
             u.x.array[:] = kept(earlier, "u").ravel()
             left.append(u)
-        cells = None if self._problem.obstacle is None else kept(step, "own")
+        cells = kept(step, "own") if self._problem.has_laws_inside else None
         return Past(step, left, Segments(self.spaces, kept(step, "facet_own"), cells))
 
     def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
@@ -123,7 +123,7 @@ def problem_of_step(problem: Problem, evolution: Evolution, step: int, dim: int)
         InputError: If c or C was given in Python.
     """
     now, (a, _) = problem.at(evolution.time(step)), evolution.formula(step)
-    return replace(now, c=_plus(now.c, parsed(evolution.capacity, "xyz"[:dim], "[time] capacity"), a))
+    return replace(now, c=plus(now.c, parsed(evolution.capacity, "xyz"[:dim], "[time] capacity"), a, "[time]"))
 
 
 def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
@@ -142,21 +142,3 @@ def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
             "take one on the same mesh"
         )
     return u
-
-
-def _plus(c: Given | Mapping[str, Given], capacity: Given | Mapping[str, Given], a: float) -> dict[str, Tree] | Tree:
-    """The sum c + aC of trees, or of tables of them by region."""
-    if isinstance(c, Mapping) or isinstance(capacity, Mapping):
-        names = dict.fromkeys(name for table in (c, capacity) if isinstance(table, Mapping) for name in table)
-        return {name: _sum(_of(c, name), _of(capacity, name), a) for name in names}
-    return _sum(c, capacity, a)
-
-
-def _of(given: Given | Mapping[str, Given], region: str) -> Given:
-    return given.get(region, exactly(0.0)) if isinstance(given, Mapping) else given
-
-
-def _sum(c: Given, capacity: Given, a: float) -> Tree:
-    if not isinstance(c, TREES) or not isinstance(capacity, TREES):
-        raise InputError("[time]: c and capacity must be numbers or texts")
-    return Binary("+", c, Binary("*", exactly(a), capacity))

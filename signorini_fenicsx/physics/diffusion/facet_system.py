@@ -29,8 +29,8 @@ class FacetSystem:
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
     Inside the domain the unknown of a facet of Γ_S is the jump of u, see `jumps`.
 
-    With an obstacle the conditions of the cells follow those of the facets. A cell in contact, ZERO_TRACE, has another
-    source, so it changes the matrix and the load.
+    With laws in Ω the conditions of the cells follow those of the facets. They change the sources, and so the matrix
+    and the load.
 
     Attributes:
         spaces: The discrete spaces.
@@ -79,7 +79,7 @@ class FacetSystem:
     @property
     def follows_cells(self) -> bool:
         """Whether conditions of cells change `natural`."""
-        return self._data.obstacle is not None
+        return self._data.inside is not None
 
     def _form(self, data: Data) -> fem.Form:
         """The bilinear form (collective)."""
@@ -128,7 +128,7 @@ class FacetSystem:
             Whether κ and c, and so the matrix, stay.
         """
         same = data.same_operator(self._data, self.spaces)
-        kept = same and data.obstacle is None
+        kept = same and data.inside is None
         self.sources = self.sources.renewed(data) if kept else sources(self.spaces, data)
         if not kept:
             self._assemble_again(data)
@@ -151,17 +151,17 @@ class FacetSystem:
         """Impose conditions on `matrix`, unless they are those of last time (collective)."""
         if conditions.same(self._imposed, self.spaces.mesh.comm):
             return
-        self._hold_cells(conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE)
+        self._impose_in_cells(conditions.take(slice(self._facets.stop, None)))
         on_facets = conditions.take(self._facets)
         robin = on_facets.kind == Condition.ROBIN
         added = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]
         self._operator.impose(self._fixed(on_facets), self.trace_dofs[robin], added)
         self._imposed = conditions
 
-    def _hold_cells(self, contact: Mask) -> None:
-        """Let u_T be ψ_T on the cells in contact with the obstacle (collective)."""
-        if self._data.obstacle is not None:
-            self.sources = sources(self.spaces, self._data).held(contact, self._data.obstacle.means)
+    def _impose_in_cells(self, conditions: SiteConditions) -> None:
+        """Give each cell the source that its law has under its condition (collective)."""
+        if self._data.inside is not None:
+            self.sources = sources(self.spaces, self._data, conditions)
             self._assemble_again(self._data)
             self._assemble_load()
 
@@ -216,11 +216,12 @@ class FacetSystem:
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
         spaces.carry_across(sigma)
-        contact = None
-        if self._data.obstacle is not None:
-            contact = conditions.kind[self._facets.stop :] == Condition.ZERO_TRACE
-            u.x.array[contact] = self._data.obstacle.means[contact]
-        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, contact=contact)
+        cells = None
+        if self._data.inside is not None:
+            cells = conditions.take(slice(self._facets.stop, None))
+            held, value = cells.kind == Condition.ZERO_TRACE, self._data.inside.as_linear(cells)[1]
+            u.x.array[held] = value[held]
+        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, cells=cells)
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective).
@@ -238,11 +239,11 @@ class FacetSystem:
         return self._pairs(x, flux, conditions)
 
     def _pairs(self, x: PETSc.Vec, flux: Array, conditions: SiteConditions) -> tuple[Array, Array]:
-        """Both p − ψ and σ·n − q_S of the facets, and u_T − ψ_T and λ_T of the cells if there is an obstacle."""
+        """Both p − ψ and σ·n − q_S of the facets, and u_T less its reference and −s_T of the cells with laws in Ω."""
         data, trace = self._data, x.array_r[self.trace_dofs]
-        if data.obstacle is not None:
+        if data.inside is not None:
             u, source = self.sources.values(self._with_lift(x))
-            trace = np.append(trace, u - data.obstacle.means)
+            trace = np.append(trace, u - data.inside.means)
             force = source - data.f_h.x.array
             if data.c_h is not None:
                 force += data.c_h.x.array * u

@@ -1,4 +1,4 @@
-"""What the backends have in common whose sites are the facets of Γ_S and, with an obstacle, the cells behind them."""
+"""What the backends have in common whose sites are the facets of Γ_S and, with laws in Ω, the cells behind them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 class FacetBackend(ABC):
     """A `Backend` for RT0/P0 with a condition per facet of Γ_S; subclasses add `name`, `dofs`, `solver` and `solve`.
 
-    With an obstacle there is a condition per owned cell as well, behind those of the facets.
+    With laws in Ω there is a condition per owned cell as well, behind those of the facets.
 
     Attributes:
         facets: The sites that are facets.
@@ -50,8 +50,8 @@ class FacetBackend(ABC):
         self.comm: MPI.Comm = spaces.mesh.comm
         self.facets, self.cells = slice(len(spaces.facets)), slice(len(spaces.facets), None)
         self.sites = len(spaces.facets)
-        if data.obstacle is not None:
-            self.sites += len(data.obstacle.means)
+        if data.inside is not None:
+            self.sites += len(data.inside.means)
             self.noun = ("site", "sites") if spaces.part_names else ("cell", "cells")
 
     @property
@@ -100,7 +100,7 @@ class FacetBackend(ABC):
         For σ·n it is the largest flux, per |e|, through any facet of a cell behind Γ_S. Where κ jumps, rounding has the
         same size everywhere in the energy. So the scale of p is also at most the largest √κ|u| or √κ|p|, divided by √κ
         of the facet's cell, and that of σ·n at most the largest flux/√κ, times this √κ. In a cell the scale of u_T is
-        that of p, and that of λ_T = (ψ_T − ū_T)/m_T − f_T is this divided by m_T.
+        that of p, and that of −s_T = (u_T − ū_T)/m_T − f_T is this divided by m_T.
         """
         spaces = self.spaces
         roots = np.sqrt(self.data.conductivities(spaces))
@@ -112,7 +112,7 @@ class FacetBackend(ABC):
         largest = np.array([values.max(initial=0.0) for values in terms])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         scales = np.minimum(largest[0], largest[1] / root), np.minimum(largest[2], largest[3] * root)
-        if self.data.obstacle is None:
+        if self.data.inside is None:
             return scales
         of_u = np.minimum(largest[0], largest[1] / roots)
         return np.append(scales[0], of_u), np.append(scales[1], of_u / mean_moments(spaces, self.data))

@@ -113,7 +113,7 @@ class HybridBackend(FacetBackend):
         return factorised and self._can_be_condensed() and self._regret >= self._facets_of_gamma_s()
 
     def _can_be_condensed(self) -> bool:
-        possible = self.data.holds(self.spaces) and self.data.obstacle is None
+        possible = self.data.holds(self.spaces) and self.data.inside is None
         return possible and self._facets_of_gamma_s() <= self._tuning.condense_up_to
 
     def _facets_of_gamma_s(self) -> int:

@@ -34,8 +34,8 @@ class MixedBackend(FacetBackend):
 
     The matrix is assembled once; the unknowns are σ − σ_lift and u. A NO_FLUX facet is an essential condition on its
     flux degree of freedom, a ZERO_TRACE facet is a natural one, and a ROBIN facet adds to the diagonal. So a step
-    changes only rows and columns of facets, and the sparsity pattern with its symbolic factorisation stays. In a cell
-    in contact with an obstacle u is fixed as well, and the residual of its mass balance is the force of the obstacle.
+    changes only rows and columns of facets, and the sparsity pattern with its symbolic factorisation stays. Laws in Ω
+    fix u in a cell as well, or add to the diagonal, and the residual of its mass balance is the s of its law.
 
     Attributes:
         before: u_before.
@@ -118,11 +118,12 @@ class MixedBackend(FacetBackend):
         spaces, b, x, residual = self.spaces, self._b, self._x, self._residual
         self._impose(conditions)
         given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
-        obstacle, held = self.data.obstacle, given_trace[self.cells]
+        inside, held, in_cells = self.data.inside, given_trace[self.cells], conditions.take(self.cells)
         on_facets, given = conditions.take(self.facets), given_flux[self.facets]
+        load = np.empty(0) if inside is None else inside.as_linear(in_cells)[1]
         essential = np.append(spaces.flux_dofs[given], self._of_cells(held))
         values = (flux[self.facets] * spaces.facet_measure / spaces.basis_flux)[given]
-        values = np.append(values, np.empty(0) if obstacle is None else obstacle.means[held])
+        values = np.append(values, load[held])
         x.set(0.0)
         x.array_w[essential] = values
         self._system.natural.mult(x, b)
@@ -134,6 +135,8 @@ class MixedBackend(FacetBackend):
         if loaded:
             b.array_w[:] += self._load
             b.array_w[self._flux_size :] -= self._stabilisation * self._cells * self.before.x.array[: len(self._cells)]
+            if inside is not None:
+                b.array_w[self._flux_size :] -= self._cells * load
         b.array_w[self._given] = 0.0
         b.array_w[essential] = values
         self._solver.solve(b, x)
@@ -144,8 +147,8 @@ class MixedBackend(FacetBackend):
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         sigma, u = self._fields(x)
         normal_flux = spaces.normal_flux(sigma)
-        if obstacle is not None:
-            p = np.append(p, u.x.array - obstacle.means)
+        if inside is not None:
+            p = np.append(p, u.x.array - inside.means)
             normal_flux = np.append(normal_flux, -residual.array_r[self._flux_size :] / self._cells)
         p, normal_flux = conditions.clean(p, normal_flux, self.data.conductance)
         if loaded:
@@ -157,7 +160,7 @@ class MixedBackend(FacetBackend):
             linear_iterations=self._solver.ksp.getIterationNumber(),
             sigma=sigma,
             u=u,
-            contact=None if obstacle is None else held,
+            cells=None if inside is None else in_cells,
         )
 
     def _of_cells(self, cells: Mask) -> npt.NDArray[np.int32]:
@@ -168,13 +171,16 @@ class MixedBackend(FacetBackend):
         """Make the matrix that of these conditions (collective)."""
         if conditions.same(self._imposed, self.comm):
             return
-        spaces, of_cells = self.spaces, self._of_cells(conditions.kind[self.cells] == Condition.ZERO_TRACE)
+        spaces, in_cells = self.spaces, conditions.take(self.cells)
+        of_cells, sloped = (self._of_cells(in_cells.kind == kind) for kind in (Condition.ZERO_TRACE, Condition.ROBIN))
         self._imposed, conditions = conditions, conditions.take(self.facets)
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)
         essential = np.concatenate([self._given, spaces.flux_dofs[no_flux], of_cells])
-        self._system.impose(essential, spaces.flux_dofs[robin], added)
+        grows = in_cells.kind == Condition.ROBIN
+        added = np.append(added, -self._cells[grows] * in_cells.beta_where(grows) if len(sloped) else np.empty(0))
+        self._system.impose(essential, np.append(spaces.flux_dofs[robin], sloped), added)
 
     def _right_side(self) -> Array:
         """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.laws import Dirichlet, Law, Neumann, Signorini
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signorini
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
@@ -12,17 +13,19 @@ from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
 
 @dataclass(frozen=True)
 class Diffusion:
-    """−∇·(κ∇u) + cu = f, with a condition on each part of the boundary; u = u_D where there is none.
+    """−∇·(κ∇u) + cu + s = f, with a condition on each part of the boundary; u = u_D where there is none.
 
     With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω, with equality in one of them. The conditions are
-    `Dirichlet`, `Neumann` and laws: `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator`, `Corners`, or your own.
+    `Dirichlet`, `Neumann` and laws: `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator`, `Seepage`, `River`,
+    `Corners`, or your own. Laws in regions of Ω, `Obstacle`, `Reaction`, `Corners` or your own, are made with `region=`
+    and give s, a monotone graph of u; without any s = 0.
 
     Attributes:
         f: Load, or one for each region of the mesh.
         kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh.
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no part needs a given u.
         u_D: Trace on the parts that no condition names, continuous.
-        obstacle: Lower bound of u in Ω, continuous; None for none.
+        obstacle: Lower bound of u in Ω, continuous; None for none. A short form of `Obstacle(region="all", psi=…)`.
         exact: The exact u, where it is known, or one for each region.
         conditions: The conditions, each on its parts. That of a part inside the domain is one between the jump of u and
             κ∇u·n, with n outward from the named side.
@@ -80,7 +83,7 @@ class Problem:
     """−∇·(κ∇u) + cu = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one.
 
     On the parts of `laws` these hold instead of ψ and q_S. With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω,
-    with equality in one of them.
+    with equality in one of them; laws in regions add their s to cu.
 
     Attributes:
         f: Load, or one for each region of the mesh.
@@ -92,7 +95,7 @@ class Problem:
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
         obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
         exact: The exact u, where it is known, or one for each region.
-        laws: Other laws on Γ_S. Their parts belong to Γ_S and need not be listed in `Boundary`.
+        laws: Other laws on Γ_S, whose parts belong to Γ_S and need not be listed in `Boundary`, and laws in Ω.
 
     Raises:
         InputError: If `laws` is not a list of laws.
@@ -113,6 +116,11 @@ class Problem:
         """Refuse a law that is not in a list."""
         if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
             raise InputError('laws: must be a list of laws, such as [Friction(["left"], g=1)]')
+
+    @property
+    def has_laws_inside(self) -> bool:
+        """Whether there are laws in Ω other than reactions."""
+        return self.obstacle is not None or any(law.region and not isinstance(law, Reaction) for law in self.laws)
 
     def at(self, t: float) -> "Problem":
         """The problem at a time, from one that `in_time` has read."""

@@ -6,15 +6,15 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.contact.conditions import Penalty
+from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
 from signorini_fenicsx.contact.residuals import Residuals, relative
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
+from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.obstacle import Obstacle
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 FAR = 1e6
@@ -35,9 +35,9 @@ class KKTResiduals(Residuals):
     u_D on each body. If S = 0, residuals are 0 or infinite. The constant that u_D and ψ have in common is subtracted
     from u, u_D and ψ first.
 
-    With an obstacle λ = −∇·σ − s is its force in each cell, s = f_h − c_h u. Primal, dual and complementarity then have
-    parts from Ω as well, ‖[u − ψ]_-‖ / (L G), ‖h_T k⁻¹[λ]_-‖ / G and ‖min(|u − ψ|/L, h_T k⁻¹|λ|)‖ / G, and the same as
-    fluxes.
+    With laws in Ω s = f_h − c_h u + ∇·σ is on the graph of u in each cell; an obstacle has the force λ = −s. Primal,
+    dual and complementarity then have parts from Ω as well, of an obstacle ‖[u − ψ]_-‖ / (L G), ‖h_T k⁻¹[λ]_-‖ / G and
+    ‖min(|u − ψ|/L, h_T k⁻¹|λ|)‖ / G, and the same as fluxes.
 
     For other laws p and σ·n are measured from the reference. Then primal and dual are how far p is outside of what any
     σ·n allows, and σ·n outside of what any p allows. Complementarity is the rest of the distance to the graph, in the
@@ -56,7 +56,7 @@ class KKTResiduals(Residuals):
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
         mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell, unless
-            there is an obstacle; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+            there are laws in Ω; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
     """
 
     primal: float
@@ -103,7 +103,7 @@ def kkt_residuals(
         trace, flux = penalty.shift(trace, flux, eps)
     low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
     sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
-    squares = length * np.array(sums) + _over_obstacle(spaces, data, in_cells, u)
+    squares = length * np.array(sums) + _of_laws_inside(spaces, data, in_cells, u)
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
     return KKTResiduals(
         primal=relative(primal, scales),
@@ -131,28 +131,39 @@ def far_bound(spaces: Spaces, data: Data, u: fem.Function) -> str:
     )
 
 
-def touching(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> Mask | None:
-    """Mask of the owned cells in contact with the obstacle, None without one (collective)."""
-    if data.obstacle is None:
+def conditions_of_cells(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> SiteConditions | None:
+    """The condition of each owned cell to which the fields are nearest, None without laws in Ω (collective)."""
+    if data.inside is None:
         return None
-    above, force = _obstacle_pairs(spaces, data, data.obstacle, CellFlux.of(spaces, sigma), u)
-    return np.asarray(np.abs(above) <= force)
+    above, force, unit = _pairs_of_cells(spaces, data, data.inside, CellFlux.of(spaces, sigma), u)
+    chains = data.inside.chains
+    # Within the ends of each segment, so that a line that goes on beyond them is not the nearest.
+    off = np.abs(chains.residuals(above, force, unit))
+    past = np.maximum(unit[:, None] * (above[:, None] - chains.p), chains.flux - force[:, None])
+    short = np.maximum(unit[:, None] * (chains.p - above[:, None]), force[:, None] - chains.flux)
+    none = np.zeros((len(above), 1))
+    inside = np.where(np.arange(chains.corners + 1) <= chains.count[:, None], 0.0, np.inf)
+    beyond = np.maximum(np.hstack([np.minimum(past, 1e300), none]), np.hstack([none, np.minimum(short, 1e300)]))
+    segment = np.argmin(np.hypot(off, np.maximum(beyond, 0.0)) + inside, axis=1)
+    return chains.conditions(segment)
 
 
-def _obstacle_pairs(
-    spaces: Spaces, data: Data, obstacle: Obstacle, sigma: CellFlux, u: fem.Function
-) -> tuple[Array, Array]:
-    """(k/L)(u − ψ) and h_T λ per owned cell."""
-    above = data.conductivities(spaces) / spaces.length * (u.x.array - obstacle.means)
-    return above, -_missing_mass(spaces, data, sigma, u)
+def _pairs_of_cells(
+    spaces: Spaces, data: Data, laws: CellLaws, sigma: CellFlux, u: fem.Function
+) -> tuple[Array, Array, Array]:
+    """U less its reference and −s per owned cell, and how many units of s one of u is: k/(L h_T)."""
+    force = -sigma.divergence - data.source(u).x.array
+    return u.x.array - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
 
 
-def _over_obstacle(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
+def _of_laws_inside(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
     """Squares of what the cells of this rank add to primal, dual and complementarity."""
-    if data.obstacle is None:
+    if data.inside is None:
         return np.zeros((3, 2))
-    k, (above, force) = data.conductivities(spaces), _obstacle_pairs(spaces, data, data.obstacle, sigma, u)
-    parts = np.minimum(above, 0.0), np.minimum(force, 0.0), np.minimum(np.abs(above), np.abs(force))
+    above, force, unit = _pairs_of_cells(spaces, data, data.inside, sigma, u)
+    low, inward, smaller = data.inside.chains.distances(above, force, unit)
+    k, h = data.conductivities(spaces), spaces.cell_diameters
+    parts = unit * h * low, h * inward, h * smaller
     return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
 
 
@@ -203,7 +214,7 @@ def _is_at_rest(spaces: Spaces, data: Data) -> bool:
 def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = np.zeros(len(k)) if data.obstacle is not None else _missing_mass(spaces, data, in_cells, u)
+    missing = np.zeros(len(k)) if data.inside is not None else _missing_mass(spaces, data, in_cells, u)
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [

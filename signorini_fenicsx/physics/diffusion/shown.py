@@ -29,8 +29,8 @@ if TYPE_CHECKING:  # it shows this
 
 def fields(solution: Solution) -> Iterator[tuple[str, list[fem.Function]]]:
     """The functions of each file, see `Solved.fields`; `solution.bp` has DG1, in which u_h and σ_h are exact."""
-    spaces, on_obstacle = solution.spaces, _on_obstacle(solution)
-    yield "solution.bp", _linear(solution, on_obstacle)
+    spaces, inside = solution.spaces, _inside(solution)
+    yield "solution.bp", _linear(solution, inside)
     if spaces.part_names:
         flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
         condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
@@ -43,11 +43,11 @@ def fields(solution: Solution) -> Iterator[tuple[str, list[fem.Function]]]:
     sigma.x.array[:] = centroid.ravel()  # no ghost cells
     magnitude = fem.Function(spaces.Q, name="sigma_norm")
     magnitude.x.array[:] = np.linalg.norm(centroid, axis=1)
-    yield "solution.xdmf", [solution.u, sigma, magnitude, *on_obstacle]
+    yield "solution.xdmf", [solution.u, sigma, magnitude, *inside]
 
 
-def _linear(solution: Solution, on_obstacle: list[fem.Function]) -> list[fem.Function]:
-    """σ_h, u_h, |σ_h| and what there is on the obstacle, in DG1 (collective)."""
+def _linear(solution: Solution, inside: list[fem.Function]) -> list[fem.Function]:
+    """σ_h, u_h, |σ_h| and the fields of laws in Ω, in DG1 (collective)."""
     mesh, dim = solution.spaces.mesh, solution.spaces.mesh.geometry.dim
     linear = fenicsx.function_space(mesh, ("DG", 1))
     sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
@@ -58,20 +58,23 @@ def _linear(solution: Solution, on_obstacle: list[fem.Function]) -> list[fem.Fun
         vectors[nodes[some]] = values
         magnitude.x.array[nodes[some]] = np.sqrt(np.einsum("cvi,cvi->cv", values, values))
         u.x.array[nodes[some]] = solution.u.x.array[some, None]
-    larger = [fem.Function(linear, name=function.name) for function in on_obstacle]
-    for function, constant in zip(larger, on_obstacle, strict=True):
+    larger = [fem.Function(linear, name=function.name) for function in inside]
+    for function, constant in zip(larger, inside, strict=True):
         function.interpolate(constant)
     return [sigma, u, magnitude, *larger]
 
 
-def _on_obstacle(solution: Solution) -> list[fem.Function]:
-    """1 in the cells in contact with the obstacle, and its force, in P0; none without one (collective)."""
-    inside = solution.outcome.iterate.contact
-    if inside is None:
+def _inside(solution: Solution) -> list[fem.Function]:
+    """Fields of laws in Ω, in P0: of an obstacle the contact and its force, else segments and s (collective)."""
+    laws, segment = solution.data.inside, solution.segments().cells
+    if laws is None:
         return []
-    contact = fem.Function(solution.spaces.Q, name="contact")
-    contact.x.array[:] = inside
-    return [contact, solution.force()]
+    force, number = solution.force(), fem.Function(solution.spaces.Q, name="contact" if laws.is_obstacle else "segment")
+    number.x.array[:] = solution.outcome.iterate.contact if laws.is_obstacle else segment
+    if not laws.is_obstacle:
+        force.name = "s"
+        force.x.array[:] *= -1
+    return [number, force]
 
 
 class FluxSeries:
@@ -139,12 +142,12 @@ def columns(solution: Solution, table: FacetTable) -> Columns:
 
 
 def other_tables(solution: Solution) -> dict[str, Columns]:
-    """With an obstacle `free_boundary.csv`, see `Solved.other_tables` (collective)."""
-    return {} if solution.data.obstacle is None else {"free_boundary": _free_boundary(solution)}
+    """With laws in Ω `free_boundary.csv`, see `Solved.other_tables` (collective)."""
+    return {} if solution.data.inside is None else {"free_boundary": _free_boundary(solution)}
 
 
 def _free_boundary(solution: Solution) -> Columns:
-    """Midpoint and measure of each facet between a cell in contact with the obstacle and another, on rank 0."""
+    """Midpoint and measure of each facet between cells on different segments of laws in Ω, on rank 0."""
     spaces, space = solution.spaces, solution.spaces.crouzeix_raviart
     mesh, dofs, dim = spaces.mesh, solution.free_boundary(), spaces.mesh.topology.dim
     mesh.topology.create_connectivity(dim, dim - 1)
@@ -192,6 +195,9 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
         on = summary["obstacle"]
         size = f"measure {on['contact_measure']:.6g}, force {on['force']:.6g}"
         found["obstacle"] = f"{on['contact_cells']} cells in contact, {size}"
+    for law, segments in summary.get("regions", {}).items():
+        counts = ", ".join(f"{name} {count['cells']}" for name, count in segments.items())
+        found[f"in Ω, {law}"] = f"cells on each segment: {counts}"
     for part, segments in summary.get("segments", {}).items():
         counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
         found[f"on {part}"] = f"facets on each segment: {counts}"

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
@@ -28,6 +28,7 @@ from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import shown
+from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.differences import differences
@@ -36,6 +37,9 @@ from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import InContact, Series, Solved
+
+SAME = 1e-9
+"""Relative distance of u from a corner of a law that is rounding."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,8 +158,8 @@ class Solution(Solved):
 
         They are the error of σ in the energy norm, which a certificate bounds, the L² norms of the errors of σ, ∇·σ, u
         over Ω and of p over Γ_S, and the Hausdorff distance between the contact set and the facets at whose midpoints
-        the exact u is ψ. With an obstacle the measure of the cells that are in contact in one of u and u_h only takes
-        the place of the error of ∇·σ.
+        the exact u is ψ. With laws in Ω the measure of the cells where they hold one of u and u_h only takes the place
+        of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
@@ -163,7 +167,9 @@ class Solution(Solved):
         norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.p)
         norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
         contact = self.outcome.iterate.contact
-        return norms if contact is None else norms | {"missed_contact": missed_contact(spaces, data, exact, contact)}
+        if data.inside is None or contact is None:
+            return norms
+        return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, contact)}
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
@@ -171,25 +177,67 @@ class Solution(Solved):
 
     @collector_off()
     def free_boundary(self) -> npt.NDArray[np.int32]:
-        """The owned facets between a cell in contact with the obstacle and another one (collective)."""
-        space, contact = self.spaces.crouzeix_raviart, self.outcome.iterate.contact
-        touching, cells = fem.Function(space), fem.Function(space)
-        inside = np.zeros(0, dtype=bool) if contact is None else contact
-        for count, some in ((touching, np.flatnonzero(inside)), (cells, np.arange(len(inside)))):
-            np.add.at(count.x.array, space.dofmap.list[some].ravel(), 1.0)
-            count.x.scatter_reverse(la.InsertMode.add)
-        between = (touching.x.array == 1) & (cells.x.array == 2)
-        return np.flatnonzero(between[: space.dofmap.index_map.size_local]).astype(np.int32)
+        """The owned facets between cells on different segments of their laws in Ω (collective)."""
+        space, segment = self.spaces.crouzeix_raviart, self.segments().cells
+        if segment is None:
+            return np.empty(0, dtype=np.int32)
+        sums = [fem.Function(space) for _ in range(3)]
+        for function, values in zip(sums, (np.ones(len(segment)), segment, segment**2), strict=True):
+            of_facets = np.repeat(values, space.dofmap.list.shape[1])
+            function.x.array[:] = np.bincount(
+                space.dofmap.list[: len(segment)].ravel(), of_facets, len(function.x.array)
+            )
+            function.x.scatter_reverse(la.InsertMode.add)
+        number, total, squares = (function.x.array[: space.dofmap.index_map.size_local] for function in sums)
+        return np.flatnonzero((number == 2) & (2 * squares != total**2)).astype(np.int32)
 
     @collector_off()
     def force(self) -> fem.Function:
-        """λ_h = −∇·σ_h − f_h + c_h u_h in P0, the force of the obstacle, exactly 0 in the cells off it (collective)."""
-        spaces, contact = self.spaces, self.outcome.iterate.contact
+        """λ_h = −s = −∇·σ_h − f_h + c_h u_h in P0 for the s of the laws in Ω: of an obstacle its force (collective).
+
+        It is exactly what the law says in cells on flat and sloped segments, such as 0 off an obstacle.
+        """
+        spaces, cells, laws = self.spaces, self.outcome.iterate.cells, self.data.inside
         found = fem.Function(spaces.Q, name="force")
-        if contact is not None:
+        if cells is not None and laws is not None:
             divergence = assembled(ufl.div(self.sigma) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
-            found.x.array[:] = np.where(contact, -divergence - self.data.source(self.u).x.array, 0.0)
+            beta, load = laws.as_linear(cells)
+            held = np.isinf(beta)
+            by_law = load - np.where(held, 0.0, beta) * self.u.x.array
+            found.x.array[:] = np.where(held, -divergence - self.data.source(self.u).x.array, by_law)
         return found
+
+    @collector_off()
+    def in_regions(self) -> dict[str, dict[str, Any]]:
+        """Number and measure of the cells on each segment of each law in Ω, by "law.0" and so on (collective).
+
+        The laws are listed as in the problem; an obstacle by its key is "obstacle".
+        """
+        found: dict[str, dict[str, Any]] = {}
+        spaces, laws = self.spaces, self.data.inside
+        for part in laws.of_regions if laws is not None else ():
+            names, segment = part.law.segments, self._segments_of(part)
+            on = [part.rows[segment == number] for number in range(len(names))]
+            local = np.array([[len(some), spaces.cell_measures[some].sum()] for some in on])
+            counts = spaces.mesh.comm.allreduce(local).tolist()
+            found[part.name] = {
+                name: {"cells": int(cells), "measure": measure}
+                for name, (cells, measure) in zip(names, counts, strict=True)
+            }
+        return found
+
+    def _segments_of(self, part: PartLaw) -> Indices:
+        """The segment of one law in Ω that each of its cells is on (collective)."""
+        laws, cells, own = self.data.inside, self.segments().cells, part.rows
+        assert laws is not None
+        assert cells is not None
+        if len(laws.of_regions) == 1:
+            return cells[own]
+        chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
+        u = self.u.x.array[own, None]
+        near = SAME * np.maximum(np.abs(u), np.abs(chains))
+        below, at = (chains < u - near).sum(axis=1), np.abs(chains - u) <= near
+        return below + np.where(at.sum(axis=1) > 1, 1, 0)
 
     @collector_off()
     def on_obstacle(self) -> dict[str, float]:
@@ -206,9 +254,11 @@ class Solution(Solved):
         return self.data.laws.chains.with_penalty(self.method.penalty, self.options.eps)
 
     def segments(self) -> Segments:
-        """The segment of its law that each Γ_S facet is on, and each cell if there is an obstacle."""
-        contact = self.outcome.iterate.contact
-        cells = None if contact is None else (~contact).astype(np.int64)
+        """The segment of its law that each Γ_S facet is on, and each cell if there are laws in Ω."""
+        laws, of_cells = self.data.inside, self.outcome.iterate.cells
+        cells = None
+        if laws is not None and of_cells is not None:
+            cells = laws.chains.segments(of_cells, self.u.x.array - laws.means)
         return Segments(self.spaces, self.law.segments(self.outcome.conditions, self.outcome.iterate.p), cells)
 
     @cached_property
@@ -221,8 +271,8 @@ class Solution(Solved):
 
     @collector_off()
     def sites_in_contact(self) -> tuple[int, float]:
-        """Number of facets in contact, with an obstacle of cells, and their measure (collective)."""
-        if self.data.obstacle is None:
+        """Number of facets in contact, with laws in Ω of cells that they hold, and their measure (collective)."""
+        if self.data.inside is None:
             return self.contact
         cells = self.on_obstacle()
         return int(cells["contact_cells"]), cells["contact_measure"]
@@ -269,8 +319,8 @@ class Solution(Solved):
         return {"u": self.u.x.array, "sigma": self.cell_flux.centroid, "divergence": self.cell_flux.divergence}
 
     def of_step(self) -> dict[str, float]:
-        """With an obstacle the cells in contact and its force, for `steps.csv` (collective)."""
-        if self.data.obstacle is None:
+        """With laws in Ω the cells that they hold and the force on them, for `steps.csv` (collective)."""
+        if self.data.inside is None:
             return {}
         found = self.on_obstacle()
         measure, force = found["contact_measure"], found["force"]
@@ -300,8 +350,16 @@ class Solution(Solved):
             "contact_facets": facets,
             "contact_measure": measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
-            **({} if self.data.obstacle is None else {"obstacle": self.on_obstacle()}),
+            **self._inside(),
         }
+
+    def _inside(self) -> dict[str, Any]:
+        """Of an obstacle its contact, of other laws in Ω the cells on their segments."""
+        if self.data.inside is None:
+            return {}
+        if self.data.inside.is_obstacle:
+            return {"obstacle": self.on_obstacle()}
+        return {"regions": self.in_regions()}
 
     def _particular(self) -> dict[str, Any]:
         own = self.outcome.own_residual

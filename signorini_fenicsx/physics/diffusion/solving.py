@@ -65,18 +65,18 @@ class System:
         spaces, options, (boundary, problem) = self.spaces, wish.options, given
         _check_same(self.boundary, gamma_s(boundary, problem))
         data = project_data(spaces, problem, self._known).after(wish.memory)
-        remesh = wish.remesh or (coarser_domains(spaces.domain) if data.obstacle else None)  # else 1/h steps
+        remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
-        in_cells = data.obstacle is not None
+        in_cells = data.inside is not None
         task = DiffusionTask(
             spaces=spaces,
             data=data.less(spaces, constant),
             rho=options.rho,
             eps=options.eps,
             max_iterations=options.max_iterations
-            or options.method.most_iterations(data.laws.chains.corners, in_cells=in_cells),
+            or options.method.most_iterations(data.chains.corners, in_cells=in_cells),
             on_step=wish.on_step,
             backend=partial(self._kept_backend, options),
             start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
@@ -112,7 +112,7 @@ class System:
 
     def _kept_backend(self, options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
         """The backend of the last solve with these data, or a new one (collective)."""
-        wanted = options.backend, options.tuning, data.obstacle is not None  # with an obstacle the cells are sites too
+        wanted = options.backend, options.tuning, data.inside is not None  # with laws in Ω the cells are sites too
         kept, self._backend = self._backend, None
         renewed = wanted == self._made_for and isinstance(kept, Renewable) and kept.renew(data)
         backend = kept if kept is not None and renewed else _new_backend(options, spaces, data)
@@ -251,11 +251,12 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
         InputError: If there is none, or the method cannot.
     """
     method = options.method
-    if data.obstacle is None and not spaces.part_names:
+    if data.inside is None and not spaces.part_names and data.c_h is None:
         raise InputError("signorini: lists no part, and there are no laws and no obstacle")
-    if data.obstacle is not None and not method.obstacle:
-        *others, last = (name for name, other in METHODS.items() if other.obstacle)
-        raise InputError(f"{options.algorithm_name} does not take an obstacle; {', '.join(others)} and {last} do")
+    if data.inside is not None and not method.laws_inside:
+        *others, last = (name for name, other in METHODS.items() if other.laws_inside)
+        what = "an obstacle" if data.inside.is_obstacle else "laws in Ω"
+        raise InputError(f"{options.algorithm_name} does not take {what}; {', '.join(others)} and {last} do")
     check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")

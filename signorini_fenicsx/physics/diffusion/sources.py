@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import inverses
+from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.discrete import cell_shapes
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -52,20 +53,20 @@ class Sources:
             y = y - self.s.x.array * means
         return means + self.moments * y, y
 
-    def held(self, cells: Mask, values: Array) -> Sources:
-        """The sources with which u_T has these values on some cells; there is an s."""
-        assert self.s is not None
-        s, b = self.s.copy(), self.b.copy()
-        s.x.array[cells] = 1 / self.moments[cells]
-        b.x.array[cells] = values[cells] / self.moments[cells]
-        return Sources(s, b, self.moments)
 
-
-def sources(spaces: Spaces, data: Data) -> Sources:
-    """Those of −∇·σ + c_h u = f_h, without contact with an obstacle."""
+def sources(spaces: Spaces, data: Data, conditions: SiteConditions | None = None) -> Sources:
+    """The sources of −∇·σ + c_h u + s = f_h, with the laws in Ω under conditions on the cells; without these s = 0."""
     moments = mean_moments(spaces, data)
-    if data.c_h is None and data.obstacle is None:
+    if data.c_h is None and data.inside is None:
         return Sources(None, data.f_h, moments)
+    if data.inside is not None and conditions is not None:
+        beta, load = data.inside.as_linear(conditions)
+        held = np.isinf(beta)
+        c = np.where(held, 0.0, beta) + (0.0 if data.c_h is None else data.c_h.x.array)
+        s, b = fem.Function(spaces.Q), fem.Function(spaces.Q)
+        s.x.array[:] = np.where(held, 1 / moments, c / (1 + c * moments))
+        b.x.array[:] = np.where(held, load / moments, (data.f_h.x.array + load) / (1 + c * moments))
+        return Sources(s, b, moments)
     s = fem.Function(spaces.Q)
     if data.c_h is not None:
         s.x.array[:] = data.c_h.x.array / (1 + data.c_h.x.array * moments)

@@ -25,11 +25,11 @@ class DiffusionTask(Task):
 
     @property
     def in_cells(self) -> bool:
-        """Whether there is an obstacle."""
-        return self.data.obstacle is not None
+        """Whether there are laws in Ω."""
+        return self.data.inside is not None
 
     def floating(self) -> Array | None:
-        """Measures of the facets of Γ_S, and of the cells with an obstacle, if there is neither a Γ_D nor a term cu."""
+        """Measures of the facets of Γ_S, and of the cells with laws in Ω, if there is neither a Γ_D nor a term cu."""
         if self.data.holds(self.spaces):
             return None
         return np.append(self.spaces.facet_measure, self.spaces.cell_measures if self.in_cells else np.empty(0))

@@ -14,7 +14,8 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, OnParts
+from signorini_fenicsx.contact.law import OnParts
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side

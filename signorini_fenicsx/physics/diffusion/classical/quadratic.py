@@ -8,12 +8,12 @@ no multipliers. Its own multipliers of ∇·τ = −f_h are u_h, and (12) gives 
 
 Where c > 0 the constraint is ∇·τ − cu = −f_h with ½(cu, u) added: u is one more unknown there, equal to its multiplier.
 
-With an obstacle the balance is ∇·τ − cu + λ = −f_h with λ ≥ 0, one more unknown per cell, and −(ψ, λ) is added: the
-multiplier u is ψ plus that of λ ≥ 0.
+With laws in Ω the balance is ∇·τ − cu + λ = −f_h with λ = −s, and the integral of Φ*(−λ) is added: for an obstacle
+λ ≥ 0 is one more unknown per cell, with −(ψ, λ); in general λ is a sum of unknowns as τ·n is below.
 
-For other laws the integral of φ*(−τ·n) is added, −p being the slope of φ* as a function of τ·n: linear on a vertical
-segment of the graph, quadratic on a sloped one, and flat segments are kinks. Where there are kinks τ·n is a sum of
-unknowns, one for each segment that is not flat.
+For other laws on Γ_S the integral of φ*(−τ·n) is added, −p being the slope of φ* as a function of τ·n: linear on a
+vertical segment of the graph, quadratic on a sloped one, and flat segments are kinks. Where there are kinks τ·n is a
+sum of unknowns, one for each segment that is not flat.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ from signorini_fenicsx.physics.diffusion.classical.gathered import RootRows, mat
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jumps import with_one_flux
 from signorini_fenicsx.physics.diffusion.recorder import Recorder
-from signorini_fenicsx.physics.diffusion.residuals import touching
+from signorini_fenicsx.physics.diffusion.residuals import conditions_of_cells
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.task import DiffusionTask, nothing_yet
 
@@ -66,15 +66,16 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
     of_flux = flux_rows.gather(np.column_stack([linear, bounds]))
     in_cells = _of_cells(spaces, data)
     of_cell = cell_rows.gather(in_cells)
-    of_pieces = gather_rows(comm, pieces)
+    of_pieces, of_loads = gather_rows(comm, pieces), gather_rows(comm, _laws_inside(data, in_cells))
     values = balance = left = None
     status, iterations = "", 0
     if hessian is not None and divergence is not None:
         assert of_flux is not None
         assert of_cell is not None
         assert of_pieces is not None
+        assert of_loads is not None
         scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
-        programme = _programme(hessian, scaled, of_flux, of_cell, of_pieces, obstacle=data.obstacle is not None)
+        programme = _programme(hessian, scaled, of_flux, of_cell, of_pieces, of_loads)
         x, y, status, iterations = programme.solve(task.max_iterations)
         values, balance = x[: len(of_flux)], y[: len(of_cell)]
         left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
@@ -89,8 +90,8 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
     flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
     spaces.carry_across(sigma_h)
-    contact = touching(spaces, data, sigma_h, u_h)
-    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h, contact=contact)
+    cells_of_laws = conditions_of_cells(spaces, data, sigma_h, u_h)
+    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h, cells=cells_of_laws)
     law = data.laws.chains
     conditions = law.conditions(ALGORITHM_2.following(law, p, flux, 1.0))
 
@@ -124,13 +125,43 @@ def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
 
 
 def _of_cells(spaces: Spaces, data: Data) -> Array:
-    """For each owned cell, for an orthonormal basis of Q_h: scale and right side of its balance, c, ψ (collective)."""
+    """For each owned cell, for an orthonormal basis of Q_h: scale and right side of its balance, c (collective).
+
+    With laws in Ω the part of λ that is no unknown is in the right side.
+    """
     v, cells = ufl.TestFunction(spaces.Q), spaces.Q.dofmap.index_map.size_local
     weight = 1 / np.sqrt(spaces.cell_measures[:cells])
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
     c = np.zeros(cells) if data.c_h is None else data.c_h.x.array
-    psi = np.zeros(cells) if data.obstacle is None else data.obstacle.means
-    return np.column_stack([weight, weight * right, c, psi / weight])
+    if data.inside is not None:
+        law, rows = data.inside.chains, np.arange(cells)
+        steep = law.slope > 0
+        last = steep.shape[1] - 1 - np.argmax(steep[:, ::-1], axis=1)
+        lowest = np.hstack([law.flux, np.full((cells, 1), -np.inf)])
+        meets = steep & (np.arange(steep.shape[1]) < last[:, None])
+        corners = -np.where(meets, lowest, 0.0).sum(axis=1)
+        right -= np.where(steep.any(axis=1), corners, law.value[rows, 0]) / weight**2
+    return np.column_stack([weight, weight * right, c])
+
+
+def _laws_inside(data: Data, of_cells: Array) -> Array:
+    """The unknowns of which λ is a sum, one for each steep segment of each owned cell (collective).
+
+    Returns:
+        Number of the cell over all ranks, root of its measure, β, value of the segment from u = 0, and its bounds,
+        shape (unknowns, 6).
+    """
+    if data.inside is None:
+        return np.empty((0, 6))
+    law, comm = data.inside.chains, data.f_h.function_space.mesh.comm
+    at = np.nonzero(law.slope > 0)
+    rows = at[0]
+    infinite = np.full((len(law.p), 1), np.inf)
+    lowest, highest = np.hstack([law.flux, -infinite]), np.hstack([infinite, law.flux])
+    vertical = np.isinf(law.slope[at])
+    value = law.value[at] + np.where(vertical, 1.0, law.slope[at]) * data.inside.means[rows]
+    first = comm.exscan(len(of_cells)) or 0
+    return np.column_stack([first + rows, 1 / of_cells[rows, 0], law.slope[at], value, lowest[at], highest[at]])
 
 
 def _laws(task: DiffusionTask, flux_size: int) -> tuple[Array, Array]:
@@ -240,16 +271,23 @@ def _with_reaction(
     )
 
 
-def _with_obstacle(
-    hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, of_flux: Array, psi: Array
+def _with_laws_inside(
+    hessian: scipy.sparse.csr_array, divergence: scipy.sparse.csr_array, of_flux: Array, loads: Array
 ) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array, Array]:
-    """The same unknowns and the force of the obstacle, for an orthonormal basis of Q_h (rank 0)."""
-    nothing = np.zeros_like(psi)
-    force = np.column_stack([-psi, nothing, np.full_like(psi, np.inf), nothing, nothing])
+    """The unknowns and those of which λ is a sum, for an orthonormal basis of Q_h (rank 0)."""
+    root, slope, value, lowest, highest = loads[:, 1:].T
+    with np.errstate(invalid="ignore"):
+        weight = np.where(np.isinf(slope), 0.0, 1 / slope)
+    nothing, linear = np.zeros_like(root), -root * np.where(np.isinf(slope), value, value / slope)
+    forces = np.column_stack([linear, root * lowest, root * highest, nothing, nothing])
+    columns = np.arange(len(loads))
+    of_forces = scipy.sparse.coo_array(
+        (np.ones(len(loads)), (loads[:, 0].astype(np.int64), columns)), (divergence.shape[0], len(loads))
+    )
     return (
-        scipy.sparse.csr_array(scipy.sparse.block_diag([hessian, scipy.sparse.diags_array(nothing)])),
-        scipy.sparse.csr_array(scipy.sparse.hstack([divergence, scipy.sparse.eye_array(len(psi))])),
-        np.concatenate([of_flux, force]),
+        scipy.sparse.csr_array(scipy.sparse.block_diag([hessian, scipy.sparse.diags_array(weight)])),
+        scipy.sparse.csr_array(scipy.sparse.hstack([divergence, of_forces])),
+        np.concatenate([of_flux, forces]),
     )
 
 
@@ -259,13 +297,12 @@ def _programme(
     of_flux: Array,
     of_cell: Array,
     pieces: Array,
-    *,
-    obstacle: bool,
+    loads: Array,
 ) -> _Programme:
     """The programme for the rows of all ranks (rank 0)."""
     parts = _with_reaction(hessian, divergence, of_flux, of_cell[:, 2])
-    if obstacle:
-        parts = _with_obstacle(*parts, of_cell[:, 3])
+    if len(loads) > 0:
+        parts = _with_laws_inside(*parts, loads)
     return _with_laws(*parts, of_cell[:, 1], pieces)
 
 
@@ -286,8 +323,8 @@ def _with_laws(
     diagonal = hessian.diagonal()
     size = np.divide(1.0, np.sqrt(diagonal), out=np.zeros_like(diagonal), where=diagonal > 0)
     of_rows = np.sqrt((divergence @ scipy.sparse.diags_array(size)).power(2).sum(axis=1))
-    forces = np.flatnonzero(diagonal == 0)  # one in each row, or none
-    size[forces] = of_rows[: len(forces)]
+    forces = np.flatnonzero(diagonal == 0)  # each in one row
+    size[forces] = of_rows[divergence.tocsc()[:, forces].indices]
     hessian = hessian + scipy.sparse.diags_array(quadratic)
     matrix = divergence
     if len(unknown) > 0:

@@ -1,0 +1,387 @@
+"""Laws in Ω in the bound: −∇·σ + s = f with s ∈ ∂Φ(u) in each point.
+
+Let v be in the domain of Φ, and η in that of Φ* in all points, near s_T = f_h + ∇·y with the same mean on each cell.
+For the problem with the load η − ∇·y in the place of f, whose solution ũ has s̃,
+
+    ½‖κ^½∇v − κ^-½y‖² + ∫Φ(v) + Φ*(η) − ηv = ½|∇(v − ũ)|² + ½‖y − κ∇ũ‖² + two integrals ≥ 0.
+
+Proof. With U = v − ũ the difference of both sides without these integrals is (∇U, κ∇ũ − y) + ∫Φ(v) + Φ*(η) − ηv. As
+∇·y − ∇·κ∇ũ = η − s̃, the first term is (U, η − s̃), and Φ(ũ) + Φ*(s̃) = s̃ũ. So what is left is ∫Φ(v) − Φ(ũ) − s̃(v − ũ),
+which is ≥ 0, and ∫Φ*(η) − Φ*(s̃) − ũ(η − s̃), which is ≥ 0 too. Laws on Γ_S add what they add without laws in Ω.
+
+The variational inequalities of u and ũ, each tested with the other one, give |∇(u − ũ)| ≤ osc as without laws in Ω. osc
+is that of f − f_h + s_T − η. The density Φ(v) + Φ*(η) − ηv is an area between the graph and the line s = η, see `laws`.
+
+*Where u is on a bound*, an end of the graph that is vertical, η may take f as it is: f̃ = f in the cells where s = s_T +
+f − f_h is in the range of an obstacle in all points. So in contact f may jump and is not paid for. Only the range of f
+is needed there, which intervals enclose, and the gap is bounded with the largest |s| of each cell, the force λ.
+
+*Elsewhere* η makes ∫Φ*(η) − ηv + ½ω|η − s_T|² least among those with the mean s_T, ω = (δ_T/π)², so that the sum of 2
+gap and osc² is small. With r = s_T + (v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
+
+v is between the bounds. There it is a function that is quadratic on each cell, by Bernstein coefficients between those
+of I_hψ, and then cut off by ψ itself. In vertices off Γ_D all of whose cells touch it is moved beyond ψ by as much as
+I_hψ may be on the other side, so that v is ψ itself there.
+
+With a term cu, s_T = f_h + ∇·y − c_h u*, and both sides have the terms of `reaction`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.certificate.admissible_trace import Trace
+from signorini_fenicsx.certificate.law_bounds import Bound
+from signorini_fenicsx.certificate.laws import gap, with_mean
+from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
+from signorini_fenicsx.certificate.metric import CellMetric
+from signorini_fenicsx.certificate.relaxation import Edges
+from signorini_fenicsx.certificate.resolution import Resolution
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.laws import Obstacle
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
+from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+ROOM = 2.0
+"""Factor of the largest I_hψ − ψ in the points of a quadrature."""
+SQUARE = 8
+"""Degree of the square of a quadratic, and of its square."""
+HALVINGS = 40
+"""So often the interval of m is halved before it is taken to be linear there."""
+
+
+def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
+    """The s per owned cell that the law under a condition allows: of flat and sloped segments, with u, what they say.
+
+    Elsewhere it would be the error of the linear solver, and its product with v − ψ would add up with one sign.
+    """
+    chains, rows = laws.chains, np.arange(len(s))
+    segment = chains.segments(cells, u - laws.means)
+    beta, load = laws.as_linear(cells)
+    first, last = segment == 0, segment == chains.count
+    least = np.where(first, -np.inf, -chains.flux[rows, np.maximum(segment - 1, 0)])
+    most = np.where(last, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)])
+    held = np.isinf(beta)
+    return np.where(held, np.clip(s, least, most), np.where(held, 0.0, beta) * u - load)
+
+
+def room(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
+    """By how much s of each owned cell may grow or fall where its law holds u; 0 elsewhere."""
+    chains, rows = laws.chains, np.arange(len(s))
+    segment = chains.segments(cells, u - laws.means)
+    above = np.where(segment == chains.count, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)] - s)
+    below = np.where(segment == 0, np.inf, s + chains.flux[rows, np.maximum(segment - 1, 0)])
+    return np.where(cells.kind == Condition.ZERO_TRACE, np.minimum(above, below), 0.0)
+
+
+@dataclass(frozen=True)
+class Ray:
+    """A bound of u in some cells.
+
+    Attributes:
+        name: Its name in messages and results.
+        datum: The bound.
+        sign: 1 for a lower bound, −1 for an upper one.
+        cells: The owned cells where it holds.
+        touched: Mask of the owned cells on it.
+        everywhere: Whether it holds in all cells of all ranks.
+    """
+
+    name: str
+    datum: Datum
+    sign: float
+    cells: Indices
+    touched: Mask
+    everywhere: bool
+
+    @property
+    def is_quadratic(self) -> bool:
+        """Whether the bound is its own quadratic interpolant."""
+        return self.datum.polynomial is not None and self.datum.polynomial <= 2
+
+    def coefficients(self, space: fem.FunctionSpace, edges: Edges) -> Array:
+        """Bernstein coefficients of I_hψ, infinite in nodes off its cells (collective)."""
+        here = coefficients(self.datum, space, edges)
+        return here if self.everywhere else np.where(_around(space, self.cells), here, -self.sign * np.inf)
+
+    def bound(self, linear: fem.FunctionSpace) -> Bound:
+        """The bound, as it is known to `law_trace`, with the depth 0 (collective)."""
+        near = fem.Function(linear)
+        near.x.array[:] = 1.0 if self.everywhere else _around(linear, self.cells)
+        return Bound(self.datum, self.sign, near, 0.0)
+
+    def touch(self, v: fem.Function, limit: Array, on_dirichlet: Indices) -> None:
+        """Let v be I_hψ in the nodes of all cells on the bound, but not on Γ_D (collective)."""
+        touched = _around(v.function_space, np.flatnonzero(self.touched))
+        touched[on_dirichlet] = False
+        v.x.array[:] = np.where(touched, limit, v.x.array)
+
+    def move_inside(self, v: fem.Function, limit: Array, edges: Edges, given: Indices) -> None:
+        """Move v in the vertices all of whose cells touch, so that v cut off by ψ is ψ there (collective).
+
+        In nodes where v is given, as on Γ_D, it stays.
+        """
+        if self.is_quadratic:
+            return
+        space, mesh = v.function_space, v.function_space.mesh
+        above, interpolant = np.zeros(len(self.touched)), fem.Function(space)
+        interpolant.x.array[:] = np.where(np.isfinite(limit), limit, 0.0)
+        for points in cell_quadrature(mesh, self.cells.astype(np.int32), quadrature_degree(self.datum)):
+            missed = self.sign * (points.quadratic(interpolant)[:, :, 0] - self.datum.values(points))
+            above[points.cells] = missed.max(axis=1, initial=0.0)
+        cells = space.dofmap.list
+        vertices = cells[:, : mesh.topology.dim + 1]
+        apart = (self.sign * v.x.array[cells] > self.sign * limit[cells]).any(axis=1)
+        depth, free = fem.Function(space), fem.Function(space)
+        for function, values in ((depth, ROOM * above), (free, 1.0 * apart)):
+            np.maximum.at(function.x.array, vertices.ravel(), np.repeat(values, vertices.shape[1]))
+            function.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+            function.x.scatter_forward()
+        depth.x.array[free.x.array > 0] = 0.0
+        depth.x.array[given] = 0.0
+        depth.x.array[edges.middle] = depth.x.array[edges.ends].mean(axis=1)  # linear on each cell
+        v.x.array[:] -= self.sign * depth.x.array
+
+
+def coefficients(datum: Datum, space: fem.FunctionSpace, edges: Edges) -> Array:
+    """Bernstein coefficients of the quadratic interpolant of a datum (collective)."""
+    interpolant = datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+    edges.to_bernstein(interpolant.x.array)
+    return np.asarray(interpolant.x.array, dtype=np.float64)
+
+
+def _around(space: fem.FunctionSpace, cells: Indices) -> Mask:
+    """Mask of the nodes of this rank that some owned cells of any rank have (collective)."""
+    near = fem.Function(space)
+    near.x.array[space.dofmap.list[cells]] = 1.0
+    near.x.scatter_reverse(la.InsertMode.add)
+    near.x.scatter_forward()
+    return np.asarray(near.x.array > 0)
+
+
+@dataclass(frozen=True)
+class Inside:
+    """The laws in Ω under the conditions of a solution, for its bound. Arrays have one entry per owned cell.
+
+    Attributes:
+        spaces: The discrete spaces.
+        laws: The laws.
+        s: The s_T.
+        segment: The segment of each cell.
+        rays: All bounds of u.
+        largest: Upper bound of |s| in cells on a bound of u, 0 in others.
+        takes_f: Mask of the cells where f̃ = f.
+    """
+
+    spaces: Spaces
+    laws: CellLaws
+    s: Array
+    segment: Indices
+    rays: tuple[Ray, ...]
+    largest: Array
+    takes_f: Mask
+
+    @classmethod
+    def of(cls, solution: Solution, y: fem.Function, level: fem.Function, resolution: Resolution) -> Inside | None:
+        """The laws with a flux, with u* as `level`; None if there are none (collective)."""
+        spaces, data, laws, cells = solution.spaces, solution.data, solution.data.inside, solution.outcome.iterate.cells
+        if laws is None or cells is None:
+            return None
+        divergence = assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
+        u = level.x.array
+        s = selected(laws, cells, divergence + data.source(level).x.array, u)
+        segment = laws.chains.segments(cells, u - laws.means)
+        rays = tuple(_rays(spaces, laws, segment))
+        for part in laws.of_regions:
+            resolution.by_quadrature |= {
+                part.key(name)
+                for name, datum in part.data.items()
+                if not any(datum is bound for bound in part.bounds)
+                and (datum.polynomial is None or 2 * datum.polynomial > DEGREES[1])
+            }
+        largest, takes_f = np.zeros(len(s)), np.zeros(len(s), dtype=bool)
+        for ray in rays:
+            largest[ray.touched] = np.maximum(-ray.sign * s[ray.touched], 0.0)
+        inside = cls(spaces, laws, s, segment, rays, largest, takes_f)
+        if data.f.number is None:
+            inside._take_f(data, resolution)
+        return inside
+
+    def _take_f(self, data: Data, resolution: Resolution) -> None:
+        """Let η take f where it can, in place (collective)."""
+        f_h = data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
+        others = np.zeros(len(self.s), dtype=bool)
+        for part in self.laws.of_regions:
+            others[part.rows] |= type(part.law) is not Obstacle
+        for ray in self.rays:
+            cells = np.flatnonzero(ray.touched & (self.largest > 0) & ~others)
+            end = f_h + ray.sign * self.largest
+            limit = end[cells] if ray.sign > 0 else np.full(len(cells), np.inf)
+            f = resolution.range_of("f", data.f, cells, limit)
+            far, near = (f.hi, f.lo) if ray.sign > 0 else (-f.lo, -f.hi)
+            taken = far <= ray.sign * end[cells]
+            self.takes_f[cells] = taken
+            self.largest[cells] = np.where(taken, ray.sign * end[cells] - near, self.largest[cells])
+
+    @property
+    def forces(self) -> Array:
+        """The slope of the gap where u is on a bound: λ below, −λ above, 0 elsewhere."""
+        return sum((ray.sign * np.where(ray.touched, self.largest, 0.0) for ray in self.rays), np.zeros(len(self.s)))
+
+    def gap(self, trace: Trace, metric: CellMetric, resolution: Resolution) -> tuple[Array, Projection]:
+        """Twice the gap, at most, and the load s_T − η without f − f_h (collective)."""
+        mesh = self.spaces.mesh
+        number, dim, cell = len(self.s), mesh.topology.dim, mesh.basix_cell()
+        found, missed = np.zeros(number), np.zeros(number)
+        load = Projection(np.zeros((number, dim)), np.zeros(number))
+        of_data = [datum for part in self.laws.of_regions for datum in part.data.values()]
+        degree = max(SQUARE, quadrature_degree(*of_data))
+        near = np.isin(np.arange(number), trace.cells)
+        for parts, cells in self._groups():
+            for close, of_degree in ((False, degree), (True, max(degree, trace.degree))):
+                some = cells[near[cells] == close]
+                points, weights = positive_quadrature(cell, of_degree)
+                for at in in_cells(mesh, some.astype(np.int32), points, weights):
+                    own = at.cells.astype(np.int64)
+                    law = reduce(Chains.plus, (self.laws.of_regions[i].chains(at) for i in parts))
+                    v = trace.jet(at, near=close)[:, :, 0]
+                    eta = self._eta(law, v, own, metric, at)
+                    missed[own] = self.s[own] - at.means(eta)
+                    part = projected(self.s[own, None] - missed[own, None] - eta, cell, OF_LOAD, points, weights)
+                    load.coefficients[own], load.rest[own] = part.coefficients, part.rest
+                    pressed = self.largest[own] > 0
+                    sides = np.sign(self.forces[own])
+                    eta[pressed] = -(sides * self.largest[own])[pressed, None]
+                    density = gap(law, v.ravel(), -eta.ravel()).reshape(at.shape)
+                    found[own] = 2 * at.integrals(density)
+        resolution.add_means("law", missed, metric)
+        return found, load
+
+    def _groups(self) -> Iterator[tuple[list[int], Indices]]:
+        """The cells that have the same laws: numbers of these, and the owned cells; alike on all ranks (collective)."""
+        parts = self.laws.of_regions
+        code = np.zeros(len(self.s), dtype=np.int64)
+        for number, part in enumerate(parts):
+            code[part.rows] += 2**number
+        codes = {each for some in self.spaces.mesh.comm.allgather(set(np.unique(code).tolist())) for each in some}
+        for each in sorted(codes - {0}):
+            yield [number for number in range(len(parts)) if each & 2**number], np.flatnonzero(code == each)
+
+    def _eta(self, law: Chains, v: Array, own: Indices, metric: CellMetric, at: CellPoints) -> Array:
+        """The η of the module in points of some cells, shape (cells, points)."""
+        s, omega = self.s[own], (metric.diameter[own] / math.pi) ** 2
+        low, high = (-end.reshape(v.shape) for end in law.extent()[:1:-1])
+        pressed = self.largest[own] > 0
+        eta, follows = _on_segment(law, v, s, omega, self.segment[own], at.weights)
+        eta[pressed] = s[pressed, None]
+        free = ~pressed & ~follows
+        if free.any():
+            points = np.repeat(free, v.shape[1])
+            eta[free] = nearest_to_graph(law.take(points), v[free], s[free], omega[free], at.weights)
+        return with_mean(eta, low, high, s, at.weights)
+
+
+def _on_segment(law: Chains, v: Array, s: Array, omega: Array, segment: Indices, weights: Array) -> tuple[Array, Mask]:
+    """The η of `nearest_to_graph` for cells that are on a flat or sloped segment in all points, and which these are."""
+    column = np.minimum(np.repeat(segment, v.shape[1]), law.corners)
+    sites, infinite = np.arange(v.size), np.full((v.size, 1), np.inf)
+    slope, value = (values[sites, column].reshape(v.shape) for values in (law.slope, law.value))
+    ends = np.hstack([-infinite, law.p, infinite])
+    begin, end = (ends[sites, column + i].reshape(v.shape) for i in (0, 1))
+    line = np.where(np.isfinite(slope), slope, 0.0)
+    theta = 1 / (1 + line * omega[:, None])
+    eta = theta * (line * v - value) + (1 - theta) * s[:, None]
+    eta += np.where((line > 0).all(axis=1), s - eta @ (weights / weights.sum()), 0.0)[:, None]
+    level = np.divide(eta + value, line, out=v.copy(), where=line > 0)
+    follows = np.isfinite(slope) & (begin <= v) & (v <= end) & (begin <= level) & (level <= end)
+    return eta, follows.all(axis=1)
+
+
+def nearest_to_graph(law: Chains, v: Array, s: Array, omega: Array, weights: Array) -> Array:
+    """The η that makes ∫Φ*(η) − ηv + ½ω|η − s|² least among those with the mean s on each cell.
+
+    Args:
+        law: The law in the points of a quadrature, cell after cell.
+        v: Values there, shape (cells, points).
+        s: Per cell.
+        omega: ω per cell.
+        weights: Of the quadrature.
+    """
+    weights, at = weights / weights.sum(), omega[:, None] * s[:, None] + v
+    level = _level_at(law, np.repeat(s, v.shape[1])).reshape(v.shape)
+    low, high = ((level - v).min(axis=1), (level - v).max(axis=1))
+    of_points = np.repeat(omega, v.shape[1])
+
+    def eta_with(m: Array) -> Array:
+        z = (at + m[:, None]).ravel()
+        return ((z - _resolvent(law, z, of_points)) / of_points).reshape(v.shape)
+
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        small = eta_with(middle) @ weights <= s
+        low, high = np.where(small, middle, low), np.where(small, high, middle)
+    ends = eta_with(low), eta_with(high)
+    lowest, highest = (end @ weights for end in ends)
+    share = np.divide(s - lowest, highest - lowest, out=np.zeros_like(s), where=highest > lowest)
+    return ends[0] + np.clip(share, 0.0, 1.0)[:, None] * (ends[1] - ends[0])
+
+
+def _level_at(law: Chains, s: Array) -> Array:
+    """A u at which s is on the graph, per site; where s is beyond its range that of the nearest end."""
+    rows = np.arange(len(s))
+    flux = np.clip(-s, *law.extent()[2:])
+    segment = np.minimum((law.flux > flux[:, None]).sum(axis=1), law.count)
+    slope, value = law.slope[rows, segment], law.value[rows, segment]
+    corner = law.p[rows, np.clip(segment, 0, law.count - 1)]
+    sloped = (slope > 0) & np.isfinite(slope)
+    on_slope = np.divide(value - flux, slope, out=np.zeros_like(value), where=sloped)
+    return np.where(sloped, on_slope, np.where(np.isinf(slope), value, corner))
+
+
+def _resolvent(law: Chains, z: Array, omega: Array) -> Array:
+    """The w with w + ω∂Φ(w) ∋ z, per site."""
+    rows = np.arange(len(z))
+    with np.errstate(invalid="ignore"):
+        corners = np.where(np.isfinite(law.p), law.p - omega[:, None] * law.flux, np.inf)
+    segment = (corners < z[:, None]).sum(axis=1)
+    slope, value = law.slope[rows, segment], law.value[rows, segment]
+    vertical = np.isinf(slope)
+    slope = np.where(vertical, 0.0, slope)
+    return np.where(vertical, value, (z + omega * value) / (1 + omega * slope))
+
+
+def _rays(spaces: Spaces, laws: CellLaws, segment: Indices) -> Iterator[Ray]:
+    """All bounds of u (collective)."""
+    number = len(segment)
+    for part in laws.of_regions:
+        everywhere = spaces.mesh.comm.allreduce(number - len(part.rows)) == 0
+        for sign, datum in zip((1.0, -1.0), part.bounds, strict=True):
+            if datum is None:
+                continue
+            key = next((name for name, known in part.data.items() if known is datum), "bound")
+            touched = np.zeros(number, dtype=bool)
+            end = np.zeros(number, dtype=np.int64) if sign > 0 else laws.chains.count
+            touched[part.rows] = (segment == end)[part.rows]
+            touched &= np.isinf(laws.chains.slope[np.arange(number), end])
+            yield Ray(part.key(key), datum, sign, part.rows, touched, everywhere)
+
+
+def add_load(load: fem.Function, spaces: Spaces, forces: Array) -> None:
+    """Add ∫λφ for each node φ, on this rank: all Bernstein polynomials of a cell have the same integral."""
+    nodes = load.function_space.dofmap.list
+    np.add.at(load.x.array, nodes.ravel(), np.repeat(forces * spaces.cell_measures / nodes.shape[1], nodes.shape[1]))

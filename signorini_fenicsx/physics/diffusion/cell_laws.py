@@ -1,0 +1,230 @@
+"""Laws in Ω, −∇·σ + s = f with s a monotone graph of u, such as an obstacle, as a condition on each cell.
+
+The mean u_T of u and the mean s_T of s are on the graph of the means of the data. So a cell is a site like a facet of
+Γ_S, with the pair (u_T − its reference, −s_T) in the place of (p, σ·n); −s_T is f_h + ∇·σ with its sign changed, for an
+obstacle its force. What is linear in u, s = cu, is no condition: it stands in the matrix, see `with_reactions`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.law import EVERYWHERE, Law
+from signorini_fenicsx.contact.laws import Obstacle, Reaction
+from signorini_fenicsx.discrete.data_values import in_problem
+from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.points import facet_type, in_facets, owned_cells, quadratic_nodes
+from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
+from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.physics.diffusion.boundary_laws import SHORT, PartLaw, chains_of, checked, data_of
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+ROUNDING = 1e-12
+"""Relative size by which u_D may be beyond a bound."""
+
+
+@dataclass(frozen=True)
+class CellLaws:
+    """The laws in Ω of a problem, but for reactions.
+
+    Attributes:
+        of_regions: Each law with its cells.
+        means: u_T at the reference of each owned cell: of its first law, 0 without one.
+        chains: The sum of the laws of each owned cell, between u_T − its reference and −s_T.
+    """
+
+    of_regions: tuple[PartLaw, ...]
+    means: Array
+    chains: Chains
+
+    def less(self, constant: float) -> CellLaws:
+        """The laws of the problem for u − constant."""
+        return replace(self, means=self.means - constant)
+
+    @property
+    def is_obstacle(self) -> bool:
+        """Whether they are one obstacle with one bound in all cells."""
+        return len(self.of_regions) == 1 and type(self.of_regions[0].law) is Obstacle and self.chains.corners == 1
+
+    def names(self) -> list[str]:
+        """Names of the segments of each cell: those of the only law, or numbers where laws add up."""
+        if len(self.of_regions) == 1:
+            return list(self.of_regions[0].law.segments)
+        return [f"segment {number}" for number in range(self.chains.corners + 1)]
+
+    def as_linear(self, conditions: SiteConditions) -> tuple[Array, Array]:
+        """The laws under conditions as s = βu − q: β, ∞ where u_T is given, and q or that u_T, per owned cell.
+
+        Args:
+            conditions: Conditions of the cells.
+        """
+        values = np.broadcast_to(conditions.value, conditions.kind.shape)
+        beta = np.where(conditions.kind == Condition.ROBIN, conditions.beta, 0.0)
+        held = conditions.kind == Condition.ZERO_TRACE
+        return np.where(held, np.inf, beta), np.where(held, self.means + values, values + beta * self.means)
+
+
+def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum) -> CellLaws | None:
+    """The laws in Ω, but for reactions; None if there are none (collective).
+
+    Raises:
+        InputError: If data are not what their law allows, the laws of a cell leave no u, or u_D is beyond a bound.
+    """
+    laws: list[tuple[str, Law]] = [(f"law.{i}", law) for i, law in enumerate(problem.laws) if law.region]
+    if problem.obstacle is not None:
+        laws.insert(0, (SHORT, Obstacle(region=EVERYWHERE, psi=problem.obstacle)))  # type: ignore[call-arg]
+    laws = [(name, law) for name, law in laws if not isinstance(law, Reaction)]
+    if not laws:
+        return None
+    number = len(spaces.cell_measures)
+    means, known = np.zeros(number), np.zeros(number, dtype=bool)
+    chains, of_regions = Chains.at_corner(number, before=0.0), []
+    for name, law in laws:
+        data = {"psi": datum_of(spaces, SHORT, law.data()["psi"])} if name == SHORT else data_of(spaces, law, name)
+        part, graph = checked(spaces, PartLaw(law, name, cells_of(spaces, law, name), data))
+        rows, first = part.rows, ~known[part.rows]
+        means[rows[first]] = np.broadcast_to(graph.reference[0], len(rows))[first]
+        own = chains_of(replace(graph, reference=(means[rows], 0.0)), len(rows))
+        chains = _with(spaces, chains, part, own, first)
+        if len(laws) == 1 and isinstance(law, Obstacle) and len(graph.corners) == 1 and EVERYWHERE in law.region:
+            chains = chains_of(graph, number)  # values that are exactly 0
+        known[rows] = True
+        of_regions.append(part)
+        _check_bounds(spaces, part, u_D)
+    return CellLaws(tuple(of_regions), means, chains)
+
+
+def cells_of(spaces: Spaces, law: Law, name: str) -> Indices:
+    """The owned cells of a law in regions, ascending.
+
+    Raises:
+        InputError: If the mesh has no such region.
+    """
+    regions = spaces.domain.regions
+    if EVERYWHERE in law.region:
+        return owned_cells(spaces.mesh).astype(np.int64)
+    for region in law.region:
+        if region not in regions:
+            which = f"its regions are {', '.join(regions)}" if regions else f'it has none; use "{EVERYWHERE}"'
+            meant = did_you_mean(region, regions)
+            raise InputError(f"{name}.region: unknown region '{region}' of the mesh; {which}{meant}")
+    return np.unique(np.concatenate([regions[region] for region in law.region])).astype(np.int64)
+
+
+def _with(spaces: Spaces, chains: Chains, part: PartLaw, own: Chains, first: Mask) -> Chains:
+    """The chains with those of one more law added in its cells (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        chains: Chains of all owned cells.
+        part: The law.
+        own: Its chains in its cells.
+        first: Mask of these cells: those without an earlier law.
+
+    Raises:
+        InputError: If the laws of a cell leave no u.
+    """
+    number, again = len(chains.p), part.rows[~first]
+    try:
+        total, empty = chains.take(again).plus(own.take(np.flatnonzero(~first))), False
+    except ValueError:
+        total, empty = own.take(slice(0, 0)), True
+    if spaces.mesh.comm.allreduce(empty, MPI.LOR):
+        raise InputError(f"{part.name} ({part.law.name}): with the laws before it no u is left in some cells")
+    others = np.setdiff1d(np.arange(number), part.rows)
+    parts = [(others, chains.take(others)), (part.rows[first], own.take(np.flatnonzero(first))), (again, total)]
+    found = joined(parts, number)
+    most = spaces.mesh.comm.allreduce(int(found.count.max(initial=1)), MPI.MAX)
+    return replace(
+        found,
+        p=found.p[:, :most],
+        flux=found.flux[:, :most],
+        slope=found.slope[:, : most + 1],
+        value=found.value[:, : most + 1],
+    )
+
+
+def _check_bounds(spaces: Spaces, part: PartLaw, u_D: Datum) -> None:
+    """Make sure that u_D is within the bounds in the vertices and edge midpoints on Γ_D (collective).
+
+    Raises:
+        InputError: On all ranks, with the place where it is worst.
+    """
+    mesh = spaces.mesh
+    points = in_facets(mesh, spaces.dirichlet_facets, quadratic_nodes(facet_type(mesh.topology.dim)))
+    inside = np.zeros(len(spaces.cell_measures), dtype=bool)
+    inside[part.rows] = True
+    points = points.among(inside)
+    for bound, sign, side in zip(part.bounds, (1.0, -1.0), ("above", "below"), strict=True):
+        if bound is None:
+            continue
+        known, given = (datum.values(points).ravel() for datum in (bound, u_D))
+        excess = sign * (known - given)
+        worst: tuple[float, tuple[float, ...]] = (0.0, ())
+        if len(excess) > 0:
+            place = int(np.argmax(excess))
+            worst = float(excess[place]), tuple(points.x.reshape(-1, mesh.geometry.dim)[place].tolist())
+        size = max(mesh.comm.allgather(float(np.abs(given).max(initial=0.0)) + float(np.abs(known).max(initial=0.0))))
+        most, x = max(mesh.comm.allgather(worst))
+        if most > ROUNDING * size:
+            at = ", ".join(f"{coordinate:.4g}" for coordinate in x)
+            key = next((name for name, datum in part.data.items() if datum is bound), "psi")
+            raise InputError(
+                f"{in_problem(part.key(key))}: is {side} u_D on Γ_D, as at ({at}) by {most:.3g}; u cannot be both u_D "
+                f"and {side} it"
+            )
+
+
+def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
+    """The problem with the factors of all reactions in c, as trees by region.
+
+    Raises:
+        InputError: If a region is unknown, or c and a reaction are not both numbers or texts.
+    """
+    names = "xyz"[: spaces.mesh.geometry.dim]
+    for i, law in enumerate(problem.laws):
+        if isinstance(law, Reaction):
+            cells_of(spaces, law, f"law.{i}")
+            c = parsed(law.c, names, f"law.{i}.c")
+            regions = [EVERYWHERE] if EVERYWHERE in law.region else law.region
+            more = (
+                c
+                if EVERYWHERE in regions
+                else dict.fromkeys(spaces.domain.regions, exactly(0.0)) | dict.fromkeys(regions, c)
+            )
+            problem = replace(problem, c=plus(problem.c, more, 1.0, f"law.{i}.c"))
+    return problem
+
+
+def plus(
+    c: Given | Mapping[str, Given], more: Given | Mapping[str, Given], factor: float, where: str
+) -> dict[str, Tree] | Tree:
+    """The sum c + factor·more of trees, or of tables of them by region.
+
+    Raises:
+        InputError: If one of them was given in Python; `where` says which data they are.
+    """
+    if isinstance(c, Mapping) or isinstance(more, Mapping):
+        names = dict.fromkeys(name for table in (c, more) if isinstance(table, Mapping) for name in table)
+        return {name: _sum(_of(c, name), _of(more, name), factor, where) for name in names}
+    return _sum(c, more, factor, where)
+
+
+def _of(given: Given | Mapping[str, Given], region: str) -> Given:
+    return given.get(region, exactly(0.0)) if isinstance(given, Mapping) else given
+
+
+def _sum(c: Given, more: Given, factor: float, where: str) -> Tree:
+    if not isinstance(c, TREES) or not isinstance(more, TREES):
+        raise InputError(f"{where}: c, capacities and reactions that are added must be numbers or texts")
+    return Binary("+", c, Binary("*", exactly(factor), more))
