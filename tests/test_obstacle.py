@@ -263,7 +263,7 @@ def test_contact_on_another_mesh():
         numbers = fem.Function(coarse.Q)
         numbers.x.array[:] = segment
         (everywhere,) = sampled([numbers], fine.mesh, coarse.domain, degree=0)
-        found = Segments.of_sites(coarse, segment, obstacle=True).on(fine)
+        found = Segments.of_sites(coarse, segment).on(fine)
         assert np.array_equal(found, np.rint(everywhere.x.array))
 
 

@@ -224,7 +224,7 @@ class CaseFile(Section):
 class Case(CaseFile):
     """One Signorini problem, its discretisation and its algorithm."""
 
-    boundary: Boundary
+    boundary: Boundary = Boundary()
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     exact: Exact = Exact()
@@ -247,9 +247,16 @@ class Case(CaseFile):
         self.parts.refuse_repetition()
         law = "a [[law]] between the jump of u and σ·n"
         self.boundary.check_inner(self.law_parts, self.geometry.file, law)
-        if not self.boundary.signorini and not self.law and self.problem.obstacle is None:
+        if not self.boundary.signorini and not self.law and self.problem.obstacle is None and not self._stores:
             raise ValueError("[boundary] signorini: lists no part, and there is no [[law]] and no obstacle")
+        for i, texts in enumerate(self.law):
+            if texts.kind == "storage" and self.time is None:
+                raise ValueError(f"law.{i}: the law 'storage' needs [time]")
         return self
+
+    @property
+    def _stores(self) -> bool:
+        return self.time is not None and self.time.is_storage
 
     @property
     def sides(self) -> Mapping[str, Side]:
@@ -280,7 +287,7 @@ class Case(CaseFile):
     @property
     def parts(self) -> PartsWithLaws:
         """The section `[boundary]`, and the parts with a `[[law]]`."""
-        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law)}
+        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
         return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
 
     def texts(self) -> list[tuple[str, str, str]]:

@@ -1,7 +1,10 @@
 """`[problem]` and `[time]`: the data of a scalar problem as text."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
+from pydantic import BeforeValidator
+
+from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import (
     Conductivity,
@@ -10,12 +13,24 @@ from signorini_fenicsx.cases.values import (
     Positive,
     Whole,
     choice,
+    text_by_region,
     texts_of,
     within,
 )
+from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.evolution import SCHEMES, Evolution
+
+type CapacityText = str | dict[str, Any]
+
+
+def _capacity(value: object) -> object:
+    """A number or text, a table with one per region, or the graph of a storage."""
+    if value is None or not isinstance(value, dict) or "corners" not in value:
+        return value if value is None else text_by_region(value)
+    graph = LawTexts.model_validate({"kind": "storage", "region": EVERYWHERE, **value})
+    return dict(graph.model_extra or {})
 
 
 class ProblemTexts(Section):
@@ -63,9 +78,17 @@ class Time(Times):
     """`[time]` of diffusion."""
 
     initial: ExpressionByRegion = "0"
-    capacity: ExpressionByRegion = "1"
+    capacity: Annotated[CapacityText | None, BeforeValidator(_capacity)] = None
     scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        return [*texts_of("initial", self.initial), *texts_of("capacity", self.capacity)]
+        capacity = self.capacity or "1"
+        if isinstance(capacity, dict) and "corners" in capacity:
+            capacity = {"corners": [text for pair in capacity["corners"] for text in pair]}
+        return [*texts_of("initial", self.initial), *texts_of("capacity", capacity)]
+
+    @property
+    def is_storage(self) -> bool:
+        """Whether the capacity is the graph of a storage."""
+        return isinstance(self.capacity, dict) and "corners" in self.capacity

@@ -112,7 +112,7 @@ def _matrix_or_text(value: object) -> object:
     raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
 
 
-def _text_by_region(value: object) -> object:
+def text_by_region(value: object) -> object:
     """A number or text, or a table with one per region."""
     given = value if isinstance(value, dict) else {"": value}
     texts = {region: text_of(entry) for region, entry in given.items()}
@@ -141,5 +141,5 @@ Expression = Annotated[str, BeforeValidator(_expression)]
 Vector = Annotated[list[str], BeforeValidator(_vector)]
 VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vector_by_part)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
-ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(_text_by_region)]
+ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

@@ -4,7 +4,8 @@ A step solves an elliptic problem with the load f + C Σ_k w_k u_(n−k). The bo
 solution of this problem, with continuous functions for the computed u_(n−k): v of their own certificate, plus on each
 cell a bubble that gives it the mean u_(n−k) there. What the errors of earlier steps do to a step is not in its bound.
 With u_(n−k) itself, which jumps from cell to cell, the problem would be another one, and its bound about four times
-larger. For k = n it is u_0 as it is given.
+larger. For k = n it is u_0 as it is given. With a law of storage the problem of a step is that with the computed
+content of the steps before, which is constant on each cell.
 
 The bound of a step of an elastic body is that of the distance to the exact solution after the computed slip of the
 last step. This slip jumps from facet to facet. With a continuous one, the v of the last certificate with cubics that
@@ -75,6 +76,8 @@ class DiffusionBounds:
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
+        if steps.storage:
+            return certify(solution)
         if instant.step == 1:
             self._before = [steps.initial.values]
 

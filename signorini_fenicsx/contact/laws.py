@@ -392,6 +392,23 @@ class Corners(Law):
         return f"corners.{max(segment - 1, 0)}.0"
 
 
+@dataclass(frozen=True)
+class Storage(Corners):
+    """What a volume holds in a problem in time, θ(u): ∂θ(u)/∂t − ∇·(κ∇u) + … = f in a region, by the corners of θ.
+
+    Where the graph of θ is vertical, u stays while θ changes, as ice does that melts.
+
+    Attributes:
+        parts: Left out; `region` is in its place.
+        corners: Pairs of u and θ, both ascending.
+        before: How steeply θ grows before the first corner, a number ≥ 0.
+        beyond: How steeply it grows beyond the last one.
+    """
+
+    word = "storage"
+    places = ("region",)
+
+
 LAWS: Mapping[str, type[Law]] = {
     "signorini": Signorini,
     "friction": Friction,
@@ -407,5 +424,6 @@ LAWS_INSIDE: Mapping[str, type[Law]] = {
     "obstacle": Obstacle,
     "reaction": Reaction,
     "graph": Corners,
+    "storage": Storage,
 }
 """The laws in regions by the names that case files have for them."""

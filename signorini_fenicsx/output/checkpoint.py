@@ -194,7 +194,8 @@ def _law(keeping: Keeping, table: dict[str, Any]) -> Any:
     kind = keeping.laws.get(table.get("kind", ""))
     if kind is None:
         raise InputError("not a readable solution (its law is not of this version)")
-    return _made(kind, {name: value for name, value in table.items() if name != "kind"})
+    left_out = "kind", "parts" if table.get("region") else "region"
+    return _made(kind, {name: value for name, value in table.items() if name not in left_out})
 
 
 def _read_options(found: Checkpoint) -> Options:

@@ -23,14 +23,16 @@ class Evolution:
         end: The last time.
         steps: Number of steps.
         initial: u_0 of diffusion, or one for each region of the mesh.
-        capacity: C ≥ 0 of diffusion, or one for each region of the mesh.
+        capacity: C ≥ 0 of diffusion, or one for each region of the mesh; or the graph of θ(u), a table with `corners`
+            and, where they are not 0, `before` and `beyond`, as the law `Storage` has them. None for 1, or for 0 where
+            there are laws of storage.
         scheme: "implicit-euler" or "bdf2", of diffusion.
     """
 
     end: float
     steps: int
     initial: Given | Mapping[str, Given] = 0.0
-    capacity: Given | Mapping[str, Given] = 1.0
+    capacity: Given | Mapping[str, Given] | None = None
     scheme: str = "implicit-euler"
 
     def __post_init__(self) -> None:

@@ -60,7 +60,9 @@ class PartLaw:
     @property
     def where(self) -> str:
         """Where it holds, for messages."""
-        return ("in its regions" if self.law.region else "on its parts") if self.name else "on Γ_S"
+        return {"": "on Γ_S", SHORT: "in the domain"}.get(
+            self.name, "in its regions" if self.law.region else "on its parts"
+        )
 
     def quadrature(self, spaces: Spaces, degree: int) -> list[Points]:
         """The points of a quadrature in its facets or cells, some at a time (collective)."""
@@ -160,7 +162,7 @@ def checked(spaces: Spaces, part: PartLaw) -> tuple[PartLaw, Graph]:
     if ("region" if part.law.region else "parts") not in part.law.places:
         place = "parts of the boundary, not regions" if part.law.region else "regions, not parts: give region"
         raise InputError(f"{part.name} ({part.law.name}): this law is one of {place}")
-    means = _means(spaces, part)
+    means = means_of(spaces, part)
     _refuse(spaces, part)
     graph = part.law.falling(means)
     return replace(part, bounds=_bounds(spaces, part, graph, means)), graph
@@ -211,7 +213,7 @@ def data_of(spaces: Spaces, law: Law, name: str) -> dict[str, Datum]:
     return found
 
 
-def _means(spaces: Spaces, part: PartLaw) -> dict[str, Array]:
+def means_of(spaces: Spaces, part: PartLaw) -> dict[str, Array]:
     """Means of the data over the facets or cells, some of them weighted (collective).
 
     Raises:

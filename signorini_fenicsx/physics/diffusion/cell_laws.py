@@ -18,14 +18,14 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.law import EVERYWHERE, Law
-from signorini_fenicsx.contact.laws import Obstacle, Reaction
+from signorini_fenicsx.contact.law import EVERYWHERE, Graph, Law
+from signorini_fenicsx.contact.laws import Obstacle, Reaction, Storage
 from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.points import facet_type, in_facets, owned_cells, quadratic_nodes
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.diffusion.boundary_laws import SHORT, PartLaw, chains_of, checked, data_of
+from signorini_fenicsx.physics.diffusion.boundary_laws import SHORT, PartLaw, chains_of, checked, data_of, means_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -84,14 +84,15 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum) -> CellLaws | None:
     if problem.obstacle is not None:
         laws.insert(0, (SHORT, Obstacle(region=EVERYWHERE, psi=problem.obstacle)))  # type: ignore[call-arg]
     laws = [(name, law) for name, law in laws if not isinstance(law, Reaction)]
+    if any(isinstance(law, Storage) for _, law in laws):
+        raise InputError("storage: this law is of problems in time, which `evolve` solves")
     if not laws:
         return None
     number = len(spaces.cell_measures)
     means, known = np.zeros(number), np.zeros(number, dtype=bool)
     chains, of_regions = Chains.at_corner(number, before=0.0), []
     for name, law in laws:
-        data = {"psi": datum_of(spaces, SHORT, law.data()["psi"])} if name == SHORT else data_of(spaces, law, name)
-        part, graph = checked(spaces, PartLaw(law, name, cells_of(spaces, law, name), data))
+        part, graph = part_in(spaces, law, name)
         rows, first = part.rows, ~known[part.rows]
         means[rows[first]] = np.broadcast_to(graph.reference[0], len(rows))[first]
         own = chains_of(replace(graph, reference=(means[rows], 0.0)), len(rows))
@@ -102,6 +103,22 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum) -> CellLaws | None:
         of_regions.append(part)
         _check_bounds(spaces, part, u_D)
     return CellLaws(tuple(of_regions), means, chains)
+
+
+def part_in(spaces: Spaces, law: Law, name: str) -> tuple[PartLaw, Graph]:
+    """A law in Ω with its cells, and its graph in the means of its data (collective).
+
+    Raises:
+        InputError: If data are not what the law allows.
+    """
+    data = {"psi": datum_of(spaces, SHORT, law.data()["psi"])} if name == SHORT else data_of(spaces, law, name)
+    return checked(spaces, PartLaw(law, name, cells_of(spaces, law, name), data))
+
+
+def chains_in(spaces: Spaces, part: PartLaw) -> Chains:
+    """The chains of a law in its cells, between u and −s, from the means of its data (collective)."""
+    graph = part.law.falling(means_of(spaces, part))
+    return chains_of(replace(graph, reference=(0.0, 0.0)), len(part.rows))
 
 
 def cells_of(spaces: Spaces, law: Law, name: str) -> Indices:

@@ -1,12 +1,15 @@
-"""The problem in time: C ∂u/∂t − ∇·(κ∇u) + cu = f with C ≥ 0, in equal steps from u = u_0 at t = 0.
+"""The problem in time: ∂(Cu + θ(u))/∂t − ∇·(κ∇u) + cu = f with C ≥ 0, in equal steps from u = u_0 at t = 0.
 
-With ∂u/∂t ≈ a u_n − Σ_k w_k u_(n−k) each step is a problem with c + aC for c and the load f + C Σ_k w_k u_(n−k), with
-all data at the time of the step. u_(n−k) is in P0, and C has its mean on each cell there.
+With ∂w/∂t ≈ a w_n − Σ_k w_k w_(n−k) for w = Cu + θ each step is a problem with c + aC for c, the law aθ in Ω and the
+load f + Σ_k w_k w_(n−k), with all data at the time of the step. w_(n−k) is in P0, and C has its mean on each cell there.
+
+θ is a monotone graph, a law of storage; at jumps of it θ is not known from u. What a step leaves is the θ that its
+balance has selected, so that nothing is lost. At the start θ is the least value that u_0 allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,12 +19,17 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL
+from signorini_fenicsx.contact.laws import Corners, Storage
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
-from signorini_fenicsx.expressions.given import parsed
-from signorini_fenicsx.physics.diffusion.cell_laws import plus
+from signorini_fenicsx.expressions import TREES, Binary, exactly
+from signorini_fenicsx.expressions.given import Given, at_time, parsed
+from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
+from signorini_fenicsx.physics.diffusion.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -36,6 +44,7 @@ class DiffusionSteps:
         spaces: The discrete spaces.
         capacity: Mean of C on each owned cell.
         initial: u_0.
+        storage: The laws of θ with their cells, and their chains between u and −θ.
     """
 
     def __init__(self, spaces: Spaces, problem: Problem, evolution: Evolution, start: Solution | None = None):
@@ -47,9 +56,13 @@ class DiffusionSteps:
         dim = spaces.mesh.geometry.dim
         if start is not None:
             evolution = replace(evolution, initial=_carried(start, spaces))
-        self.spaces, self._evolution, self._problem = spaces, evolution, problem.in_time(dim)
+        self.spaces, self._evolution = spaces, evolution
+        self._problem = with_storage(problem.in_time(dim), evolution, dim)
+        self.storage = [_storage(spaces, law, f"law.{i}") for i, law in _storages(self._problem)]
+        if evolution.scheme != "implicit-euler" and self._jumps():
+            raise InputError("[time] scheme: a storage that jumps, as of melting, needs implicit-euler")
         try:
-            capacity = parsed(evolution.capacity, "xyz"[:dim], "[time] capacity")
+            capacity = parsed(_capacity(evolution, self._problem), "xyz"[:dim], "[time] capacity")
             self.capacity = self._means("capacity", regional_datum(spaces, "capacity", capacity))
             self.initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim], "[time] initial"))
         except InputError as error:
@@ -57,18 +70,30 @@ class DiffusionSteps:
         comm = spaces.mesh.comm
         if (least := comm.allreduce(float(self.capacity.min(initial=np.inf)), MPI.MIN)) < 0:
             raise InputError(f"[time] capacity: must not be negative; its smallest mean over a cell is {least:.3g}")
-        if not comm.allreduce(bool(self.capacity.any()), MPI.LOR):
+        if not self.storage and not comm.allreduce(bool(self.capacity.any()), MPI.LOR):
             raise InputError("[time] capacity: is 0 everywhere; leave out [time]")
 
+    def _jumps(self) -> bool:
+        """Whether the graph of a θ is vertical somewhere (collective)."""
+        jumps = any(bool(np.isinf(chains.slope).any()) for _, chains in self.storage)
+        return bool(self.spaces.mesh.comm.allreduce(jumps, MPI.LOR))
+
     def start(self) -> fem.Function:
-        """The means of u_0 over the cells (collective).
+        """The means of w = Cu + θ over the cells for u_0 (collective).
 
         Raises:
             InputError: If they are not finite, or of no usable size.
         """
-        u = fem.Function(self.spaces.Q, name="u")
-        u.x.array[:] = self._means("initial", self.initial)
-        return u
+        u = self._means("initial", self.initial)
+        least = np.zeros_like(u)
+        for part, chains in self.storage:
+            least[part.rows] -= chains.ends_at(u[part.rows])[0]
+        return self._content(u, least)
+
+    def _content(self, u: Array, theta: Array) -> fem.Function:
+        content = fem.Function(self.spaces.Q, name="content")
+        content.x.array[:] = self.capacity * u + theta
+        return content
 
     def problem(self, step: int) -> Problem:
         """The problem of a step, without what it takes from those before.
@@ -76,38 +101,60 @@ class DiffusionSteps:
         Raises:
             InputError: If c or C was given in Python.
         """
-        return problem_of_step(self._problem, self._evolution, step, self.spaces.mesh.geometry.dim)
+        return _of_step(self._problem, self._evolution, step, self.spaces.mesh.geometry.dim)
 
     def weights(self, step: int) -> tuple[float, ...]:
         """w_1, w_2, … of a step."""
         return self._evolution.formula(step)[1]
 
     def left_by(self, solution: Solution) -> fem.Function:
-        """u_h."""
-        return solution.u
+        """The content w = Cu + θ in P0 (collective)."""
+        return self._content(solution.u.x.array, self.theta(solution))
+
+    def theta(self, solution: Solution) -> Array:
+        """The θ that the balance of a step has selected, per owned cell; 0 where there is no storage (collective).
+
+        It is what is left of the s of all laws in Ω after those of which u tells s.
+        """
+        found, laws, step = np.zeros(len(self.capacity)), solution.data.inside, solution.step
+        if not self.storage or laws is None or step is None:
+            return found
+        u, a = solution.u.x.array, self._evolution.formula(step)[0]
+        s = solution.cell_flux.divergence + solution.data.source(solution.u).x.array
+        numbers = [i for i, _ in _storages(self._problem)]
+        for number, (part, own) in zip(numbers, self.storage, strict=True):
+            others, rows = s.copy(), part.rows
+            for other in laws.of_regions:
+                if other.name != f"law.{number}":
+                    known = chains_in(self.spaces, other).ends_at(u[other.rows])
+                    others[other.rows] += (known[0] + known[1]) / 2
+            most, least = (-end for end in own.ends_at(u[rows])[::-1])
+            alone = len(laws.of_regions) == 1
+            found[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)
+        return found
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
-        """u_h, σ_h and ∇·σ_h, and the segments on which the step has ended."""
+        """u_h, σ_h and ∇·σ_h, the segments on which the step has ended, and θ if there is storage."""
         on = solution.segments()
         cells = {} if on.cells is None else {"own": on.cells}
-        return {**solution.in_cells(), **cells, "facet_own": on.segment}
+        theta = {"theta": self.theta(solution)} if self.storage else {}
+        return {**solution.in_cells(), **cells, **theta, "facet_own": on.segment}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
         left = []
         for earlier in range(step, max(step - 2, 0), -1):
-            u = fem.Function(self.spaces.Q, name="u")
-            u.x.array[:] = kept(earlier, "u").ravel()
-            left.append(u)
+            theta = kept(earlier, "theta").ravel() if self.storage else np.zeros_like(self.capacity)
+            left.append(self._content(kept(earlier, "u").ravel(), theta))
         cells = kept(step, "own") if self._problem.has_laws_inside else None
         return Past(step, left, Segments(self.spaces, kept(step, "facet_own"), cells))
 
     def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
-        """The sum C Σ_k w_k u_(n−k) in P0, from the last u and those before it."""
+        """The sum Σ_k w_k w_(n−k) in P0, from the last content and those before it."""
         memory = fem.Function(self.spaces.Q, name="memory")
         weights = self.weights(step)
-        for weight, u in zip(weights, before[: len(weights)], strict=True):
-            memory.x.array[:] += weight * self.capacity * u.x.array
+        for weight, content in zip(weights, before[: len(weights)], strict=True):
+            memory.x.array[:] += weight * content.x.array
         return memory
 
     def _means(self, key: str, datum: Datum) -> Array:
@@ -122,8 +169,75 @@ def problem_of_step(problem: Problem, evolution: Evolution, step: int, dim: int)
     Raises:
         InputError: If c or C was given in Python.
     """
+    return _of_step(with_storage(problem, evolution, dim), evolution, step, dim)
+
+
+def _of_step(problem: Problem, evolution: Evolution, step: int, dim: int) -> Problem:
+    """The problem of a step from one with all laws of storage."""
     now, (a, _) = problem.at(evolution.time(step)), evolution.formula(step)
-    return replace(now, c=plus(now.c, parsed(evolution.capacity, "xyz"[:dim], "[time] capacity"), a, "[time]"))
+    laws = tuple(_scaled(law, a) if isinstance(law, Storage) else law for law in now.laws)
+    capacity = parsed(_capacity(evolution, problem), "xyz"[:dim], "[time] capacity")
+    return replace(now, c=plus(now.c, capacity, a, "[time]"), laws=laws)
+
+
+def with_storage(problem: Problem, evolution: Evolution, dim: int) -> Problem:
+    """The problem with the graph of `Evolution.capacity`, if it is one, as its last law.
+
+    Raises:
+        InputError: If the capacity has `corners` and is no graph.
+    """
+    graph = evolution.capacity
+    if not isinstance(graph, Mapping) or "corners" not in graph:
+        return problem
+    try:
+        law = Storage(region=EVERYWHERE, **graph)  # type: ignore[call-arg]
+    except TypeError:
+        raise InputError("[time] capacity: a graph has corners, before and beyond") from None
+    names = "xyz"[:dim] + "t"
+    read = law.with_data(lambda key, given: parsed(given, names, f"[time] capacity {key}"))
+    return replace(problem, laws=(*problem.laws, read))
+
+
+def _capacity(evolution: Evolution, problem: Problem) -> Given | Mapping[str, Given]:
+    """The factor C: its default is 0 where there are laws of storage."""
+    if evolution.capacity is None or (isinstance(evolution.capacity, Mapping) and "corners" in evolution.capacity):
+        return 0.0 if any(True for _ in _storages(problem)) else 1.0
+    return evolution.capacity
+
+
+def _storages(problem: Problem) -> Iterator[tuple[int, Storage]]:
+    """The laws of storage with their numbers."""
+    return ((i, law) for i, law in enumerate(problem.laws) if isinstance(law, Storage))
+
+
+def _scaled(law: Storage, a: float) -> Corners:
+    """The law in Ω of a step: a times θ.
+
+    Raises:
+        InputError: If its data were given in Python.
+    """
+
+    def times(given: Given) -> Given:
+        if given == VERTICAL:
+            return given
+        if not isinstance(given, TREES):
+            raise InputError("storage: its data must be numbers or texts")
+        return Binary("*", exactly(a), given)
+
+    corners = tuple((u, times(theta)) for u, theta in law.corners)
+    before, beyond = (times(end) for end in (law.before, law.beyond))
+    scaled: Corners = Corners(region=law.region, corners=corners, before=before, beyond=beyond)  # type: ignore[call-arg]
+    return scaled
+
+
+def _storage(spaces: Spaces, law: Storage, name: str) -> tuple[PartLaw, Chains]:
+    """A law of storage with its cells and chains (collective).
+
+    Raises:
+        InputError: If its data are not what they have to be.
+    """
+    part, _ = part_in(spaces, law.with_data(lambda key, given: at_time(given, 0.0)), name)
+    return part, chains_in(spaces, part)
 
 
 def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
