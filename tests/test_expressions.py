@@ -210,7 +210,7 @@ def test_decimals_and_pi_are_enclosed():
 def test_gradients():
     """Gradients in NumPy are those of UFL; over a box a jump gives no gradient, and a kink both gradients."""
     texts = ["x^3*sin(y) + tan(x)", "exp(x)/(2 + y)", "sqrt(x)*log(x) + tanh(x*y)", "(1 + x)^y", "atan2(y, x)"]
-    texts += ["max(x, y, 0) + min(x^2, y)", "abs(y)*x", "x^2 if x > y else cos(y)"]
+    texts += ["erf(3*x - y)", "max(x, y, 0) + min(x^2, y)", "abs(y)*x", "x^2 if x > y else cos(y)"]
     points = {"x": np.array([0.3, 1.2, 0.7]), "y": np.array([-0.7, 0.4, 2.0])}
     for text in texts:
         value, gradient = values_and_gradient(read(text, "xy"), points)

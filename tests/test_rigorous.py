@@ -101,7 +101,7 @@ def test_elementary_functions():
     rng = np.random.default_rng(3)
     some = np.concatenate([rng.normal(size=200), 10.0 ** rng.uniform(-300, 300, 50), [0.0, 1.0, -1.0, 745.2, -745.2]])
     arb = FromArb()
-    for name in ("exp", "log", "sin", "cos", "tan", "tanh", "atan2", "pow"):
+    for name in ("exp", "log", "sin", "cos", "tan", "tanh", "erf", "atan2", "pow"):
         first = np.abs(some) if name in ("log", "pow") else some
         arguments = [first, rng.permutation(some)] if name in ("atan2", "pow") else [first]
         if name == "tan":

@@ -82,6 +82,15 @@ FUNCTIONS: dict[str, Function] = {
         intervals.tanh,
         lambda m, a: (m.constant(1.0) - _square(m, m.call("tanh", [a])),),
     ),
+    "erf": Function(
+        1,
+        1,
+        math.erf,
+        ufl.erf,
+        intervals.erf_of,
+        intervals.erf,
+        lambda m, a: (m.constant(2 / math.sqrt(math.pi)) * m.call("exp", [-_square(m, a)]),),
+    ),
     # the angle in (−π, π]; −0 counts as 0 in every evaluation, so it is π where y = 0 and x < 0
     "atan2": Function(
         2,

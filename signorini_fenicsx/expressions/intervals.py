@@ -11,6 +11,7 @@ NaN as an end means that nothing is known: the expression may be undefined there
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -166,7 +167,11 @@ class Elementary(Protocol):
     """Bounds of elementary functions at floats."""
 
     def bounds(self, name: str, *arguments: Array) -> tuple[Array, Array]:
-        """Floats below and above the values of exp, log, sin, cos, tan, tanh (one argument), atan2 or pow (two)."""
+        """Floats below and above values of exp, log, sin, cos, tan, tanh, erf (one argument), atan2 or pow (two)."""
+
+
+erf_of = np.vectorize(math.erf, otypes=[float])
+"""The error function of arrays."""
 
 
 class FromNumPy:
@@ -179,6 +184,7 @@ class FromNumPy:
         "cos": np.cos,
         "tan": np.tan,
         "tanh": np.tanh,
+        "erf": erf_of,
         "atan2": np.arctan2,
         "pow": np.power,
     }
@@ -210,6 +216,12 @@ def log(elementary: Elementary, a: Interval) -> Interval:
 def tanh(elementary: Elementary, a: Interval) -> Interval:
     """The hyperbolic tangent."""
     result = monotone("tanh", elementary, a)
+    return Interval(np.maximum(result.lo, -1.0), np.minimum(result.hi, 1.0))
+
+
+def erf(elementary: Elementary, a: Interval) -> Interval:
+    """The error function."""
+    result = monotone("erf", elementary, a)
     return Interval(np.maximum(result.lo, -1.0), np.minimum(result.hi, 1.0))
 
 

@@ -177,7 +177,7 @@ def read(text: str, names: Collection[str]) -> Tree:
     """Read an expression such as `50*(1/2 - x)*sin(pi*y) if x > 0 else 0`.
 
     Allowed are numbers, pi, the names, + - * / ** ^, comparisons inside `a if condition else b` and the functions sin,
-    cos, tan, tanh, atan2, exp, log, sqrt, abs, min, max. atan2 takes −0 for 0, so its values are in (−π, π].
+    cos, tan, tanh, erf, atan2, exp, log, sqrt, abs, min, max. atan2 takes −0 for 0, so its values are in (−π, π].
 
     Args:
         text: The expression.

@@ -14,6 +14,7 @@ _FUNCTIONS = {
     "cos": arb.cos,
     "tan": arb.tan,
     "tanh": arb.tanh,
+    "erf": arb.erf,
     "atan2": arb.atan2,
     "pow": arb.__pow__,
 }

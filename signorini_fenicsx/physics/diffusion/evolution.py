@@ -1,7 +1,7 @@
 """The problem in time: ∂(Cu + θ(u))/∂t − ∇·(κ∇u) + cu = f with C ≥ 0, in equal steps from u = u_0 at t = 0.
 
 With ∂w/∂t ≈ a w_n − Σ_k w_k w_(n−k) for w = Cu + θ each step is a problem with c + aC for c, the law aθ in Ω and the
-load f + Σ_k w_k w_(n−k), with all data at the time of the step. w_(n−k) is in P0, and C has its mean on each cell there.
+load f + Σ_k w_k w_(n−k), with all data at the time of the step. w_(n−k) is in P0, and so C has its mean on each cell.
 
 θ is a monotone graph, a law of storage; at jumps of it θ is not known from u. What a step leaves is the θ that its
 balance has selected, so that nothing is lost. At the start θ is the least value that u_0 allows.
