@@ -271,7 +271,7 @@ class Case(CaseFile):
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
         """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
-        if self.problem.obstacle is None:
+        if self.problem.obstacle is None or self._stores or any(law.region for law in self.law):
             return {}
         return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")}
 

@@ -34,7 +34,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.certificate.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
-from signorini_fenicsx.certificate.inside import Inside, add_load, coefficients
+from signorini_fenicsx.certificate.inside import Inside, Ray, add_load, coefficients
 from signorini_fenicsx.certificate.law_bounds import ROUNDING, Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
@@ -104,24 +104,14 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         edges.to_bernstein(function.x.array)
     for ray, limit in zip(rays, limits_inside, strict=True):
         ray.touch(v, limit, on_dirichlet)
-    floor, ceiling = (np.full(len(v.x.array), end) for end in (-np.inf, np.inf))
     if jumps is not None:
         jumps.taken(v)
-        for ray, limit in zip(rays, limits_inside, strict=True):
-            limit[jumps.jump] = -ray.sign * np.inf  # cutting off takes care of the named side
-    for ray, limit in zip(rays, limits_inside, strict=True):
-        if ray.sign > 0:
-            floor = np.maximum(floor, limit)
-        else:
-            ceiling = np.minimum(ceiling, limit)
+    floor, ceiling = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
     hard, soft = ((np.maximum(a, floor), np.minimum(b, ceiling)) for a, b in ((low, high), (soft_low, soft_high)))
     box = Box.of(hard, soft, fixed)
     box.project(v.x.array)
     if jumps is not None:
-        named, across = jumps.pairs
-        jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
-        beyond[named[at_meeting[spaces.inner.rows] & ((jump < limits[0]) | (jump > limits[1]))]] = True
-        jumps.join(v, beyond, on_dirichlet)
+        _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     apart = ~at_meeting.any(axis=1)
     load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, inside)
@@ -134,6 +124,32 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     for ray, limit in zip(rays, limits_inside, strict=True):
         ray.move_inside(v, limit, edges, on_dirichlet)
     return _with_exact_data(on, data, v, u_D, inside, hindrance=hindrance)
+
+
+def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps | None, number: int) -> tuple[Array, Array]:
+    """The least and the largest coefficient of so many nodes that bounds in Ω allow, but for nodes with a jump.
+
+    There cutting off takes care of the named side, and `limits` are changed in place.
+    """
+    floor, ceiling = (np.full(number, end) for end in (-np.inf, np.inf))
+    for ray, limit in zip(rays, limits, strict=True):
+        if jumps is not None:
+            limit[jumps.jump] = -ray.sign * np.inf
+        if ray.sign > 0:
+            floor = np.maximum(floor, limit)
+        else:
+            ceiling = np.minimum(ceiling, limit)
+    return floor, ceiling
+
+
+def _join_at_meetings(
+    v: fem.Function, jumps: Jumps, at_meeting: Mask, limits: Sequence[Array], on_dirichlet: npt.NDArray[Any]
+) -> None:
+    """Let v have no jump in nodes of facets where parts inside the domain meet, if that is beyond bounds."""
+    named, across = jumps.pairs
+    jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
+    beyond[named[at_meeting & ((jump < limits[0]) | (jump > limits[1]))]] = True
+    jumps.join(v, beyond, on_dirichlet)
 
 
 def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[Any]:

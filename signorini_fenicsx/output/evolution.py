@@ -43,6 +43,7 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
         "contact_facets": facets,
         "contact_measure": measure,
         **solution.of_step(),
+        **instant.steps.of_step(solution),
         "iterations": len(history),
         "linear_iterations": sum(step.linear_iterations for step in history),
         "kkt": max(vars(solution.kkt).values()),

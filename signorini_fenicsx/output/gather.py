@@ -47,7 +47,9 @@ class Fields:
         divergence: ∇·σ_h, shape (cells,).
         of: Number of cells of the mesh.
         indicator: η_T of the certificate, shape (cells,); None without a certificate.
-        contact: Whether a cell is in contact with the obstacle, shape (cells,); None without an obstacle.
+        contact: Whether laws in Ω hold u in a cell, shape (cells,); None without such laws.
+        states: The segment of its laws that each cell is on, shape (cells,); None without laws in Ω.
+        edges: What the facets between cells in different states are called.
         displacement: u_h at the points, shape (points, dim), where it is a displacement: then `u` is its length.
         regions: Mask of the cells in each region, shape (cells, regions); None without regions.
     """
@@ -62,6 +64,8 @@ class Fields:
     of: int
     indicator: Array | None = None
     contact: Mask | None = None
+    states: Indices | None = None
+    edges: str = ""
     displacement: Array | None = None
     regions: Mask | None = None
 
@@ -125,6 +129,7 @@ def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Functio
         "sigma": drawn.sigma,
         "divergence": np.zeros(len(drawn.u)) if drawn.divergence is None else drawn.divergence,
         "contact": drawn.contact,
+        "states": drawn.states,
         "indicator": None if indicator is None else indicator.x.array,
         "regions": membership(domain) if domain.regions else None,
     }
@@ -140,5 +145,6 @@ def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Functio
         displacement=None if width == 1 else u,
         sigma_at_points=at_points[:, width:],
         of=sample.of,
+        edges=drawn.edges,
         **found,
     )

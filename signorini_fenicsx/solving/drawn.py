@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces
 from signorini_fenicsx.discrete.site_table import FacetTable
 
@@ -30,7 +30,9 @@ class Drawn:
         facets: Γ_S.
         boundary: The facets of each kind of boundary, which is `SIGNORINI`, `DIRICHLET`, `NEUMANN` or `PARTLY_FIXED`.
         divergence: ∇·σ_h of each cell; None for 0.
-        contact: Whether a cell is in contact with an obstacle; None without an obstacle.
+        contact: Whether laws in Ω hold u in a cell, as an obstacle does in contact; None without such laws.
+        states: The segment of its laws that each cell is on; None without laws in Ω.
+        edges: What the facets between cells in different states are called.
         segments: Names of the segments of all laws, if there are others than the Signorini law.
         inside: The parts of Γ_S inside the domain.
         strength: What |σ_h| is called.
@@ -43,6 +45,8 @@ class Drawn:
     boundary: dict[int, Kind]
     divergence: Array | None = None
     contact: Mask | None = None
+    states: Indices | None = None
+    edges: str = ""
     segments: Sequence[str] = ()
     inside: Sequence[str] = ()
     strength: str = r"$|\sigma_h|$"

@@ -99,6 +99,9 @@ class Steps(Protocol):
     def left_by(self, solution: Any) -> Any:
         """What the solution of a step leaves for those after it."""
 
+    def of_step(self, solution: Any) -> dict[str, float]:
+        """What the table of steps has of a step besides what the solution knows (collective)."""
+
     def kept(self, solution: Any) -> dict[str, npt.NDArray]:
         """What is kept of a step: rows of the owned cells, or of the facets of Γ_S if the name begins with "facet_"."""
 

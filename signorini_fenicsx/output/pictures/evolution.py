@@ -40,17 +40,22 @@ def draw_sets_over_time(
     rows: Sequence[Mapping[str, Any]],
 ) -> None:
     """Draw `contact.png` (rank 0)."""
-    in_cells = [row["cells_measure"] for row in rows if "cells_measure" in row]
+    names = {"cells_measure": "contact with the obstacle"} | {key: key for key in rows[-1] if key.startswith("law.")}
+    in_cells = {name: [row[key] for row in rows] for key, name in names.items() if key in rows[-1]}
     draw_sets(folder / "contact.png", scene, tables, times, in_cells)
 
 
 @mpl.rc_context(style.STYLE)
 def draw_sets(
-    path: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float], in_cells: Sequence[float] = ()
+    path: Path,
+    scene: Scene,
+    tables: Sequence[FacetTable],
+    times: Sequence[float],
+    in_cells: Mapping[str, Sequence[float]] | None = None,
 ) -> None:
     """Draw the sets on each part of Γ_S over time; in space at three times, and their measures over time (rank 0).
 
-    With an obstacle, `in_cells` is the measure of the cells in contact with it, and has a panel of its own.
+    With laws in Ω, `in_cells` has the measure of the cells in each of their states, which has a panel of its own.
     """
     scenes = [replace(scene, facets=replace(table, vertices=scene.facets.vertices)) for table in tables]
     ends, groups, plane = [0.0, *times], _groups(scenes), scene.dim == 2
@@ -71,8 +76,10 @@ def draw_sets(
         axes.set(xlabel="$t$", ylabel="measure", title="sets")
     if in_cells:
         axes = sheet.panel(len(of_parts), 0, columns=columns)
-        axes.plot(times, in_cells, color=style.CONTACT, linewidth=1.6)
-        axes.set(xlabel="$t$", ylabel="area" if plane else "volume", title="contact with the obstacle")
+        for name, measures in in_cells.items():
+            axes.plot(times, measures, linewidth=1.6, label=name)
+        axes.legend()
+        axes.set(xlabel="$t$", ylabel="area" if plane else "volume", title=r"cells by the laws in $\Omega$")
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     sheet.legend_below(handles)
     sheet.save(path)

@@ -119,12 +119,12 @@ class Scene:
         return self._facets_between(regions if regions is not None and regions.shape[1] > 1 else None)
 
     def free_boundary(self) -> Indices:
-        """Facets between cells in contact with the obstacle and others, shape (facets, dim)."""
-        contact = self.fields.contact
-        return self._facets_between(None if contact is None else contact[:, None])
+        """Facets between cells in different states of laws in Ω, shape (facets, dim)."""
+        states = self.fields.states
+        return self._facets_between(None if states is None else states[:, None])
 
-    def _facets_between(self, groups: Mask | None) -> Indices:
-        """Facets between cells that differ in the groups that they are in; `groups` is a mask, a column for each."""
+    def _facets_between(self, groups: Mask | Indices | None) -> Indices:
+        """Facets between cells in different groups; these are a mask, a column for each, or numbers in a column."""
         if groups is None:
             return np.empty((0, self.dim), dtype=np.int64)
         cells, corners = self.fields.cells, list(itertools.combinations(range(self.dim + 1), self.dim))

@@ -236,8 +236,10 @@ class Space:
         self._show(axes, self.scene.fields.count, "mesh", build, view)
 
     def handles(self) -> list:
-        """The entries of the legend of Γ_S and of the contact with an obstacle."""
-        edge = [Patch(color=style.CONTACT, label="edge of the contact")] if len(self.scene.free_boundary()) > 0 else []
+        """The entries of the legend of Γ_S and of the states of laws in Ω."""
+        edge = (
+            [Patch(color=style.CONTACT, label=self.scene.fields.edges)] if len(self.scene.free_boundary()) > 0 else []
+        )
         groups = self.scene.groups
         return [*(Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups), *edge]
 

@@ -56,11 +56,10 @@ class CellLaws:
         """Whether they are one obstacle with one bound in all cells."""
         return len(self.of_regions) == 1 and type(self.of_regions[0].law) is Obstacle and self.chains.corners == 1
 
-    def names(self) -> list[str]:
-        """Names of the segments of each cell: those of the only law, or numbers where laws add up."""
-        if len(self.of_regions) == 1:
-            return list(self.of_regions[0].law.segments)
-        return [f"segment {number}" for number in range(self.chains.corners + 1)]
+    @property
+    def bounds_alone(self) -> bool:
+        """Whether all of them are obstacles."""
+        return all(type(part.law) is Obstacle for part in self.of_regions)
 
     def as_linear(self, conditions: SiteConditions) -> tuple[Array, Array]:
         """The laws under conditions as s = βu − q: β, ∞ where u_T is given, and q or that u_T, per owned cell.

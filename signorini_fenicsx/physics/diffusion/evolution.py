@@ -133,6 +133,13 @@ class DiffusionSteps:
             found[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)
         return found
 
+    def of_step(self, solution: Solution) -> dict[str, float]:
+        """With storage the integral of the content (collective)."""
+        if not self.storage:
+            return {}
+        local = float(self.spaces.cell_measures @ self.left_by(solution).x.array)
+        return {"content": self.spaces.mesh.comm.allreduce(local)}
+
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, σ_h and ∇·σ_h, the segments on which the step has ended, and θ if there is storage."""
         on = solution.segments()

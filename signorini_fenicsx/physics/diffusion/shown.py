@@ -169,7 +169,8 @@ def drawn(solution: Solution) -> Drawn:
     p = solution.p.x.array[: len(spaces.facets)].copy()
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    u = solution.u.x.array
+    u, laws_inside = solution.u.x.array, solution.data.inside
+    is_obstacle = laws_inside is not None and laws_inside.bounds_alone
     return Drawn(
         u=np.broadcast_to(u[:, None, None], (len(u), spaces.mesh.topology.dim + 1, 1)),
         sigma=solution.cell_flux.centroid,
@@ -177,6 +178,8 @@ def drawn(solution: Solution) -> Drawn:
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
         divergence=solution.cell_flux.divergence,
         contact=solution.outcome.iterate.contact,
+        states=solution.segments().cells,
+        edges="edge of the contact" if is_obstacle else "fronts",
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
     )

@@ -158,8 +158,8 @@ class Solution(Solved):
 
         They are the error of σ in the energy norm, which a certificate bounds, the L² norms of the errors of σ, ∇·σ, u
         over Ω and of p over Γ_S, and the Hausdorff distance between the contact set and the facets at whose midpoints
-        the exact u is ψ. With laws in Ω the measure of the cells where they hold one of u and u_h only takes the place
-        of the error of ∇·σ.
+        the exact u is ψ. With obstacles in Ω the measure of the cells where one of u and u_h only is on one takes the
+        place of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
@@ -167,7 +167,7 @@ class Solution(Solved):
         norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.p)
         norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
         contact = self.outcome.iterate.contact
-        if data.inside is None or contact is None:
+        if data.inside is None or contact is None or not data.inside.bounds_alone:
             return norms
         return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, contact)}
 
@@ -319,9 +319,15 @@ class Solution(Solved):
         return {"u": self.u.x.array, "sigma": self.cell_flux.centroid, "divergence": self.cell_flux.divergence}
 
     def of_step(self) -> dict[str, float]:
-        """With laws in Ω the cells that they hold and the force on them, for `steps.csv` (collective)."""
+        """With laws in Ω what `steps.csv` has of them (collective).
+
+        Of an obstacle the cells in contact and its force, of other laws the measures of the cells on each segment.
+        """
         if self.data.inside is None:
             return {}
+        if not self.data.inside.is_obstacle:
+            of_laws = self.in_regions().items()
+            return {f"{law} {name}": on["measure"] for law, segments in of_laws for name, on in segments.items()}
         found = self.on_obstacle()
         measure, force = found["contact_measure"], found["force"]
         return {"contact_cells": found["contact_cells"], "cells_measure": measure, "force": force}

@@ -50,6 +50,10 @@ class ElasticSteps:
         """The slip at the end of this step."""
         return solution.slip.ravel()
 
+    def of_step(self, _solution: ElasticSolution) -> dict[str, float]:
+        """Nothing."""
+        return {}
+
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
         """u_h and σ_h at the vertices, and for each vertex of Γ_C its segments, its slip and the bound of the shear."""
         spaces, own = self.spaces, solution.segments()
