@@ -26,12 +26,14 @@ def test_examples_are_shipped():
     examples = [f"example{i}" for i in range(1, 7)]
     exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
     exact += ["crack", "fault", "friction", "two_sided", "wall", "regulator", "staircase"]
+    exact += ["dead_core", "melting", "phases", "saturation", "thawing", "two_obstacles"]
     assert case_names() == sorted(
         [
             *examples,
             *exact,
             "membrane",
             "moving_transition",
+            "oxygen",
             "seepage_falling",
             "ball",
             "clamp",
@@ -43,6 +45,7 @@ def test_examples_are_shipped():
             "hertz",
             "lprism",
             "rock",
+            "soil",
             "sphere",
             "stack",
             "two_cylinders",

@@ -266,7 +266,7 @@ def test_results_of_python_are_kept(folder: Path):
         ({"kind": "friction", "g": True}, "g: must be an expression"),
         ({"kind": "friction", "g": "1", "parts": ["bottm"]}, "law.0.parts: unknown part 'bottm'"),
         ({"kind": "friction", "g": "1", "parts": ["left"]}, "'left' is listed twice: in signorini and in law.0.parts"),
-        ({"kind": "friction", "g": "1", "parts": []}, "law.0.parts: must not be empty"),
+        ({"kind": "friction", "g": "1", "parts": []}, "law.0: the law 'friction' needs parts, a list of parts"),
         ({"kind": "friction", "g": "1/(x - x)"}, "law.0.g: not finite everywhere on its parts"),
     ],
 )

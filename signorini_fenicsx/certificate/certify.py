@@ -53,7 +53,7 @@ from signorini_fenicsx.certificate.hidden import Pressure, degree_near, hidden_p
 from signorini_fenicsx.certificate.inside import Inside
 from signorini_fenicsx.certificate.law_trace import law_trace
 from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
-from signorini_fenicsx.certificate.local_fluxes import FacetLoad, positive_quadrature
+from signorini_fenicsx.certificate.local_fluxes import FacetLoad, Projection, positive_quadrature
 from signorini_fenicsx.certificate.mean_loads import load_left
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
@@ -91,6 +91,7 @@ class Certificate:
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
         of_penalty: Whether u is the solution of a penalty's own problem.
         v: The continuous v in P2, with interpolated u_D and ψ.
+        of_laws: The load s_T − η of laws in Ω; None without any.
         seconds: Wall time of the certificate, the longest over all ranks.
         if_none: Why the bound is infinite; empty if it is not.
     """
@@ -107,6 +108,7 @@ class Certificate:
     coarse: npt.NDArray[np.bool_]
     indicator: fem.Function
     v: fem.Function
+    of_laws: Projection | None = None
     of_penalty: bool = False
     seconds: float = 0.0
     if_none: str = ""
@@ -211,6 +213,7 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
         coarse=resolution.coarse,
         indicator=indicator,
         v=trace.v,
+        of_laws=of_laws,
         of_penalty=goal.of_penalty,
         if_none="" if np.isfinite(bound) else _why_none(trace, remainder),
     )

@@ -4,8 +4,8 @@ A step solves an elliptic problem with the load f + C Σ_k w_k u_(n−k). The bo
 solution of this problem, with continuous functions for the computed u_(n−k): v of their own certificate, plus on each
 cell a bubble that gives it the mean u_(n−k) there. What the errors of earlier steps do to a step is not in its bound.
 With u_(n−k) itself, which jumps from cell to cell, the problem would be another one, and its bound about four times
-larger. For k = n it is u_0 as it is given. With a law of storage the problem of a step is that with the computed
-content of the steps before, which is constant on each cell.
+larger. For k = n it is u_0 as it is given. With a law of storage the content of the steps before is C times that plus
+a θ with the right means, which is linear on each cell, like the η of their certificates; at the start it is constant.
 
 The bound of a step of an elastic body is that of the distance to the exact solution after the computed slip of the
 last step. This slip jumps from facet to facet. With a continuous one, the v of the last certificate with cubics that
@@ -26,6 +26,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate, certify
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, at_points
 from signorini_fenicsx.certificate.oscillation import Memory
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, owned_cells
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
@@ -76,24 +77,48 @@ class DiffusionBounds:
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
-        if steps.storage:
-            return certify(solution)
         if instant.step == 1:
-            self._before = [steps.initial.values]
+            self._before = [_at_start(steps)]
 
         before, weights = self._before, steps.weights(instant.step)
 
         def values(points: CellPoints) -> Array:
-            known = zip(weights, before, strict=False)
-            return steps.capacity[points.cells, None] * sum(weight * u(points) for weight, u in known)
+            return np.asarray(sum(weight * content(points) for weight, content in zip(weights, before, strict=False)))
 
         memory = None
         if len(before) >= len(weights):
-            of_start = instant.step <= len(weights)
+            of_start = instant.step <= len(weights) and not steps.storage
             memory = Memory(values, steps.initial, weights[-1] * steps.capacity) if of_start else Memory(values)
         certificate = certify(solution, memory=memory)
-        self._before = [Continuous.of(solution, certificate), *before[:1]]
+        self._before = [_content(instant, Continuous.of(solution, certificate), certificate), *before[:1]]
         return certificate
+
+
+def _at_start(steps: DiffusionSteps) -> InPoints:
+    """The content at the start: of a storage its means."""
+    if not steps.storage:
+        return lambda points: steps.capacity[points.cells, None] * steps.initial.values(points)
+    start = steps.start().x.array
+    return lambda points: np.broadcast_to(start[points.cells, None], points.shape)
+
+
+def _content(instant: Instant, u: InPoints, certificate: Certificate) -> InPoints:
+    """The content after a step, with the means that the step has left (collective)."""
+    steps, load = cast(DiffusionSteps, instant.steps), certificate.of_laws
+    theta, a = steps.theta(instant.solution), steps.rate(instant.step)
+    stores = np.zeros(len(theta), dtype=bool)
+    for part, _ in steps.storage:
+        stores[part.rows] = True
+
+    def content(points: CellPoints) -> Array:
+        cells = points.cells
+        found = steps.capacity[cells, None] * u(points) + theta[cells, None]
+        if load is not None and steps.storage:
+            of_cells = Projection(load.coefficients[cells] * stores[cells, None], load.rest[cells])
+            found -= at_points(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
+        return found
+
+    return content
 
 
 class ElasticBounds:

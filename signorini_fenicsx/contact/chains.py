@@ -202,7 +202,7 @@ class Chains:
             np.minimum(self.extent()[1], other.extent()[1]),
         )
         if np.any(low > high):
-            raise ValueError
+            raise ValueError("no p is allowed by both")
         p = np.hstack([self.p, other.p])
         own = np.repeat([True, False], [self.corners, other.corners])
         # Own corners come first at equal p: at them the other chain has not fallen yet, at its corners this one has.

@@ -208,4 +208,13 @@ def polynomial_degree(tree: Tree) -> int | None:
         case Call(arguments=arguments):
             return 0 if all(polynomial_degree(argument) == 0 for argument in arguments) else None
         case Conditional():
-            return None
+            return 0 if _is_constant(tree) else None
+
+
+def _is_constant(part: Any) -> bool:
+    """Whether there is no coordinate in a tree, or in a part of one."""
+    if isinstance(part, tuple):
+        return all(map(_is_constant, part))
+    if isinstance(part, TREES | Comparison | And | Or | Not):
+        return not isinstance(part, Coordinate) and all(_is_constant(getattr(part, each.name)) for each in fields(part))
+    return True

@@ -107,6 +107,10 @@ class DiffusionSteps:
         """w_1, w_2, … of a step."""
         return self._evolution.formula(step)[1]
 
+    def rate(self, step: int) -> float:
+        """The factor a of a step."""
+        return self._evolution.formula(step)[0]
+
     def left_by(self, solution: Solution) -> fem.Function:
         """The content w = Cu + θ in P0 (collective)."""
         return self._content(solution.u.x.array, self.theta(solution))
@@ -119,7 +123,7 @@ class DiffusionSteps:
         found, laws, step = np.zeros(len(self.capacity)), solution.data.inside, solution.step
         if not self.storage or laws is None or step is None:
             return found
-        u, a = solution.u.x.array, self._evolution.formula(step)[0]
+        u, a = solution.u.x.array, self.rate(step)
         s = solution.cell_flux.divergence + solution.data.source(solution.u).x.array
         numbers = [i for i, _ in _storages(self._problem)]
         for number, (part, own) in zip(numbers, self.storage, strict=True):

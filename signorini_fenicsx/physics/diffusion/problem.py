@@ -67,7 +67,7 @@ class Diffusion:
                 neumann += condition.parts
             elif not isinstance(condition, Dirichlet) or not same_value(condition.value, u_D):
                 laws.append(condition)
-        plain = [law for law in laws if type(law) is Signorini]
+        plain = [law for law in laws if type(law) is Signorini and not law.region]
         own = plain[0] if len(plain) == 1 else Signorini(())
         laws = [law for law in laws if law is not own]
         parts = [*own.parts, *(part for law in laws for part in law.parts)]
