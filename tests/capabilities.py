@@ -136,6 +136,8 @@ def _shipped() -> Iterator[Capability]:
         yield solved(case, beside=PATH)
     yield solved("sphere", *STRUCTURED, h="1/2")
     yield solved("dam_baiocchi", *STRUCTURED, h="2", beside=PATH)
+    for case in ("two_obstacles", "saturation", "dead_core", "phases"):
+        yield solved(case, *STRUCTURED, h="1/8")
     yield solved("hertz", *STRUCTURED, h="1/8")
     yield solved("clamp", "--h", "4")
     for case in ("two_cylinders", "rock", "stack"):
@@ -144,6 +146,8 @@ def _shipped() -> Iterator[Capability]:
     yield solved("membrane", *STRUCTURED, *few, h="1/6", beside=TIES)
     yield solved("moving_transition", *STRUCTURED, *few, h="1/6")
     yield solved("seepage_falling", *few)
+    for case in ("melting", "thawing", "oxygen", "soil"):
+        yield solved(case, *few, h="1/8")
 
 
 def _methods() -> Iterator[Capability]:
@@ -192,6 +196,8 @@ def _rare() -> Iterator[Capability]:
     yield then(solved("membrane", *STRUCTURED, *short, h="1/4"), "export", "out")
     steps = ("solve", "moving_transition", *STRUCTURED, "--h", "1/4", "--set", "time.steps=4", "--output", "out")
     yield Capability("restart", ((ENDED, *steps), (*steps, "--restart")))
+    steps = ("solve", "thawing", "--h", "1/8", "--set", "time.steps=4", "--output", "out")
+    yield Capability("restart of a storage", ((ENDED, *steps), (*steps, "--restart")))
     for case in ("example2", "hertz"):
         yield then(solved(case, *STRUCTURED, h="1/4"), "export", "out")
         twice = solved(case, *STRUCTURED, h="1/4")

@@ -175,8 +175,16 @@ def _draw(
         if u is not None:
             frames.append((times[step - 1], u, steps.table(step, kind)))
 
+    states, in_plane = {}, spaces.mesh.topology.dim == 2 and solution.drawn().states is not None
+    for step in pictures.chosen_for_fronts(len(times)) if in_plane else []:
+        of_cells = sample.in_cells(steps.kept(spaces, step, "own").ravel())
+        if of_cells is not None:
+            states[times[step - 1]] = of_cells
+
     def write() -> None:
         if scene is not None:
+            if states:
+                pictures.draw_fronts(folder / "fronts.png", scene, states)
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
             pictures.draw_steps(folder, scene, tables, times, rows)
             if frames:

@@ -49,7 +49,6 @@ class Fields:
         indicator: η_T of the certificate, shape (cells,); None without a certificate.
         contact: Whether laws in Ω hold u in a cell, shape (cells,); None without such laws.
         states: The segment of its laws that each cell is on, shape (cells,); None without laws in Ω.
-        edges: What the facets between cells in different states are called.
         displacement: u_h at the points, shape (points, dim), where it is a displacement: then `u` is its length.
         regions: Mask of the cells in each region, shape (cells, regions); None without regions.
     """
@@ -65,7 +64,6 @@ class Fields:
     indicator: Array | None = None
     contact: Mask | None = None
     states: Indices | None = None
-    edges: str = ""
     displacement: Array | None = None
     regions: Mask | None = None
 
@@ -145,6 +143,5 @@ def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Functio
         displacement=None if width == 1 else u,
         sigma_at_points=at_points[:, width:],
         of=sample.of,
-        edges=drawn.edges,
         **found,
     )

@@ -15,16 +15,24 @@ from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
 from signorini_fenicsx.output.pictures import elastic, elastic_steps, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors
-from signorini_fenicsx.output.pictures.evolution import animate, draw_sets_over_time, shown
+from signorini_fenicsx.output.pictures.evolution import (
+    animate,
+    chosen_for_fronts,
+    draw_fronts,
+    draw_sets_over_time,
+    shown,
+)
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solved import Solved
 
 __all__ = [
     "animate",
+    "chosen_for_fronts",
     "draw_all",
     "draw_bounds",
     "draw_errors",
+    "draw_fronts",
     "draw_mesh",
     "draw_steps",
     "gathered_scene",
@@ -81,6 +89,7 @@ def scene_of(
         history=solution.outcome.history,
         strength=gathered.of.strength,
         gamma=gathered.of.gamma,
+        edges=gathered.of.edges,
         inside=gathered.of.inside,
         phreatic_line=phreatic_line,
         physics=physics,

@@ -27,6 +27,8 @@ MOST_FRAMES = 200
 SECONDS = 8.0
 """How long an animation takes, and the most for one picture below."""
 SLOW = 0.4
+FRONTS = 8
+"""Fronts of so many steps are drawn in one map."""
 
 type Frame = tuple[float, Array, FacetTable]
 """The time, u_h in the cells of the scene, and Γ_S."""
@@ -83,6 +85,34 @@ def draw_sets(
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     sheet.legend_below(handles)
     sheet.save(path)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_fronts(path: Path, scene: Scene, states: Mapping[float, Indices]) -> None:
+    """Draw the edges between cells in different states at some times in one map, coloured by time (rank 0).
+
+    Args:
+        path: The file.
+        scene: The scene of the last step, in the plane.
+        states: The states of the cells by time.
+    """
+    plane, times = Plane(scene), list(states)
+    sheet, axes = one_map(plane)
+    colours = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, times[-1]), style.U_MAP)
+    axes.add_collection(LineCollection(scene.fields.points[scene.boundary.vertices], colors="black", linewidths=1.0))
+    for t, of_cells in states.items():
+        then = replace(scene, fields=replace(scene.fields, states=of_cells))
+        lines = scene.fields.points[then.free_boundary()]
+        axes.add_collection(LineCollection(lines, colors=[colours.to_rgba(t)], linewidths=1.8))
+    style.shape_axes(axes, scene.edges, plane.frame)
+    sheet.bar(axes, colours, "$t$")
+    sheet.legend_below([])
+    sheet.save(path)
+
+
+def chosen_for_fronts(steps: int) -> list[int]:
+    """The steps whose fronts are drawn."""
+    return sorted({-(-steps * number // FRONTS) for number in range(1, FRONTS + 1)})
 
 
 def _draw_views(sheet: Sheet, scenes: Sequence[Scene], times: Sequence[float]) -> None:

@@ -141,7 +141,7 @@ def _space(scene: Scene) -> tuple[list, list[Sheet]]:
     cut_triangles, _ = thinned(cut_points, cut_triangles, MOST_TRIANGLES)
     if len(edge := scene.free_boundary()) > 0:
         edge, _ = thinned(points, edge, MOST_TRIANGLES)
-        contact.append(_surface(points, edge, None, style.CONTACT, name=scene.fields.edges))
+        contact.append(_surface(points, edge, None, style.CONTACT, name=scene.edges))
     on_gamma = {"p<sub>h</sub>": facets.p, "σ<sub>h</sub>·n": facets.flux} if scene.labels else {}
     sheets = [
         Sheet("contact", contact),

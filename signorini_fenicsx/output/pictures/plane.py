@@ -164,7 +164,7 @@ class Plane:
             (DIRICHLET in kinds, r"$\Gamma_D$", {"color": "black", "linewidth": 1.2}),
             (NEUMANN in kinds, r"$\Gamma_N$", {"color": "black", "linewidth": 1.2, "linestyle": ":"}),
             (PARTLY_FIXED in kinds, "partly fixed", {"color": "black", "linewidth": 1.2, "linestyle": "-."}),
-            (len(scene.free_boundary()) > 0, scene.fields.edges, {"color": style.CONTACT, "linewidth": 1.8}),
+            (len(scene.free_boundary()) > 0, scene.edges, {"color": style.CONTACT, "linewidth": 1.8}),
             (scene.phreatic_line is not None, "phreatic line", {"color": style.WATER, "linewidth": 1.8}),
             (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
         ]

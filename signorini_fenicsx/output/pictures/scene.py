@@ -46,6 +46,7 @@ class Scene:
         history: Steps of the algorithm.
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
+        edges: What the facets between cells in different states of laws in Ω are called.
         inside: The parts of Γ_S inside the domain.
         phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
         physics: Name of the physics.
@@ -63,6 +64,7 @@ class Scene:
     history: list[Step]
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
+    edges: str = ""
     inside: Collection[str] = ()
     phreatic_line: Array | None = None
     physics: str = "diffusion"

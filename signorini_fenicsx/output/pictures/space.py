@@ -237,9 +237,7 @@ class Space:
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S and of the states of laws in Ω."""
-        edge = (
-            [Patch(color=style.CONTACT, label=self.scene.fields.edges)] if len(self.scene.free_boundary()) > 0 else []
-        )
+        edge = [Patch(color=style.CONTACT, label=self.scene.edges)] if len(self.scene.free_boundary()) > 0 else []
         groups = self.scene.groups
         return [*(Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups), *edge]
 

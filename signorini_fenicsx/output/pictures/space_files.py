@@ -122,7 +122,7 @@ def _overview(space: Space) -> Sheet:
         space.draw_trace(sheet, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
     else:
         space.draw_cuts(sheet, panels[3], "(d) $u_h$ on cuts through the middle")
-        space.draw_contact(panels[4], f"(e) {scene.fields.edges}", space.views[0])
+        space.draw_contact(panels[4], f"(e) {scene.edges}", space.views[0])
     handles = space.handles()
     if moves(scene.history):
         axes = sheet.panel(1, 2)
