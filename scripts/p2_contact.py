@@ -40,7 +40,7 @@ class P2Contact:
     seconds: float
 
 
-def stress(v: ufl.core.expr.Expr, young: float, poisson: float) -> ufl.core.expr.Expr:
+def stress(v: ufl.core.expr.Expr, young: float | ufl.core.expr.Expr, poisson: float) -> ufl.core.expr.Expr:
     """ℂε(v), plane strain in two dimensions."""
     strain = ufl.sym(ufl.grad(v))
     mu, lame = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
@@ -49,23 +49,28 @@ def stress(v: ufl.core.expr.Expr, young: float, poisson: float) -> ufl.core.expr
 
 def solve_p2(
     mesh: dolfinx.mesh.Mesh,
-    young: float,
+    young: float | ufl.core.expr.Expr,
     poisson: float,
     f: Sequence[float],
     g_N: Mapping[tuple[int, float], Sequence[float]],
     fixed: Mapping[tuple[int, float], Sequence[int]],
     gap: float,
+    *,
+    between: bool = False,
 ) -> P2Contact:
     """Solve on a box whose last coordinate is 0 on Γ_C, with a gap that is a number.
 
+    If that is between two bodies, the mesh is cut there, and the body above is pressed onto that below.
+
     Args:
         mesh: Mesh of the box, on one process.
-        young: E.
+        young: E, a number or UFL on the mesh.
         poisson: ν.
         f: Force per volume.
         g_N: Tractions by side: the coordinate and its value there.
         fixed: For a side the components of v that are 0.
         gap: g.
+        between: Whether Γ_C is between two bodies.
 
     Raises:
         RuntimeError: If the sets do not settle.
@@ -77,17 +82,24 @@ def solve_p2(
     space = fem.functionspace(mesh, element)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     load = ufl.dot(ufl.as_vector([float(x) for x in f]), v) * ufl.dx
-    for side, traction in g_N.items():
-        facets = np.sort(_facets(mesh, side))
-        tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets, np.ones_like(facets))
-        ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
-        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds
+    sides = [_facets(mesh, side) for side in g_N]
+    numbers = np.concatenate([np.full(len(facets), number, dtype=np.int32) for number, facets in enumerate(sides)])
+    facets = np.concatenate(sides)
+    order = np.argsort(facets)
+    tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], numbers[order])
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    for number, traction in enumerate(g_N.values()):
+        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds(number)
     A = fem.assemble_matrix(fem.form(ufl.inner(stress(u, young, poisson), ufl.sym(ufl.grad(v))) * ufl.dx)).to_scipy()
     A = A.tocsr()
     b = fem.assemble_vector(fem.form(load)).array
     zero = [_dofs(space, mesh, side, k) for side, components in fixed.items() for k in components]
     held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
     contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
+    jumps = scipy.sparse.eye_array(len(b)).tocsr()
+    if between:
+        contact, jumps = _jumps(space, contact, len(b))
+        A, b = (jumps.T @ A @ jumps).tocsr(), jumps.T @ b
 
     x, active = np.zeros(len(b)), np.zeros(len(contact), dtype=bool)
     for steps in range(1, MOST_STEPS + 1):
@@ -100,7 +112,7 @@ def solve_p2(
         following = np.where(active, force > 0, x[contact] < -gap)
         if (following == active).all():
             found = fem.Function(space)
-            found.x.array[:] = x
+            found.x.array[:] = jumps @ x
             energy = float(x @ (A @ x) / 2 - b @ x)
             return P2Contact(found, energy, int(active.sum()), steps, len(free), time.process_time() - began)
         active = following
@@ -112,6 +124,20 @@ def stress_norm(mesh: dolfinx.mesh.Mesh, sigma: ufl.core.expr.Expr, young: float
     theta = poisson if mesh.geometry.dim == 2 else poisson / (1 + poisson)
     product = (1 + poisson) / young * (ufl.inner(sigma, sigma) - theta * ufl.tr(sigma) ** 2)
     return float(np.sqrt(mesh.comm.allreduce(fem.assemble_scalar(fem.form(product * ufl.dx)), MPI.SUM)))
+
+
+def _jumps(space: fem.FunctionSpace, both: np.ndarray, size: int) -> tuple[np.ndarray, scipy.sparse.csr_array]:
+    """The unknowns of the upper body among normal ones of both bodies, and the basis in which they are jumps."""
+    mesh, dim = space.mesh, space.mesh.geometry.dim
+    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    above = dolfinx.mesh.compute_midpoints(mesh, dim, cells)[:, dim - 1] > 0
+    of_upper = np.unique(space.dofmap.list[above].ravel()) * dim + dim - 1
+    upper, lower = both[np.isin(both, of_upper)], both[~np.isin(both, of_upper)]
+    lagrange = fem.functionspace(mesh, ("P", 2))  # with the nodes of Bernstein's basis at its points
+    x = lagrange.tabulate_dof_coordinates()[:, : dim - 1]
+    upper, lower = (side[np.lexsort(np.round(x[side // dim], 9).T)] for side in (upper, lower))
+    ones = scipy.sparse.coo_array((np.ones(len(upper)), (upper, lower)), (size, size))
+    return upper, (scipy.sparse.eye_array(size) + ones).tocsr()
 
 
 def _facets(mesh: dolfinx.mesh.Mesh, side: tuple[int, float]) -> np.ndarray:

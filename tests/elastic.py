@@ -105,3 +105,15 @@ def complementary_energy(solution: ElasticSolution) -> np.ndarray:
     assert solver.solve() == piqp.PIQP_SOLVED
     values = np.einsum("nvek,nk->nve", cells.stresses(element.stresses), solver.result.x.reshape(number, basis))
     return to_matrices(values.reshape(number, dim + 1, dim + 1, -1))
+
+
+def two_boxes(comm: MPI.Comm, n: int, dim: int) -> Domain:
+    """Two boxes on a mesh of DOLFINx, cut along their common side, where the last coordinate is 0 (collective)."""
+    last, low, high = dim - 1, [0.0] * dim, [1.0] * dim
+    low[last], high[last] = -0.5, 0.5
+    make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
+    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (last, -0.5), "top": (last, 0.5), "fault": (last, 0.0)}
+    walls |= {"front": (1, 0.0), "back": (1, 1.0)} if dim == 3 else {}
+    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
+    regions = {"upper": lambda x: x[last] > -1e-9, "lower": lambda x: x[last] < 1e-9}
+    return domain_of(make(comm, [low, high], [n] * dim), parts, regions, inner=["fault"], sides={"fault": "upper"})

@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from unittest import mock
 
 import dolfinx.mesh
 import numpy as np
 import pytest
 from commands import signorini
+from elastic import two_boxes
 from mpi4py import MPI
 
 from signorini_fenicsx import (
@@ -24,9 +26,12 @@ from signorini_fenicsx import (
     solve_case,
 )
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.output.steps import StepFolder
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -202,3 +207,98 @@ def test_command_line(tmp_path: Path):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert summary["norms"]["contact_force"] == pytest.approx(0.1)
     assert (tmp_path / "out" / "deformed.png").stat().st_size > 10_000
+
+
+@pytest.mark.parallel([1, 3])
+def test_patch_in_space():
+    """Uniform pressure is exact across a face between two boxes, to rounding, and the pictures are drawn."""
+    held = [Dirichlet("bottom", 0, components="z"), Dirichlet("left", 0, components="x")]
+    held += [Dirichlet("front", 0, components="y"), Neumann(["right", "back"]), Neumann("top", ["0", "0", "-0.1"])]
+    problem = Elasticity({"upper": 1.0, "lower": 2.0}, 0.3, conditions=[Contact("fault", gap=0.01), *held])
+    solution = solve(two_boxes(COMM, 2, 3), problem)
+    np.testing.assert_allclose(solution.pressure, 0.1, rtol=1e-10)
+    assert solution.norms()["contact_force"] == pytest.approx(0.1)
+    certificate = solution.certify()
+    assert certificate.guaranteed
+    assert certificate.bound < 1e-8
+    upper, lower = (solution.at([[0.3, 0.4, z]]).u[0, 2] for z in (0.5, -0.1))
+    if COMM.rank == 0:
+        assert (upper, lower) == pytest.approx((-0.01 - 0.1 * 0.5 - 0.05 * 0.5, -0.05 * 0.4))
+
+
+def test_three_bodies_at_a_vertex(folder: Path):
+    """A square of three bodies whose borders meet in its middle, with other normals: exact, and the bound says so."""
+    rows = ["Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0}; Point(3) = {1, 1, 0}; Point(4) = {0, 1, 0};"]
+    rows += ["Point(5) = {0.5, 0.5, 0}; Point(6) = {0.5, 0, 0}; Point(7) = {1, 0.8, 0}; Point(8) = {0, 0.7, 0};"]
+    rows += ["Line(1) = {1, 6}; Line(2) = {6, 2}; Line(3) = {2, 7}; Line(4) = {7, 3}; Line(5) = {3, 4};"]
+    rows += ["Line(6) = {4, 8}; Line(7) = {8, 1}; Line(8) = {6, 5}; Line(9) = {5, 7}; Line(10) = {5, 8};"]
+    rows += ["Curve Loop(1) = {1, 8, 10, 7}; Plane Surface(1) = {1}; Curve Loop(2) = {2, 3, -9, -8};"]
+    rows += ["Plane Surface(2) = {2}; Curve Loop(3) = {9, 4, 5, 6, -10}; Plane Surface(3) = {3};"]
+    rows += ['Physical Curve("bottom") = {1, 2}; Physical Curve("right") = {3, 4}; Physical Curve("top") = {5};']
+    rows += ['Physical Curve("left") = {6, 7}; Physical Curve("one") = {8}; Physical Curve("two") = {9};']
+    rows += ['Physical Curve("three") = {10}; Physical Surface("a") = {1}; Physical Surface("b") = {2};']
+    rows += ['Physical Surface("c") = {3}; MeshSize {:} = 0.2;']
+    (folder / "three.geo").write_text("\n".join(rows), encoding="utf-8")
+    text = """physics = "elasticity"
+geometry = {file = "three.geo"}
+law = [{parts = ["one", "two", "three"], kind = "KIND"}]
+problem = {young = 1, poisson = 0.3, g_N = {top = [0, -0.1], right = [-0.1, 0]}}
+[boundary]
+inner = ["one", "two", "three"]
+sides = {one = "b", two = "c", three = "c"}
+neumann = ["top", "right"]
+fixed = {left = "x", bottom = "y"}
+"""
+    for kind in ("contact", 'friction", g = "0.01'):
+        (folder / "three.toml").write_text(text.replace("KIND", kind), encoding="utf-8")
+        solution = solve_case(load_case(folder / "three.toml"))
+        np.testing.assert_allclose(solution.pressure, 0.1, rtol=1e-9)
+        assert solution.certify().bound < 1e-7
+
+
+def test_cylinders_in_shear():
+    """Cattaneo and Mindlin: the force of Hertz, and the part that sticks shrinks as √(1 − Q/(μP))."""
+    case = load_case("mindlin").with_values({"time.steps": 4})
+    for instant in evolve_case(case):
+        solution = instant.solution
+        P, Q = solution.norms()["contact_force"], abs(solution.resultants()["contact"][0])
+        a = np.sqrt(32 * P * (1 - 0.3**2) / (np.pi * 200))
+        assert solution.contact.measure / 2 == pytest.approx(a, abs=0.05)
+        assert solution.pressure.max() == pytest.approx(2 * P / (np.pi * a), rel=0.03)
+        facets = solution.friction_states()["stick"]["measure"] / 2
+        assert facets == pytest.approx(a * np.sqrt(1 - Q / (0.3 * P)), abs=0.05)
+        assert solution.certify().relative < 0.04
+    assert Q > 0.8 * 0.3 * P
+
+
+def test_a_plate_that_others_solved():
+    """The displacements that Code_Aster and others have for GRECO's plate, and a bound of half a percent."""
+    solution = solve_case(load_case("plate").with_values({"solve.h": 3.6}))
+    slip = solution.at([[x, 0.0] for x in (0.0, 1.25, 5.0, 7.5, 11.25)]).u[:, 0]
+    np.testing.assert_allclose(slip[:4], [0.0286, 0.0272, 0.0228, 0.0198], rtol=8e-3)
+    assert slip[4] == pytest.approx(0.01541, rel=5e-3)  # codes have 0.0150, 3 % less
+    assert solution.certify().relative < 0.006
+
+
+def test_a_killed_run_of_two_bodies(tmp_path: Path):
+    """After an end in step 3 a run goes on with the slip that was computed: all numbers are those of a whole run."""
+    blocks(
+        tmp_path,
+        kind=('kind = "contact"', 'kind = "friction", mu = 0.3, gap = "0.05*(x - 0.5)^2"'),
+        moved=("g_N = {top = [0, -0.1]}", 'u_D = {top = ["0.03*sin(4*t)", "-0.04"], bottom = [0, 0]}'),
+        free=('neumann = ["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', 'neumann = ["left", "right"]'),
+        time=("[boundary]", "[time]\nend = 1\nsteps = 4\n[boundary]"),
+    )
+    save = StepFolder.save
+
+    def ended(steps: StepFolder, instant: Instant, row: dict[str, object]) -> None:
+        save(steps, instant, row)
+        if instant.step == 3:
+            raise NumericalFailure("ended")
+
+    with mock.patch.object(StepFolder, "save", ended):
+        assert signorini(tmp_path, "solve", "blocks.toml", "--output", "x").returncode == 1
+    assert signorini(tmp_path, "solve", "blocks.toml", "--output", "x", "--restart").returncode == 0
+    assert signorini(tmp_path, "solve", "blocks.toml", "--output", "whole").returncode == 0
+    one, other = ((tmp_path / name / "summary.json").read_text(encoding="utf-8") for name in ("x", "whole"))
+    assert json.loads(one)["norms"] == pytest.approx(json.loads(other)["norms"], rel=1e-10)

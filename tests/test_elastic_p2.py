@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
-from elastic import box
+from dolfinx import fem
+from dolfinx.mesh import compute_midpoints
+from elastic import box, two_boxes
 from mpi4py import MPI
 from p2_contact import solve_p2, stress, stress_norm
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
+from signorini_fenicsx import solve as solve_problem
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.solver import solve
@@ -36,3 +40,35 @@ def test_energies_bracket_the_exact_one(dim: int, nu: float):
         assert certify_elastic(solution).gap < between[-1]  # on the split mesh there are more displacements
         assert between[-1] < 0.02 * complementary if n > 2 else True
     assert between[1] < 0.5 * between[0]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_energies_of_two_bodies(dim: int):
+    """The same for two bodies of different stiffness that are pressed together and tilted, so that one edge opens."""
+    between, last = [], dim - 1
+    f, push, lift = [0.01] + [0.0] * last, [0.0] * last + [-0.1], [0.0] * last + [0.15]
+    sides = [
+        Neumann("right", [str(x) for x in lift]),
+        *([Neumann("back"), Dirichlet("front", 0, components="y")] if dim == 3 else []),
+    ]
+    held = [Dirichlet("left", 0, components="x"), Dirichlet("bottom", 0), Neumann("top", [str(x) for x in push])]
+    fixed = {(last, -0.5): list(range(dim)), (0, 0.0): [0], **({(1, 0.0): [1]} if dim == 3 else {})}
+    for n in (2, 4) if dim == 3 else (4, 8, 16):
+        domain = two_boxes(MPI.COMM_SELF, n, dim)
+        young = fem.Function(fem.functionspace(domain.mesh, ("DG", 0)))
+        middles = compute_midpoints(domain.mesh, dim, np.arange(len(young.x.array), dtype=np.int32))
+        young.x.array[:] = np.where(middles[:, last] > 0, 1.0, 3.0)
+        conditions = [Contact("fault", gap=GAP), *held, *sides]
+        stiff = {"upper": 1.0, "lower": 3.0}
+        loads = [str(x) for x in f]
+        solution = solve_problem(domain, Elasticity(stiff, 0.3, f=loads, conditions=conditions))
+        other = solve_p2(domain.mesh, young, 0.3, f, {(last, 0.5): push, (0, 1.0): lift}, fixed, GAP, between=True)
+        norms, certificate = solution.norms(), solution.certify()
+        assert certificate.guaranteed
+        complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
+        between.append(complementary + other.energy)
+        assert 0 < certificate.gap < between[-1]
+    assert between[-1] < 0.1 * complementary
+    assert solution.contact.facets > 0
+    assert solution.touching.sum() < solution.touching.size
+    assert between[-1] < 0.5 * between[-2]

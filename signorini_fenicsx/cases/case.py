@@ -18,7 +18,7 @@ from pydantic import (
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
-from signorini_fenicsx.cases.complaints import complaint, keys_of
+from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
 from signorini_fenicsx.cases.costs import COSTS, Cost
 from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.geometry import Geometry
@@ -354,9 +354,9 @@ def load_case(name_or_path: str | Path) -> Any:
             return validated(Case, tree, path.stem, str(path))
         except InputError as error:
             raise InputError(f"{error}{_of_other_physics(tree)}") from None
-    if tree["physics"] not in MODELS:
+    if not isinstance(tree["physics"], str) or tree["physics"] not in MODELS:
         known = " or ".join(f'"{name}"' for name in MODELS)
-        raise InputError(f"{path}: physics: unknown {tree['physics']!r}; use {known}, or leave it out")
+        raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {known}, or leave it out")
     model = model_of(tree["physics"])
     for key in tree:
         if key in Case.model_fields and key not in model.model_fields:

@@ -273,14 +273,19 @@ class Inside:
         return found, load
 
     def _groups(self) -> Iterator[tuple[list[int], Indices]]:
-        """The cells that have the same laws: numbers of these, and the owned cells; alike on all ranks (collective)."""
+        """The cells that have the same laws: numbers of these, and the owned cells; alike on all ranks (collective).
+
+        Under obstacles alone v is between them in all points, so that cells on no obstacle have no gap.
+        """
         parts = self.laws.of_regions
         code = np.zeros(len(self.s), dtype=np.int64)
         for number, part in enumerate(parts):
             code[part.rows] += 2**number
         codes = {each for some in self.spaces.mesh.comm.allgather(set(np.unique(code).tolist())) for each in some}
         for each in sorted(codes - {0}):
-            yield [number for number in range(len(parts)) if each & 2**number], np.flatnonzero(code == each)
+            numbers = [number for number in range(len(parts)) if each & 2**number]
+            inert = all(type(parts[number].law) is Obstacle for number in numbers) & (self.largest == 0)
+            yield numbers, np.flatnonzero((code == each) & ~inert)
 
     def _eta(self, law: Chains, v: Array, own: Indices, metric: CellMetric, at: CellPoints) -> Array:
         """The η of the module in points of some cells, shape (cells, points)."""

@@ -218,7 +218,7 @@ def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
                 if EVERYWHERE in regions
                 else dict.fromkeys(spaces.domain.regions, exactly(0.0)) | dict.fromkeys(regions, c)
             )
-            problem = replace(problem, c=plus(problem.c, more, 1.0, f"law.{i}.c"))
+            problem = replace(problem, c=plus(problem.c, more, 1.0, f"law.{i}: c of the problem and of this law"))
     return problem
 
 
@@ -242,5 +242,5 @@ def _of(given: Given | Mapping[str, Given], region: str) -> Given:
 
 def _sum(c: Given, more: Given, factor: float, where: str) -> Tree:
     if not isinstance(c, TREES) or not isinstance(more, TREES):
-        raise InputError(f"{where}: c, capacities and reactions that are added must be numbers or texts")
+        raise InputError(f"{where} must be numbers or texts")
     return Binary("+", c, Binary("*", exactly(factor), more))

@@ -188,7 +188,7 @@ def _of_step(problem: Problem, evolution: Evolution, step: int, dim: int) -> Pro
     now, (a, _) = problem.at(evolution.time(step)), evolution.formula(step)
     laws = tuple(_scaled(law, a) if isinstance(law, Storage) else law for law in now.laws)
     capacity = parsed(_capacity(evolution, problem), "xyz"[:dim], "[time] capacity")
-    return replace(now, c=plus(now.c, capacity, a, "[time]"), laws=laws)
+    return replace(now, c=plus(now.c, capacity, a, "[time]: c and capacity"), laws=laws)
 
 
 def with_storage(problem: Problem, evolution: Evolution, dim: int) -> Problem:
