@@ -61,7 +61,7 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     if data.friction is not None:
         by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
         data = replace(data, friction=replace(data.friction, bound=by_pressure))
-    chains = law_of_sites(spaces, data.friction)
+    chains = law_of_sites(spaces, data.laws.chains, data.friction)
     opened = (condition != Condition.ZERO_TRACE).ravel()
     conditions = chains.conditions(np.concatenate([opened, state[rough].ravel()]).astype(np.int8))
     iterate = Iterate(

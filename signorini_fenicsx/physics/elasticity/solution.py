@@ -111,8 +111,19 @@ class ElasticSolution(Solved):
 
     @property
     def gap(self) -> Array:
-        """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact."""
-        return self.outcome.iterate.p[: len(self.spaces.sites)].reshape(-1, self.spaces.dim)
+        """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact.
+
+        Under other laws it is what they allow.
+        """
+        laws, iterate, normal = self.data.laws, self.outcome.iterate, len(self.spaces.sites)
+        own, pressure = iterate.p[:normal], self.pressure.ravel() - laws.pressure
+        means = laws.means(self.segment, own, pressure) + laws.opening
+        return np.asarray(means).reshape(-1, self.spaces.dim)
+
+    @cached_property
+    def segment(self) -> Indices:
+        """The segment of its law in the normal direction on which each facet vertex is, shape (sites,)."""
+        return self.data.laws.chains.segments(self.outcome.conditions.take(slice(len(self.spaces.sites))))
 
     @property
     def linear_gap(self) -> Array:
@@ -121,9 +132,9 @@ class ElasticSolution(Solved):
 
     @property
     def touching(self) -> Mask:
-        """Whether these vertices are in contact, shape (facets, d)."""
+        """Whether these vertices are in contact, under other laws held or on a spring, shape (facets, d)."""
         kind = self.outcome.conditions.kind[: len(self.spaces.sites)]
-        return (kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
+        return (kind != Condition.NO_FLUX).reshape(-1, self.spaces.dim)
 
     @property
     def slip(self) -> Array:
@@ -152,7 +163,7 @@ class ElasticSolution(Solved):
     def segments(self) -> ElasticSegments:
         """Where the next step in time starts."""
         friction = self.data.friction
-        chains = law_of_sites(self.spaces, friction)
+        chains = law_of_sites(self.spaces, self.data.laws.chains, friction)
         bound = np.empty((0, 2)) if friction is None else friction.bound
         return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), bound)
 
