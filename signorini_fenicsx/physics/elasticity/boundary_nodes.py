@@ -158,6 +158,14 @@ class ContactCoefficients(FacetCoefficients):
         signs[inside & (nodes[:, 0] == nodes[:, 1])] = 0.0
         return nodes, signs
 
+    def of_jumps(self, rows: Indices) -> tuple[Indices, Array]:
+        """The nodes of both sides of some facets and their signs in the jump, shape (facets, 2 coefficients) each."""
+        number = self.nodes.shape[1]
+        places = np.tile(np.arange(number), len(rows))
+        nodes, signs = self.pairs(np.repeat(rows, number), places)
+        shape = len(rows), 2 * number
+        return nodes.reshape(shape), signs.reshape(shape)
+
 
 def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> ContactCoefficients:
     """The nodes of Γ_C on the split mesh, or on a part of it that has both sides of a facet or none."""
