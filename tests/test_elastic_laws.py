@@ -112,11 +112,11 @@ def test_smooth(dim: int):
     others = [f"{end} {axis}" for axis in "xyz"[:dim] for end in ("low", "high") if (end, axis) != ("low", last)]
     conditions = [Wall(f"low {last}", beta=2.0), Dirichlet(others, given)]
     problem = Elasticity(young=1.0, poisson=0.0, f=FORCE[dim], exact=given, conditions=conditions)
-    sizes, errors = (4, 8) if dim == 2 else (2, 4), []
+    sizes, most, errors = *(((4, 8), 1.5) if dim == 2 else ((2, 4), 1.85)), []
     for n in sizes:
         solution = solve(box(MPI.COMM_SELF, dim, n), problem)
         errors.append(solution.errors()["energy"])
-        assert errors[-1] <= solution.certify().bound <= 1.6 * errors[-1]
+        assert errors[-1] <= solution.certify().bound <= most * errors[-1]
     assert errors[1] < 0.32 * errors[0]
 
 
@@ -168,7 +168,7 @@ def test_a_body_that_only_laws_hold(folder: Path):
 def test_commands(folder: Path):
     """Report, table and pictures have the states of the law."""
     blocks(folder, 'kind = "wall", beta = 2', -0.1)
-    report = signorini("solve", "blocks.toml", "--output", "out", "--certify", cwd=folder).stdout
+    report = signorini(folder, "solve", "blocks.toml", "--output", "out", "--certify").stdout
     assert "on fault" in report
     assert "inflow" in report
     assert "segment" in (folder / "out" / "contact.csv").read_text(encoding="utf-8").splitlines()[0]
