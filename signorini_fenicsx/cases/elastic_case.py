@@ -4,14 +4,16 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.costs import Cost
+from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import PartsInside, Section
 from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice, texts_of
-from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -49,10 +51,19 @@ class ElasticParts(PartsInside):
         return ElasticBoundary(self.contact, self.neumann, self.fixed, self.inner)
 
 
-class ContactTexts(Section):
-    """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number."""
+WITH_CONTACT = ("contact", "friction")
+NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, River, Seepage))
 
-    kind: Annotated[str, choice("law of elastic contact", ("contact", "friction"))]
+
+class ContactTexts(Section):
+    """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number.
+
+    Other kinds are laws between the opening gap − u_n and the pressure, with their keys in scalar problems.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    kind: Annotated[str, choice("law of elastic contact", (*WITH_CONTACT, *NORMAL))]
     parts: list[str] = Field(min_length=1)
     gap: Expression | None = None
     g: Expression | None = None
@@ -67,13 +78,38 @@ class ContactTexts(Section):
             raise ValueError(f"unknown key '{key}' of the law 'contact', which has no friction; use kind \"friction\"")
         return self
 
+    @model_validator(mode="after")
+    def _own_keys(self) -> Self:
+        extra = list(self.model_extra or {})
+        if self.kind in WITH_CONTACT:
+            known = ["kind", "parts", "gap"] + (["g", "mu"] if self.kind == "friction" else [])
+            for key in extra:
+                listed = f"{', '.join(known)}{did_you_mean(key, known)}"
+                raise ValueError(f"unknown key '{key}' of the law '{self.kind}'; known are {listed}")
+            return self
+        for key in ("g", "mu"):
+            if getattr(self, key) is not None:
+                raise ValueError(f"unknown key '{key}' of the law '{self.kind}', which has no friction")
+        try:
+            self._normal()
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            raise ValueError(str(first["ctx"]["error"]) if "ctx" in first else first["msg"]) from None
+        return self
+
+    def _normal(self) -> LawTexts:
+        return LawTexts.model_validate({"kind": self.kind, "parts": self.parts, **(self.model_extra or {})})
+
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         found = (("gap", self.gap), ("g", self.g), ("mu", self.mu))
-        return [(key, text) for key, text in found if text is not None]
+        own = [(key, text) for key, text in found if text is not None]
+        return own if self.kind in WITH_CONTACT else own + self._normal().texts()
 
     def law(self) -> ElasticLaw | None:
-        """The law of friction, if there is friction."""
+        """The law, None for contact without friction."""
+        if self.kind not in WITH_CONTACT:
+            return self._normal().law()
         if self.g is not None:
             return Friction(self.parts, self.g)
         return None if self.mu is None else CoulombLaw(self.parts, self.mu)
@@ -130,7 +166,7 @@ class ElasticCase(CaseFile):
     @property
     def states(self) -> tuple[str, str]:
         """What reports call vertices under the two conditions; with friction in the tangential component as well."""
-        return ("free", "held") if self.law else ("open", "contact")
+        return ("free", "held") if any(law.kind != "contact" for law in self.law) else ("open", "contact")
 
     @property
     def parts(self) -> ElasticParts:
@@ -140,8 +176,8 @@ class ElasticCase(CaseFile):
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
-        rough = any(part in law.parts for law in self.law if law.kind == "friction")
-        return "contact with friction" if rough else super().condition_of(part)
+        kind = next((law.kind for law in self.law if part in law.parts), "contact")
+        return {"contact": super().condition_of(part), "friction": "contact with friction"}.get(kind, kind)
 
     @property
     def approach(self) -> str:
@@ -187,5 +223,5 @@ class ElasticCase(CaseFile):
         own = {part: law.gap for law in self.law for part in law.parts if law.gap is not None}
         if own:
             values["gap"] = {part: own.get(part, self.problem.gap) for part in self.parts.contact}
-        friction = [found for law in self.law if (found := law.law()) is not None]
-        return ElasticProblem(**values, exact=self.exact.u, laws=friction)
+        laws = [found for law in self.law if (found := law.law()) is not None]
+        return ElasticProblem(**values, exact=self.exact.u, laws=laws)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.linear.petsc import LinearSolveFailure
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
@@ -31,14 +31,17 @@ class AdmissibleStress:
 
     Attributes:
         stresses: Its values, as in `SplitMesh.values`.
-        pressure: −y_nn at the vertices of the facets of Γ_C, ≥ 0 and 0 where there is no contact, shape (facets, d).
+        pressure: −y_nn at the vertices of the facets of Γ_C, measured from the references of the laws and within what
+            they allow: in contact ≥ 0, and 0 where there is none, shape (facets, d).
         shear: y_t at those with friction, at most the bound, shape (facets, d).
+        segment: The segment of its law on which each of the vertices of Γ_C is, shape (facets, d).
         distance: A bound of ‖y − σ_h‖; infinite if too much is left.
     """
 
     stresses: Array
     pressure: Array
     shear: Array
+    segment: Indices
     distance: float
 
 
@@ -85,11 +88,11 @@ def _energy_of_residuals(solution: ElasticSolution) -> float:
 def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -> AdmissibleStress:
     """The stress with its tractions on Γ_C, exactly what the sets give."""
     spaces, data = solution.spaces, solution.data
-    tractions = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
-    _, tractions = solution.outcome.conditions.clean(p, tractions, 1.0)
+    tractions = np.concatenate([-spaces.normal_stress(stresses) - data.laws.pressure, spaces.shear(stresses)])
+    _, tractions = solution.outcome.conditions.clean(p, tractions, 0.0)  # on springs as it is
     pressure, shear = np.split(tractions, [len(spaces.sites)])
     if data.friction is not None:
         shear = np.clip(shear, -data.friction.bound.ravel(), data.friction.bound.ravel())
-    return AdmissibleStress(
-        stresses, np.maximum(pressure, 0.0).reshape(-1, spaces.dim), shear.reshape(-1, spaces.dim), distance
-    )
+    pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)
+    segment = solution.segment.reshape(pressure.shape)
+    return AdmissibleStress(stresses, pressure, shear.reshape(-1, spaces.dim), segment, distance)

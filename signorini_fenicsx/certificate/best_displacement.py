@@ -23,6 +23,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress
+from signorini_fenicsx.certificate.elastic_laws import LawOnFacets
 from signorini_fenicsx.certificate.interior_point import minimise
 from signorini_fenicsx.forms.elasticity import strain, strain_energy, stress_product
 from signorini_fenicsx.linear.petsc import direct_solver
@@ -46,6 +47,8 @@ class BestDisplacement:
         split: The split mesh, or the part of it on which the displacement is.
         sigma: y.
         contact: The facets of Γ_C on it.
+        laws: The laws on them, but for contact.
+        openings: The coefficients of g on them, less p at the references of the laws.
         moduli: 2μ and θ on it.
         dx: The measure that goes with them.
     """
@@ -79,6 +82,9 @@ class BestDisplacement:
         self.space = fenicsx.function_space(mesh, element)
         self._numbers = self.space.dofmap.index_map
         self.contact = contact_coefficients(spaces, split, self.space)
+        self.laws = [
+            LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
+        ]
         self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
         self._collect_terms()
@@ -101,24 +107,26 @@ class BestDisplacement:
     def _collect_terms(self) -> None:
         """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective)."""
         contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
-        gap, weights = contact.of(self.spaces.mesh, self._data.gap), self._rubbing_weights()
+        self.openings, weights = contact.openings(self.spaces.mesh, self._data), self._rubbing_weights()
         rubs = weights > 0
-        rows = np.append(np.repeat(np.arange(len(gap)), gap.shape[1]), rough[np.nonzero(rubs)[0]])
-        places = np.append(np.tile(np.arange(gap.shape[1]), len(gap)), np.nonzero(rubs)[1])
+        on, at, sides, corners, most = self._kinks()
+        rows, places = np.append(on, rough[np.nonzero(rubs)[0]]), np.append(at, np.nonzero(rubs)[1])
         tangents = self.spaces.tangents[here][np.nonzero(rubs)[0]]
-        directions = np.append(np.repeat(contact.facets.normals, gap.shape[1], axis=0), tangents.reshape(-1, dim), 0)
+        directions = np.append(sides[:, None] * contact.facets.normals[on], tangents.reshape(-1, dim), 0)
         nodes, signs = contact.pairs(rows, places)
         axes = signs[:, :, None] * np.einsum("ksij,ki->ksj", self._given.frames[nodes], directions)
         slipped = self._slipped()
-        bound = np.append(gap.ravel(), slipped[rubs]) - (axes * self._given.values[nodes]).sum(axis=(1, 2))
+        bound = np.append(sides * (self.openings[on, at] - corners), slipped[rubs]) - (
+            axes * self._given.values[nodes]
+        ).sum(axis=(1, 2))
         axes[self._given.given[nodes]] = 0.0
-        high = np.append(np.full(gap.size, np.inf), weights[rubs])
-        self._gap, free = gap, (axes**2).sum(axis=(1, 2)) > FREE
-        self._nodes, self._axes, self.bound, self.high = nodes[free], axes[free], bound[free], high[free]
-        self.low = np.where(np.isinf(self.high), 0.0, -self.high)
-        forces = self._in_coefficients(self._y.pressure[contact.rows], contact.facets.measure)
+        low, high = np.append(np.zeros(len(on)), -weights[rubs]), np.append(most, weights[rubs])
+        free = (axes**2).sum(axis=(1, 2)) > FREE
+        self._nodes, self._axes, self.bound = nodes[free], axes[free], bound[free]
+        self.low, self.high = low[free], high[free]
+        forces, apart = self._pressing()
         rubbing = -self._in_coefficients(self._y.shear[here], contact.facets.measure[rough])
-        self._forces = np.append(forces.ravel(), rubbing[rubs])[free]
+        self._forces = np.append(sides * forces[on, at], rubbing[rubs])[free]
 
         pull = fem.assemble_vector(fenicsx.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
         on_facets = forces[:, :, None] * contact.facets.normals[:, None]
@@ -126,7 +134,67 @@ class BestDisplacement:
         add_at(pull, contact.nodes, on_facets)
         add_at(pull, contact.across, -on_facets[contact.touched])
         pull.scatter_reverse(la.InsertMode.add)
-        self._pull, self._apart = pull, float((forces * gap).sum() + (rubbing * slipped).sum())
+        self._pull, self._apart = pull, apart + float((rubbing * slipped).sum())
+
+    def _kinks(self) -> tuple[Indices, Indices, Array, Array, Array]:
+        """Where the gap has a kink in p: facet, coefficient, its side of the line of v, p there, and the largest force.
+
+        For contact these are the bounds of p; see `LawOnFacets.kinks`.
+        """
+        number = self.openings.shape[1]
+        plain = np.setdiff1d(np.arange(len(self.openings)), np.concatenate([[], *(law.rows for law in self.laws)]))
+        ones = np.ones(len(plain))
+        found = [(plain.astype(np.int64), ones, 0 * ones, np.full((len(plain), number), np.inf))]
+        for law in self.laws:
+            share = np.einsum("fq,fqk->fk", law.weights, law.basis)
+            for corner, jump, side in law.kinks():
+                some = np.flatnonzero(jump > 0)
+                found.append((law.rows[some], side[some], corner[some], jump[some, None] * share[some]))
+        rows, sides, corners = (np.repeat(np.concatenate([each[k] for each in found]), number) for k in range(3))
+        most = np.concatenate([each[3] for each in found]).ravel()
+        return rows, np.tile(np.arange(number), len(rows) // max(number, 1)), sides, corners, most
+
+    def _pressing(self) -> tuple[Array, float]:
+        """What presses on the coefficients of v_n, beside kinks and springs, and the part of the gap without v."""
+        contact = self.contact
+        forces = self._in_coefficients(self._y.pressure[contact.rows], contact.facets.measure)
+        apart = 0.0
+        for law in self.laws:
+            (slope, value), opening = law.line(), self.openings[law.rows]
+            at = np.einsum("fqk,fk->fq", law.basis, opening)
+            pressure = np.einsum("fqa,fa->fq", law.hats, self._y.pressure[contact.rows[law.rows]])
+            rest = pressure - value
+            forces[law.rows] -= np.einsum("fq,fqk->fk", law.weights * value, law.basis)
+            sprung = np.divide(rest**2, 2 * slope, out=np.zeros_like(rest), where=slope > 0) - slope * at**2 / 2
+            apart += float((law.weights * sprung).sum())
+            forces[law.rows] += np.einsum("fq,fqk->fk", law.weights * slope * at, law.basis)
+            for corner, jump, side in law.kinks():
+                held = np.where((jump > 0)[:, None] & (slope == 0), side[:, None] * rest > 0, False)
+                apart -= float((law.weights * np.where(held, rest, 0.0) * corner[:, None]).sum())
+        return forces, apart + float((forces * self.openings).sum())
+
+    def _springs(self, natural: PETSc.Mat) -> PETSc.Mat:
+        """The matrix of ∫ β v_n w_n under the laws, β that of the line of v (collective)."""
+        dim, places = self.spaces.dim, []
+        for law in self.laws:
+            nodes, signs = self.contact.of_jumps(law.rows)
+            number = signs.shape[1] // 2
+            basis = np.repeat(law.basis, 2, axis=2) * signs[:, None]
+            mass = np.einsum("fq,fqk,fql->fkl", law.weights * law.line()[0], basis, basis)
+            normals = self.contact.facets.normals[law.rows]
+            values = np.einsum("fkl,fi,fj->fkilj", mass, normals, normals)
+            first = dim * self._numbers.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
+            unknowns = (first[:, :, None] + np.arange(dim)).reshape(len(nodes), 2 * number * dim)
+            shape = len(nodes), 2 * number * dim, 2 * number * dim
+            rows, columns = (np.broadcast_to(each, shape) for each in (unknowns[:, :, None], unknowns[:, None]))
+            places.append((rows.ravel(), columns.ravel(), values.ravel()))
+        rows, columns, values = (np.concatenate([each[k] for each in places]) for k in range(3))
+        springs = PETSc.Mat().create(self.comm)
+        springs.setSizes(natural.getSizes(), bsize=dim)
+        springs.setType("aij")
+        springs.setPreallocationCOO(rows.astype(PETSc.IntType), columns.astype(PETSc.IntType))
+        springs.setValuesCOO(values, PETSc.InsertMode.ADD_VALUES)
+        return springs
 
     def _assemble(self) -> None:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
@@ -134,6 +202,8 @@ class BestDisplacement:
         u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
         natural.assemble()
+        if self.laws:
+            natural.axpy(1.0, self._springs(natural), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self._natural = natural.ptap(self._turn(natural))
         if self.spaces.inner.present:
             self._natural.axpy(1.0, self._coupling(natural), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -271,8 +341,11 @@ class BestDisplacement:
     def _past_foundation(self, v: fem.Function) -> str:
         """Where and how far v passes the foundation, in words; empty if it does not, up to rounding (collective)."""
         contact, coefficients = self.contact, v.x.array.reshape(-1, self.spaces.dim)
-        past = np.einsum("nki,ni->nk", contact.jump(coefficients), contact.facets.normals) - self._gap
-        largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self._gap)])
+        opening = self.openings_of(v)
+        least, most, *_ = (each.reshape(-1, self.spaces.dim) for each in self._data.laws.chains.extent())
+        least, most = least.max(axis=1)[contact.rows, None], most.min(axis=1)[contact.rows, None]
+        past = np.maximum(least - opening, opening - most)
+        largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self.openings)])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         worst = float(past.max(initial=0.0)), ""
         if worst[0] > ROUNDING * largest.max():
@@ -288,6 +361,11 @@ class BestDisplacement:
         x, n = self.contact.places()[facet, place], self.contact.facets.normals[facet]
         where, along = (", ".join(f"{entry:.4g}" for entry in each) for each in (x, n))
         return f"at ({where}), along the normal ({along}) of the facet of the mesh"
+
+    def openings_of(self, v: fem.Function) -> Array:
+        """The coefficients of g − v_n on the facets `contact`, less p at the references of the laws."""
+        coefficients = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
+        return self.openings - np.einsum("nki,ni->nk", coefficients, self.contact.facets.normals)
 
     def moments_on_contact(self, v: fem.Function) -> Array:
         """∫ v φ_a over the facets `contact`, of the jump where two bodies touch, shape (facets, d, d)."""

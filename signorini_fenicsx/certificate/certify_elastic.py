@@ -187,6 +187,9 @@ def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDis
     apart = facet_moments(spaces, "gap", data.gap, contact.facets, "on Γ_C")
     apart = apart - np.einsum("nai,ni->na", moments, contact.facets.normals)
     found = np.einsum("na,na->n", y.pressure[contact.rows], apart)
+    for law in problem.laws:
+        pressure = y.pressure[contact.rows[law.rows]]
+        found[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure)
     if data.friction is not None:
         rough, here = problem.rough
         found[rough] += problem.rubbed(v) + np.einsum("na,na->n", y.shear[here], problem.slips(v))
@@ -199,4 +202,5 @@ def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += [] if data.friction is None else data.friction.inexact
+    names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     return tuple(names) if data.uniform else (*names, "young and poisson")

@@ -27,6 +27,8 @@ HUGE = 1e140
 """Numbers from which a step has failed: their squares are hardly floats."""
 BACK = 0.995
 """Share of the way to the nearest bound that a step goes."""
+INSIDE = 0.05
+"""At the start a force is at least this share of its range off the ends of it."""
 TOUCHES = 1e-3
 """At the start a term is taken for touching if its force is more than this share of the largest."""
 LOOSE, RUBS = 1e-6, 1e-4
@@ -102,7 +104,9 @@ class _Path:
         one = ~self._two
         touching = one & (forces > TOUCHES * self._largest(forces[one]))
         springs = terms.unit * np.where(self._two, RUBS, np.where(touching, 1.0, LOOSE))
-        known = np.where(self._two, np.clip(forces, 0.9 * terms.low, 0.9 * terms.high), 0.0)
+        room = np.where(self._two, terms.high - terms.low, 0.0)
+        inner = terms.low + INSIDE * room, terms.low + (1 - INSIDE) * room
+        known = np.where(self._two, np.clip(forces, *inner), 0.0)
         pulled = terms.spread(np.where(touching, springs * terms.bound, 0.0) - known)
         terms.factorise(springs)
         self.x = terms.solve(terms.load + pulled)
@@ -140,7 +144,7 @@ class _Path:
         sums = [
             (self._over * self._above + self._under * self._below).sum(),
             self.x @ (image / 2 - terms.load),
-            (terms.high[self._two] * (self._above + self._below)[self._two]).sum(),
+            (terms.high[self._two] * self._above[self._two] - (terms.low * self._below)[self._two]).sum(),
         ]
         self._products, value, rubbing = terms.comm.allreduce(np.array(sums)).tolist()
         apart = self._largest(self._off) <= LEAST**0.5 * self._largest(self.x)

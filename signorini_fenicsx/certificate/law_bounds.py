@@ -13,8 +13,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.admissible_trace import SAMPLES
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
-from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
 from signorini_fenicsx.physics.diffusion.jets import cut_off, larger
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

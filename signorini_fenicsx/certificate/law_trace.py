@@ -41,8 +41,8 @@ from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
-from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.nodes import (
     Jumps,

@@ -34,8 +34,8 @@ from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.law import Graph, Values
 from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, in_facets
-from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

@@ -67,7 +67,7 @@ def load_left(
         with np.errstate(all="ignore"):
             squares = np.where(ends > 0, ends**2 / least, 0.0)
         found = math.sqrt(comm.allreduce(volume @ squares))
-    if not spaces.has_dirichlet or not np.isfinite(whole) or found <= enough:
+    if not spaces.held or not np.isfinite(whole) or found <= enough:
         return found
     bounds = _Bounds(spaces, replace(data, c_h=None, inside=None), metric)
     try:

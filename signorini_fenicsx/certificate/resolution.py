@@ -303,7 +303,7 @@ class Resolution:
         Then these loads rely on quadrature (collective).
         """
         left = measure(self.load)
-        if np.isfinite(left) or self.spaces.has_dirichlet:
+        if np.isfinite(left) or self.spaces.held:
             return left
         self.by_quadrature |= self._loads
         return 0.0

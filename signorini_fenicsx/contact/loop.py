@@ -20,15 +20,15 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.backend import Backend, Pairs
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 
@@ -42,14 +42,14 @@ class Parameters:
         eps: ε > 0 of the penalty.
         max_iterations: Solves allowed after the start.
         tie: A value below this share of its scale is rounding.
-        floating: |e| per site if there is no Γ_D, so that some site must hold u; otherwise None.
+        floating: The components that some site must hold; None if there are none.
     """
 
     rho: float = 1.0
     eps: float = 1.0
     max_iterations: int = 50
     tie: float = TIE
-    floating: Array | None = None
+    floating: Floating | None = None
 
 
 def iterate_sets[I: Pairs](
@@ -147,30 +147,9 @@ def _wanted[I: Pairs](
         p, flux = np.zeros_like(p), np.zeros_like(flux)
     present = Present(segment, parameters.tie * scales[0], parameters.tie * scales[1])
     following = rule.following(law, p, flux, parameters.rho, present)
-    if parameters.floating is not None and not law.plain:
-        following = _held(law, following, iterate, parameters.floating, backend.comm)
+    if parameters.floating is not None:
+        following = parameters.floating.held(law, following, iterate, backend.comm)
     return law.conditions(following)
-
-
-def _held(law: Chains, segment: Indices, iterate: Pairs, measure: Array, comm: MPI.Comm) -> Indices:
-    """The segments; if all of them are flat, u is moved up or down until one site is at a corner (collective).
-
-    The total flux says whether up or down; the site goes to its segment that is not flat.
-    """
-    rows = np.arange(len(segment))
-    steep, flat_flux = law.slope[rows, segment] > 0, law.value[rows, segment]
-    total = np.array([np.count_nonzero(steep), measure @ np.where(steep, 0.0, flat_flux - iterate.flux)])
-    number, excess = comm.allreduce(total).tolist()
-    if number > 0:
-        return segment
-    up = excess > 0
-    there = np.clip(segment + (1 if up else -1), 0, law.count)
-    corner = np.minimum(np.minimum(segment, there), law.corners - 1)
-    reachable = (there != segment) & (law.slope[rows, there] > 0)
-    distance = np.full(len(segment), np.inf)
-    distance[reachable] = np.abs(law.p[rows, corner] - iterate.p)[reachable]
-    nearest = comm.allreduce(distance.min(initial=np.inf), MPI.MIN)
-    return np.where(distance <= nearest, there, segment) if np.isfinite(nearest) else segment
 
 
 def _clipped[I: Pairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I, int]:

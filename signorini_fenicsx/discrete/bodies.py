@@ -43,3 +43,22 @@ def spread(spaces: MeshSpaces, facets: npt.NDArray[np.int32], values: Array) -> 
         np.maximum.at(end, own, each)
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
     return float(ends.sum(axis=0).max(initial=0.0))
+
+
+def without(
+    spaces: MeshSpaces, facets: npt.NDArray[np.int32], cells: npt.NDArray[np.bool_] | None = None
+) -> tuple[Indices, int]:
+    """The bodies that have none of some facets of the boundary and none of some owned cells (collective).
+
+    Returns:
+        For each owned cell the number of its body among these, from 1, or 0 for all others; and their number.
+    """
+    body = bodies(spaces)
+    number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
+    found = np.zeros(number, dtype=bool)
+    found[body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]] = True
+    if cells is not None:
+        found[body[cells]] = True
+    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
+    among = np.where(found, 0, np.cumsum(~found))
+    return among[body], int((~found).sum())

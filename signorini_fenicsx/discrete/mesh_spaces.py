@@ -82,6 +82,13 @@ class MeshSpaces:
         """The mesh."""
         return self.domain.mesh
 
+    @cached_property
+    def held(self) -> bool:
+        """Whether each component of the domain has facets of Γ_D (collective when first used)."""
+        from signorini_fenicsx.discrete.bodies import without  # which needs these spaces
+
+        return self.has_dirichlet and (not self.inner.present or without(self, self.dirichlet_facets)[1] == 0)
+
     @property
     def facets_of_mesh(self) -> int:
         """Number of facets of the mesh, over all ranks."""

@@ -243,7 +243,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     Raises:
         InputError: If a part is unknown, empty or not on the boundary; if two parts overlap or a facet is in no part
             although Γ_D is listed; if facets in no part lie on one another, or cells overlap at the boundary; if one of
-            several components of the domain has no facet of Γ_D. A crack is accepted if both its sides are in parts.
+            several components of the domain has no facet of Γ_D, unless there are parts inside: their laws may hold it.
+            A crack is accepted if both its sides are in parts.
     """
     known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
@@ -276,7 +277,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
         where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
         raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
     _check_seams(mesh, rows[boundary], first[boundary], left[boundary])
-    if "contact" not in conditions:  # in elastic contact `check_rigid_motions` tells what holds each body
+    if "contact" not in conditions and not conditions.get("inner"):  # otherwise laws may hold a component
         fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
         _check_components(mesh, everything, first[fixed])
 

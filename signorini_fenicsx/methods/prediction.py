@@ -238,4 +238,4 @@ def contact_without_dirichlet(spaces: MeshSpaces, chains: Chains) -> SiteConditi
 
     For other laws it is the steepest segment.
     """
-    return None if spaces.has_dirichlet else chains.conditions(chains.steepest())
+    return None if spaces.held else chains.conditions(chains.steepest())

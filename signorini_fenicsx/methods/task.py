@@ -5,11 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Backend, BackendFactory, Iterate
 from signorini_fenicsx.contact.conditions import Penalty
+from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
@@ -58,8 +58,11 @@ class Task(ABC):
         """Whether cells are sites as well."""
 
     @abstractmethod
-    def floating(self) -> Array | None:
-        """Measures of the sites, if u is known but for a constant where no site holds it; otherwise None."""
+    def floating(self) -> Floating | None:
+        """The components in which u is known but for a constant, if no site holds it; None if there are none.
+
+        Collective.
+        """
 
     @abstractmethod
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> Residuals:

@@ -81,7 +81,7 @@ class AuxiliarySpace:
         Those of GAMG come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
         errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
         """
-        share = 0.0 if self._spaces.has_dirichlet else TIED
+        share = 0.0 if self._spaces.held else TIED
         self._operator.impose(self._dirichlet, self._all, share * self._operator.natural.getDiagonal().array_r)
         self._levels.coarse.setFromOptions()
         self._levels.coarse.setUp()

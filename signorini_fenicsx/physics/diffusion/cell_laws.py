@@ -22,10 +22,10 @@ from signorini_fenicsx.contact.law import EVERYWHERE, Graph, Law
 from signorini_fenicsx.contact.laws import Obstacle, Reaction, Storage
 from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.part_laws import SHORT, PartLaw, chains_of, checked, data_of_law, means_of
 from signorini_fenicsx.discrete.points import facet_type, in_facets, owned_cells, quadratic_nodes
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.diffusion.boundary_laws import SHORT, PartLaw, chains_of, checked, data_of, means_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -110,7 +110,7 @@ def part_in(spaces: Spaces, law: Law, name: str) -> tuple[PartLaw, Graph]:
     Raises:
         InputError: If data are not what the law allows.
     """
-    data = {"psi": datum_of(spaces, SHORT, law.data()["psi"])} if name == SHORT else data_of(spaces, law, name)
+    data = {"psi": datum_of(spaces, SHORT, law.data()["psi"])} if name == SHORT else data_of_law(spaces, law, name)
     return checked(spaces, PartLaw(law, name, cells_of(spaces, law, name), data))
 
 

@@ -26,9 +26,9 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.expressions import TREES, Binary, exactly
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
-from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
 from signorini_fenicsx.physics.diffusion.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem

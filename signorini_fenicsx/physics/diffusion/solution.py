@@ -25,10 +25,10 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
 from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import shown
-from signorini_fenicsx.physics.diffusion.boundary_laws import PartLaw
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.differences import differences

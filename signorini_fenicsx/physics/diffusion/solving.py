@@ -28,6 +28,7 @@ from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.residuals import far_bound
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solvability import check_solvability
 from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 from signorini_fenicsx.solving.evolution import Evolution
@@ -217,31 +218,6 @@ def _check_same(boundary: Boundary, other: Boundary) -> None:
                 f"problem: has other parts in {key}, {', '.join(others) or 'none'}, than that which the solver was set "
                 f"up for, {', '.join(parts) or 'none'}"
             )
-
-
-def check_solvability(spaces: Spaces, data: Data) -> None:
-    """Check that there is one solution; without Γ_D, and with c = 0, the total load decides (collective).
-
-    Then the balance of the flux is ∫ (σ·n − q_S) on Γ_S = −m with m = ∫f + ∫g_N + ∫q_S, and the left side is
-    ≥ 0. If it is 0, u solves the Neumann problem, and any large enough constant may be added to it. It is the same with
-    the smallest flux that other laws allow in the place of q_S, and with the largest.
-
-    Raises:
-        InputError: If there is no solution, or more than one.
-    """
-    lowest, highest = data.total_load
-    if data.holds(spaces) or lowest < 0 < highest:
-        return
-    verdict = "u is not unique" if 0 in data.total_load else "there is no solution"
-    if data.laws.listed:
-        raise InputError(
-            "no part of the boundary is left for u = u_D, and ∫f + ∫g_N plus the flux that the laws allow is between "
-            f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or leave part of the boundary to Γ_D"
-        )
-    raise InputError(
-        "no part of the boundary is left for u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
-        f"{lowest:.3g}: {verdict}; make it negative, or leave part of the boundary to Γ_D"
-    )
 
 
 def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segments | None) -> None:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.residuals import KKTResiduals, kkt_residuals
+from signorini_fenicsx.physics.diffusion.solvability import floating_sites
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 
@@ -28,11 +29,9 @@ class DiffusionTask(Task):
         """Whether there are laws in Ω."""
         return self.data.inside is not None
 
-    def floating(self) -> Array | None:
-        """Measures of the facets of Γ_S, and of the cells with laws in Ω, if there is neither a Γ_D nor a term cu."""
-        if self.data.holds(self.spaces):
-            return None
-        return np.append(self.spaces.facet_measure, self.spaces.cell_measures if self.in_cells else np.empty(0))
+    def floating(self) -> Floating | None:
+        """The components that have neither facets of Γ_D nor cells with a term cu (collective)."""
+        return floating_sites(self.spaces, self.data)
 
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
         """KKT residuals of an iterate (collective)."""

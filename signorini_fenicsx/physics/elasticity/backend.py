@@ -28,6 +28,7 @@ from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, STIFF, ElasticCoarse
+from signorini_fenicsx.physics.elasticity.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
 
@@ -44,8 +45,9 @@ SPRING = 1e-6
 class ElasticBackend:
     """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
-    ZERO_TRACE is contact, NO_FLUX a free vertex. After these sites come those with friction, where p = u_t and the flux
-    is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips.
+    ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
+    `NormalLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
+    flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips.
     """
 
     name = "elastic"
@@ -91,16 +93,19 @@ class ElasticBackend:
         self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, spaces.dim)
         self._x, self._b = self._operator.matrix.createVecs()
         self._x.set(0.0)
+        self._held = self._x.duplicate()
+        self._held.set(0.0)
+        self._springs: Springs | None = None
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._applied: SiteConditions | None = None
         self._sprung = False
-        self._springs = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
+        self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
     @property
     def chains(self) -> Chains:
         """The law of each site; with friction by its present bounds."""
-        return law_of_sites(self.spaces, self.friction)
+        return law_of_sites(self.spaces, self._data.laws.chains, self.friction)
 
     @property
     def inexact(self) -> Inexact | None:
@@ -115,7 +120,6 @@ class ElasticBackend:
         """Solve as `Backend.solve` says, starting from the last solution (collective).
 
         Raises:
-            InputError: If a condition is neither contact nor free.
             LinearSolveFailure: If the linear solver fails.
         """
         self._solve(conditions)
@@ -127,7 +131,7 @@ class ElasticBackend:
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        with self._solver.stopping(lambda x: enough(*self._pairs(x, conditions))):
+        with self._solver.stopping(lambda x: enough(*self._pairs(x + self._held, conditions))):
             self._solve(conditions)
         return self._pairs(self._x, conditions)
 
@@ -143,7 +147,14 @@ class ElasticBackend:
         forces = x.duplicate()
         self._operator.natural.mult(x, forces)
         left = (forces.array_r - self.system.load)[self._unknowns] / self._measure
-        return conditions.clean(self._signs * x.array_r[self._unknowns], self._signs * left, 1.0)
+        return self._cleaned(conditions, self._signs * x.array_r[self._unknowns], self._signs * left)
+
+    def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
+        """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
+        laws, normal = self._data.laws, len(self.spaces.sites)
+        segment = laws.chains.segments(conditions.take(slice(normal)))
+        p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
+        return conditions.clean(p, flux, np.inf)
 
     def _loose(self, contact: Mask) -> bool:
         """Whether these sites leave a rigid motion free (collective)."""
@@ -154,22 +165,39 @@ class ElasticBackend:
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
-        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
-            raise InputError("elastic contact takes no penalty; use alg1 or alg2")
         if conditions.same(self._applied, self.comm) and self._solver.converged:
             return
         self._applied = None
-        contact = conditions.kind == Condition.ZERO_TRACE
+        contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
+        self._springs = None
+        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
+            self._springs = self._data.laws.springs(conditions.take(slice(len(self.spaces.sites))))
         load = self.system.load.copy()
+        load[self._unknowns] += self._given_forces(conditions)
         if conditions.has_values:
-            load[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
-        loose = self._loose(contact)
+            self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
+            image = self._held.duplicate()
+            self._operator.natural.mult(self._held, image)
+            load -= image.array_r
+        loose = self._loose(~free)
         if loose or self._sprung:
-            self._factors.forget()
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
+        if loose or self._sprung or self._springs is not None:
+            self._factors.forget()
         if not self._factors.solve(load, self._x, contact):
-            self._solve_anew(load, self._x, contact, sprung=~contact & loose)
+            self._solve_anew(load, self._x, contact, sprung=free & loose)
+        self._x.axpy(1.0, self._held)
         self._applied, self._sprung = conditions, loose
+
+    def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
+        """The forces of the laws at the sites that are not held, springs with these means of the opening."""
+        free = conditions.kind == Condition.NO_FLUX
+        flux = np.where(free, conditions.value, 0.0)
+        if self._springs is not None:
+            normal = len(self.spaces.sites)
+            flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
+        forces: Array = self._signs * self._measure * flux
+        return forces
 
     def response(self, conditions: SiteConditions, forces: Array) -> Array:
         """How the flux at all sites changes under forces per area at those that are not held (collective)."""
@@ -178,7 +206,11 @@ class ElasticBackend:
         load[self._unknowns] = np.where(contact, 0.0, self._measure * forces)
         x, image = self._x.duplicate(), self._x.duplicate()
         x.set(0.0)
-        if not self._factors.solve(load, x, contact):
+        if self._springs is not None:
+            load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
+            self._b.array_w[:] = load
+            self._solver.solve(self._b, x)
+        elif not self._factors.solve(load, x, contact):
             self._solve_anew(load, x, contact, sprung=np.zeros_like(contact))
         self._operator.natural.mult(x, image)
         return self._signs * image.array_r[self._unknowns] / self._measure
@@ -228,7 +260,11 @@ class ElasticBackend:
     def _solve_anew(self, load: Array, x: PETSc.Vec, contact: Mask, *, sprung: Mask) -> None:
         """Set the solver up and solve (collective)."""
         essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
-        self._operator.impose(essential, self._unknowns[sprung], self._springs[sprung])
+        blocks = None
+        if self._springs is not None:
+            normal = self._unknowns[: len(self.spaces.sites)].reshape(-1, self.spaces.dim)
+            blocks = normal, self._springs.stiffness * self._measure[: normal.size].reshape(normal.shape)[:, :, None]
+        self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
         self._b.array_w[:] = load
         for vector in (self._b, x):
             vector.array_w[essential] = 0.0
@@ -236,7 +272,8 @@ class ElasticBackend:
             with self._solver.options():
                 self._solver.levels.update(self._data.fixed, essential)
         self._solver.solve(self._b, x)
-        self._factors.keep(essential, contact)
+        if self._springs is None:
+            self._factors.keep(essential, contact)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:
         spaces = self.spaces
@@ -247,7 +284,8 @@ class ElasticBackend:
         owned = self._x.array_r
         trace = np.concatenate([-owned[spaces.sites], owned[spaces.slip_sites]])
         traction = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
-        p, flux = conditions.clean(trace, traction, 1.0)
+        traction[: len(spaces.sites)] -= self._data.laws.pressure
+        p, flux = self._cleaned(conditions, trace, traction)
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
         return Iterate(
             p=p,
@@ -273,14 +311,12 @@ class ElasticBackend:
         less than rounding. Corrections are small, so that their own errors are.
         """
         contact = conditions.kind == Condition.ZERO_TRACE
-        wanted = self.system.tractions.copy()
-        if conditions.has_values:
-            wanted[self._unknowns] += np.where(contact, 0.0, self._measure * conditions.value)
         essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
         correction, before = self._x.duplicate(), np.inf
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
-            left = wanted - forces
+            left = self.system.tractions - forces
+            left[self._unknowns] += self._given_forces(conditions, self._signs * self._x.array_r[self._unknowns])
             left[essential] = 0.0
             size, scale = self._extent(np.abs(left), np.abs(forces))
             if size <= TIE * scale or not size < before:

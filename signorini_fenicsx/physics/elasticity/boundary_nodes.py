@@ -26,6 +26,7 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX
+from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaw
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
@@ -89,7 +90,7 @@ class FacetCoefficients:
         found: Array = np.einsum("ka,nai->nki", hats, self.facets.vertices)
         return found
 
-    def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum) -> Array:
+    def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum | NormalLaw) -> Array:
         """Coefficients of the polynomials that interpolate at equidistant points (collective).
 
         What is not a polynomial may jump where a punch ends, so the values are limits from inside the facets.
@@ -133,6 +134,17 @@ class ContactCoefficients(FacetCoefficients):
         found[self.touched] -= values[self.across]
         return found
 
+    def openings(self, mesh: dolfinx.mesh.Mesh, data: ElasticData) -> Array:
+        """The coefficients of g, less p at the references of the laws (collective)."""
+        found = self.of(mesh, data.gap)
+        for law in data.laws.of_parts:
+            mine = np.flatnonzero(np.isin(self.rows, law.rows))
+            part = FacetCoefficients(
+                self.facets.take(mine), self.rows[mine], self.cells[mine], self.nodes[mine], self.degree
+            )
+            found[mine] -= part.of(mesh, law)
+        return found
+
     def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
         """The two nodes whose values make the jump at some places of facets, and their signs, shape (places, 2) each.
 
@@ -145,6 +157,14 @@ class ContactCoefficients(FacetCoefficients):
         signs = np.column_stack([np.ones(len(rows)), np.where(inside, -1.0, 0.0)])
         signs[inside & (nodes[:, 0] == nodes[:, 1])] = 0.0
         return nodes, signs
+
+    def of_jumps(self, rows: Indices) -> tuple[Indices, Array]:
+        """The nodes of both sides of some facets and their signs in the jump, shape (facets, 2 coefficients) each."""
+        number = self.nodes.shape[1]
+        places = np.tile(np.arange(number), len(rows))
+        nodes, signs = self.pairs(np.repeat(rows, number), places)
+        shape = len(rows), 2 * number
+        return nodes.reshape(shape), signs.reshape(shape)
 
 
 def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> ContactCoefficients:
@@ -232,7 +252,8 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
     space = fenicsx.function_space(split.mesh, element)
     at, contact = given_nodes(spaces, data, split, space), contact_coefficients(spaces, split, space)
-    gap, normals = contact.of(spaces.mesh, data.gap), contact.facets.normals
+    lowest = data.laws.chains.extent()[0].reshape(-1, dim).max(axis=1)[contact.rows]
+    gap, normals = contact.openings(spaces.mesh, data) - lowest[:, None], contact.facets.normals
     values = np.einsum("nij,nj->ni", at.frames, at.values)
     left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
     sums = left[contact.nodes]
@@ -241,7 +262,8 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     jump = contact.jump(values)
     passed = np.einsum("nki,ni->nk", jump, normals)
     past = np.where(free <= ALONG, passed - gap, -np.inf) - TURNED * np.linalg.norm(jump, axis=2)
-    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), np.abs(gap).max(initial=0.0))), MPI.MAX)
+    known = np.where(np.isfinite(gap), np.abs(gap), 0.0)
+    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), known.max(initial=0.0))), MPI.MAX)
     worst = float(past.max(initial=-np.inf)), ""
     if worst[0] > LINEAR * size:
         facet, place = np.unravel_index(int(past.argmax()), past.shape)

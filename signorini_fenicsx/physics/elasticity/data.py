@@ -23,6 +23,7 @@ from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, friction_bounds
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, normal_laws
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
@@ -43,14 +44,15 @@ class ElasticData:
         g_N: Tractions, by the part where they are given; "" is everywhere.
         tractions: ∫ g_N φ_a over the facets of `spaces.neumann`, shape (facets, d, d).
         gap: g.
+        laws: Contact, or other laws between the opening p = g − u_n and the pressure −σ_nn, on Γ_C.
         exact: u, where it is known.
         young: E.
         poisson: ν.
         in_space: Whether θ is ν/(1 + ν), as in space and for plane stress; otherwise it is ν.
         quadrature: What the discrete problem takes f, E and ν by.
-        lift: û where it is given, g in the normal component on Γ_C, `slipped` in the tangential one where there is
-            friction, and 0 elsewhere: unknowns of this rank, ghosts too.
-        load: ⟨g_N, q⟩ for each owned unknown.
+        lift: û where it is given, g less p at the reference of its law in the normal component on Γ_C, `slipped` in
+            the tangential one where there is friction, and 0 elsewhere: unknowns of this rank, ghosts too.
+        load: ⟨g_N, q⟩ for each owned unknown, and the pressures at the references of the laws.
         fixed: Owned unknowns that are given.
         friction: Bounds of the shear; None without friction.
         slipped: u_t at the sites with friction at the end of the last step in time, 0 without one; the slip is what
@@ -62,6 +64,7 @@ class ElasticData:
     g_N: Mapping[str, VectorDatum]
     tractions: Array
     gap: Datum
+    laws: NormalLaws
     exact: VectorDatum | None
     young: Datum
     poisson: Datum
@@ -153,9 +156,12 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
     quadrature = SplitQuadrature.of_degree(dim, min(max(2 if uniform else DEGREE, of_f + 1), MOST))
     lift = fem.Function(spaces.traces)
     load = la.vector(lift.function_space.dofmap.index_map, dim**2)
+    laws = normal_laws(spaces, problem.normal)
     fixed = _set_given(spaces, u_D, gap, lift)
+    lift.x.array[spaces.sites] -= laws.opening
     tractions = _traction_moments(spaces, g_N)
     _add_tractions(spaces, tractions, load)
+    load.array[spaces.sites] -= spaces.site_measure * laws.pressure
     slipped = np.zeros(len(spaces.slip_sites)) if slipped is None else slipped
     lift.x.array[spaces.slip_sites] = slipped
     lift.x.scatter_forward()
@@ -165,6 +171,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
         g_N=g_N,
         tractions=tractions,
         gap=gap,
+        laws=laws,
         exact=None if problem.exact is None else vector_datum_of(spaces, "exact", problem.exact),
         young=young,
         poisson=poisson,

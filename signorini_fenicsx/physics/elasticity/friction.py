@@ -20,7 +20,7 @@ from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, is_normal
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
 
 STICKS = 1e300
@@ -94,9 +94,8 @@ def friction_chains(g: Array) -> Chains:
     return Chains.through(np.column_stack([none, none]), np.column_stack([g, -g]), none, none)
 
 
-def law_of_sites(spaces: ElasticSpaces, friction: FrictionBounds | None) -> Chains:
-    """The law of each site of an elastic problem: contact, then friction by these bounds."""
-    normal = Chains.at_corner(len(spaces.sites))
+def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds | None) -> Chains:
+    """The law of each site of an elastic problem: in the normal direction, then friction by these bounds."""
     if friction is None:
         return normal
     number = len(spaces.sites) + len(spaces.slip_sites)
@@ -110,17 +109,19 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
     Raises:
         InputError: If g or μ is negative or not finite somewhere, or in space.
     """
-    if not laws:
+    rubbing = [(index, law) for index, law in enumerate(laws) if not is_normal(law)]
+    if not rubbing:
         return None
     if spaces.dim == 3:
         raise InputError("friction: only in two dimensions")
     rough = spaces.rough
     number, order = len(rough.facets), np.argsort(rough.facets)
-    coulomb = any(isinstance(law, CoulombLaw) for law in laws)
+    coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
     found = FrictionBounds(np.zeros((number, 2)), np.zeros((number, 2)), np.zeros(number, dtype=bool), (), coulomb)
     inexact = []
-    for index, law in enumerate(laws):
-        name, given = ("mu", law.mu) if isinstance(law, CoulombLaw) else ("g", law.g)
+    for index, law in rubbing:
+        name = "mu" if isinstance(law, CoulombLaw) else "g"
+        given = getattr(law, name)
         for part in law.parts:
             facets = spaces.part(part)
             here = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.evolution import spread
@@ -33,8 +33,8 @@ def _in_cells(solution: ElasticSolution) -> Arrays:
 
 
 def _on_facets(solution: ElasticSolution) -> Arrays:
-    spaces = solution.spaces
-    friction = np.zeros((3, *solution.gap.shape))
+    spaces, touching = solution.spaces, solution.touching
+    friction = np.zeros((3, *touching.shape))
     if solution.data.friction is not None:
         for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
             values[spaces.rough_rows] = rough
@@ -42,8 +42,8 @@ def _on_facets(solution: ElasticSolution) -> Arrays:
     slipped = {} if solution.step is None else {"slipped": spread(spaces, solution.data.slipped.reshape(-1, 2))}
     return {
         "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
-        "p": solution.gap,
-        "condition": solution.touching.astype(np.int64),
+        "p": solution.outcome.iterate.p[: touching.size].reshape(touching.shape),
+        "condition": solution.outcome.conditions.kind[: touching.size].reshape(touching.shape).astype(np.int64),
         "slip": slip,
         "state": state.astype(np.int64),
         "bound": bound,
@@ -61,12 +61,13 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     if data.friction is not None:
         by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
         data = replace(data, friction=replace(data.friction, bound=by_pressure))
-    chains = law_of_sites(spaces, data.friction)
-    opened = (condition != Condition.ZERO_TRACE).ravel()
-    conditions = chains.conditions(np.concatenate([opened, state[rough].ravel()]).astype(np.int8))
+    chains = law_of_sites(spaces, data.laws.chains, data.friction)
+    pressure = -spaces.normal_stress(stresses) - data.laws.pressure
+    normal = data.laws.chains.nearest(condition.ravel().astype(np.int8), p.ravel(), pressure)
+    conditions = chains.conditions(np.concatenate([normal, state[rough].ravel()]).astype(np.int64))
     iterate = Iterate(
         p=np.concatenate([p.ravel(), slip[rough].ravel() - data.slipped]),
-        flux=np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)]),
+        flux=np.concatenate([pressure, spaces.shear(stresses)]),
         linear_iterations=0,
         sigma=spaces.split.stress(stresses),
         u=spaces.displacement(u),
@@ -88,7 +89,7 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
 KEEPING = Keeping(
     boundary=ElasticBoundary,
     problem=ElasticProblem,
-    laws={"friction": Friction, CoulombLaw.name: CoulombLaw},
+    laws={**LAWS, CoulombLaw.name: CoulombLaw},
     layout=LAYOUT,
     codes={"facet_condition": len(Condition), "facet_state": len(Friction.segments)},
     in_cells=_in_cells,

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
+from functools import partial
 from types import NoneType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeGuard
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -14,7 +15,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.law import OnParts
+from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
@@ -52,8 +53,9 @@ class CoulombLaw:
         check_names("parts", self.parts)
 
 
-type ElasticLaw = Friction | CoulombLaw
-"""Friction with a given bound of the shear (Tresca), or with one by the pressure."""
+type ElasticLaw = Law | CoulombLaw
+"""Friction with a given bound of the shear (Tresca) or with one by the pressure; or a law between opening and
+pressure."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +114,10 @@ class Contact(OnParts):
 class Elasticity:
     """−∇·σ = f, σ = ℂε(u), with a condition on each part of the boundary; u = u_D where there is none.
 
-    The conditions are `Dirichlet`, also in some components, `Neumann` and `Contact`. A part that is fixed in some
-    components may have a `Neumann` condition for the others.
+    The conditions are `Dirichlet`, also in some components, `Neumann`, `Contact`, and other laws between the opening
+    p = −u_n and the pressure −σ_nn without friction, such as `Wall` or `TwoSided`, with p for u and −σ_nn for κ∇u·n;
+    where two bodies touch, p = −[u_n]. A part that is fixed in some components may have a `Neumann` condition for the
+    others.
 
     Attributes:
         young: E, or one for each region of the mesh.
@@ -140,7 +144,9 @@ class Elasticity:
         """Refuse other conditions, and parts with two."""
         example = '[Contact("bottom", gap=0.1), Dirichlet("left", 0, components="x")]'
         others = [condition for condition in self.conditions if not self._loads_fixed(condition)]
-        check_conditions(others, Dirichlet, Neumann, Contact, example=example)
+        if any(isinstance(condition, Friction) for condition in others):
+            raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
+        check_conditions(others, Law, Contact, example=example)
 
     def _loads_fixed(self, condition: object) -> bool:
         """Whether it is a load on parts that are fixed in some components."""
@@ -157,26 +163,29 @@ class Elasticity:
         given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         touching = [condition for condition in self.conditions if isinstance(condition, Contact)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann)]
+        normal = [condition for condition in self.conditions if is_normal(condition)]
+        meeting = [*touching, *normal]
         fixed = {part: each.components for each in given if each.components is not None for part in each.parts}
         boundary = ElasticBoundary(
-            contact=[part for each in touching for part in each.parts],
+            contact=[part for each in meeting for part in each.parts],
             neumann=[part for each in loads for part in each.parts if part not in fixed],
             fixed=fixed,
-            inner=[part for each in touching for part in each.parts if other_side(part) in domain.parts],
+            inner=[part for each in meeting for part in each.parts if other_side(part) in domain.parts],
         )
         u_D = {part: nothing_for_0(each.value) for each in given for part in each.parts}
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
+        gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
         problem = ElasticProblem(
             young=self.young,
             poisson=self.poisson,
             f=self.f,
             u_D=one_value(u_D, None),
             g_N={part: nothing_for_0(each.value) for each in loads for part in each.parts},
-            gap=one_value({part: each.gap for each in touching for part in each.parts}, 0.0),
+            gap=one_value(gaps, 0.0),
             plane=self.plane,
             exact=self.exact,
-            laws=tuple(each.friction.law(each.parts) for each in touching if each.friction is not None),
+            laws=(*(each.friction.law(each.parts) for each in touching if each.friction is not None), *normal),
         )
         return boundary, problem
 
@@ -196,7 +205,8 @@ class ElasticProblem:
         gap: g, the distance to the foundation along the outer normal, or one for each part of Γ_C.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
-        laws: Friction on parts of Γ_C, in two dimensions; elsewhere Γ_C is without friction.
+        laws: Friction on parts of Γ_C, in two dimensions; elsewhere Γ_C is without friction. Or other laws, between the
+            opening p = gap − u_n and the pressure −σ_nn, in the place of contact on parts of Γ_C.
     """
 
     young: Given | Mapping[str, Given]
@@ -213,9 +223,12 @@ class ElasticProblem:
         """Refuse what is neither strain nor stress, other laws, and parts with two laws."""
         if self.plane not in list(Plane):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
-        if not isinstance(self.laws, Sequence) or not all(isinstance(law, CoulombLaw | Friction) for law in self.laws):
-            raise InputError('laws: must be a list of laws of friction, such as [CoulombLaw("bottom", 0.3)]')
-        twice = [part for part in self.rough if self.rough.count(part) > 1]
+        if not isinstance(self.laws, Sequence) or not all(isinstance(law, CoulombLaw | Law) for law in self.laws):
+            raise InputError('laws: must be a list of laws, such as [CoulombLaw("bottom", 0.3)]')
+        if any(isinstance(law, Law) and law.region for law in self.laws):
+            raise InputError("laws: those of an elastic body hold on parts, not in regions")
+        parts = [part for law in self.laws for part in law.parts]
+        twice = [part for part in parts if parts.count(part) > 1]
         if twice:
             raise InputError(f"laws: part '{twice[0]}' has two laws")
 
@@ -235,16 +248,38 @@ class ElasticProblem:
         """The problem with changed data; `change` gets the place of each and what is given."""
         keys = [each.name for each in fields(self) if each.name not in ("plane", "laws")]
         data = {key: change("[exact] u" if key == "exact" else f"[problem] {key}", getattr(self, key)) for key in keys}
-        laws = []
+        laws: list[ElasticLaw] = []
         for index, law in enumerate(self.laws):
-            key = "mu" if isinstance(law, CoulombLaw) else "g"
-            laws.append(replace(law, **{key: change(f"law.{index}.{key}", getattr(law, key))}))
+            if isinstance(law, CoulombLaw):
+                laws.append(replace(law, mu=change(f"law.{index}.mu", law.mu)))
+            else:
+                laws.append(law.with_data(partial(_changed_in, index, change)))
         return replace(self, **data, laws=laws)
 
     @property
     def rough(self) -> list[str]:
         """The parts with friction."""
+        return [part for law in self.laws if not is_normal(law) for part in law.parts]
+
+    @property
+    def touching(self) -> list[str]:
+        """The parts with a law, which are in Γ_C."""
         return [part for law in self.laws for part in law.parts]
+
+    @property
+    def normal(self) -> list[tuple[int, Law]]:
+        """The laws between opening and pressure, each with its number among all laws."""
+        return [(index, law) for index, law in enumerate(self.laws) if is_normal(law)]
+
+
+def is_normal(law: object) -> TypeGuard[Law]:
+    """Whether it is a law between opening and pressure."""
+    return isinstance(law, Law) and not isinstance(law, Friction | Dirichlet | Neumann)
+
+
+def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:
+    """A datum of the law with this number, changed under the name of it that messages have."""
+    return change(f"law.{index}.{key.partition('.')[2]}", given)
 
 
 def _read(given: Any, names: str, key: str) -> Any:

@@ -27,9 +27,11 @@ class ElasticKKT(Residuals):
     Without loads a body at rest has only rounding in σ; then S is the stress of a strain with the largest |u_D| or |g|.
 
     Attributes:
-        primal: 2μ‖[p]_-‖/(√L S) on Γ_C, what penetrates the foundation.
-        dual: √L ‖[−σ_nn]_-‖/S, what pulls at it; with friction also the shear above its bound.
-        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also the distance of u_t and σ_t to its graph.
+        primal: 2μ‖[p]_-‖/(√L S) on Γ_C, what penetrates the foundation, or is beyond what another law allows.
+        dual: √L ‖[−σ_nn]_-‖/S, what pulls at it, or is beyond what another law allows; with friction also the shear
+            above its bound.
+        complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also the distance of u_t and σ_t
+            to its graph; under other laws that of p and −σ_nn to theirs.
         tractions: (Σ |e|^(1/(d − 1)) ‖r‖²_e)^½/S, where r is the jump of σn inside Ω, what is left of σn − g_N where
             the traction is given, and the shear on Γ_C without friction.
         equilibrium: ‖h_T (∇·σ + f_h)‖/S, by the moments of both against linear functions on each cell.
@@ -50,7 +52,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         spaces: The spaces.
         data: The data.
         stresses: Values of σ as in `SplitMesh.values`.
-        p: g − u_n at the sites, then u_t at those with friction.
+        p: g − u_n at the sites as `NormalLaws.own` has it, then u_t at those with friction.
     """
     comm, dim = spaces.mesh.comm, spaces.dim
     volume = square = unbalanced = 0.0
@@ -69,9 +71,9 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     if norm == 0:
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[np.concatenate([spaces.contact.cells, spaces.rough.cells])], dim) / length
-    flux = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
+    flux = np.concatenate([-spaces.normal_stress(stresses) - data.laws.pressure, spaces.shear(stresses)])
     measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
-    low, inward, smaller = law_of_sites(spaces, data.friction).distances(p, flux, k)
+    low, inward, smaller = law_of_sites(spaces, data.laws.chains, data.friction).distances(p, flux, k)
     squares = comm.allreduce(np.array([measure @ values**2 for values in (k * low, inward, smaller)]))
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))

@@ -79,15 +79,36 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
     slips, shears = along.reshape(-1, free.shape[1]), np.empty(0)
     if data.friction is not None:
         shears = np.repeat(spaces.rough.measure, 2) / 2 * data.friction.bound.ravel() / most
-    limits = Limits(spaces.mesh.comm, work, into.reshape(-1, free.shape[1]), slips, shears)
+    limits, work = _limits(spaces, data, work, into.reshape(-1, free.shape[1]), slips, shears, most)
     motion, told = limits.unprevented(), None
     if motion is not None:
         words, unit = bodies.in_words(free @ motion)
-        rubbed = float(shears @ np.abs(slips @ motion)) if len(shears) else 0.0
+        rubbed = float(limits.shears @ np.abs(limits.slips @ motion)) if len(limits.shears) else 0.0
         told = words, float(work @ motion) * most / unit, spaces.mesh.comm.allreduce(rubbed) * most / unit
     found = np.concatenate([into, along])
     means = (found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
     return means.reshape(-1, free.shape[1]), told
+
+
+def _limits(
+    spaces: ElasticSpaces, data: ElasticData, work: Array, into: Array, slips: Array, shears: Array, most: float
+) -> tuple[Limits, Array]:
+    """The limits of motions, and the work of the loads on them with that of the least pressures (collective).
+
+    A law whose pressure is between two numbers is overcome by more; it does not keep a motion from going on. What it
+    takes is ∫ λ r_n with the largest pressure λ where the motion closes and with the least one where it opens: as
+    friction, their mean with r_n and half their difference with |r_n|.
+    """
+    low, high = (end + data.laws.pressure for end in data.laws.chains.extent()[2:])
+    shuts, opens = np.isfinite(high), np.isfinite(low)
+    constant = np.where(shuts & opens, np.where(shuts, high, 0.0) + np.where(opens, low, 0.0), 0.0) / 2
+    constant = np.where(shuts & ~opens, high, np.where(opens & ~shuts, low, constant)) * spaces.site_measure / most
+    between = shuts & opens
+    half = np.where(between, high - low, 0.0)[between] / 2 * spaces.site_measure[between] / most
+    work = work - spaces.mesh.comm.allreduce(np.where(shuts | opens, constant, 0.0) @ into)
+    rows = np.concatenate([into[~shuts], -into[~opens]])
+    slips, shears = np.concatenate([slips[: len(shears)], into[between]]), np.append(shears, half)
+    return Limits(spaces.mesh.comm, work, rows, slips, shears), work
 
 
 HELD_BY = "neither the parts where u is given nor contact under these loads prevent that"

@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
@@ -112,6 +112,7 @@ class ContactTable(SiteTable):
         pressure: −σ_nn.
         gap: g − u_n, linear on the facet.
         touching: Whether it is in contact.
+        segment: Index into the names of the segments of all laws.
         shear: σ_t, NaN without friction.
         slip: u_t likewise.
         state: Index into `STATES`, −1 without friction.
@@ -122,6 +123,7 @@ class ContactTable(SiteTable):
     pressure: Array
     gap: Array
     touching: Mask
+    segment: npt.NDArray[np.int64]
     shear: Array
     slip: Array
     state: npt.NDArray[np.int64]
@@ -146,6 +148,7 @@ def table(solution: ElasticSolution) -> ContactTable:
         pressure=solution.pressure.ravel(),
         gap=solution.linear_gap.ravel(),
         touching=solution.touching.ravel(),
+        segment=_labels(solution),
         shear=shear,
         slip=slip,
         state=np.nan_to_num(state, nan=-1.0).astype(np.int64),
@@ -162,6 +165,8 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
         "gap": table.gap,
         "condition": np.where(table.touching, "contact", "open"),
     }
+    if solution.data.laws.of_parts:
+        columns["segment"] = np.array(_segment_names(solution))[table.segment]
     if solution.data.friction is None:
         return columns
     states = np.array(STATES)[table.state]
@@ -169,6 +174,20 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
         columns[name] = values.astype(object)
         columns[name][table.state < 0] = None
     return columns
+
+
+def _segment_names(solution: ElasticSolution) -> list[str]:
+    """Names of the segments of contact, then of those of all laws."""
+    return [*Signorini.segments, *(name for law in solution.data.laws.of_parts for name in law.law.segments)]
+
+
+def _labels(solution: ElasticSolution) -> npt.NDArray[np.int64]:
+    """For each facet vertex the row of its segment in `_segment_names`."""
+    found, first = solution.segment.reshape(solution.touching.shape).astype(np.int64), len(Signorini.segments)
+    for law in solution.data.laws.of_parts:
+        found[law.rows] += first
+        first += len(law.law.segments)
+    return found.ravel()
 
 
 def _forward(contact: BoundaryFacets, along: Array) -> npt.NDArray[np.int64]:
@@ -209,6 +228,7 @@ def drawn(solution: ElasticSolution) -> Drawn:
         boundary=whole_boundary(spaces)
         | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},
         strength="von Mises stress",
+        segments=_segment_names(solution) if solution.data.laws.of_parts else (),
         gamma=r"$\Gamma_C$",
         inside=solution.boundary.inner,
     )
@@ -220,7 +240,7 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - spaces.dim)))
     none = np.zeros(len(middle))
     apart = np.zeros((len(middle), spaces.dim))
-    means = solution.data.lift[spaces.sites].reshape(apart.shape)
+    means = (solution.data.lift[spaces.sites] + solution.data.laws.opening).reshape(apart.shape)
     apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
     nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
     numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
@@ -236,7 +256,7 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
         psi=none,
         q_S=none,
         condition=solution.contact_set().inside.astype(np.int64),
-        segment=none.astype(np.int64),
+        segment=_labels(solution).reshape(-1, spaces.dim).min(axis=1),
         vertices=np.take_along_axis(numbers, ascending, axis=1),
         normals=contact.normals,
         gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
@@ -254,6 +274,9 @@ def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, st
         least = f"negative, down to {summary['least_gap']:.4g}"
         other = "another body" if any(solution.boundary.inner) else "the foundation"
         found["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
+    for part, segments in summary.get("segments", {}).items():
+        counts = ", ".join(f"{name} {count['vertices']}" for name, count in segments.items())
+        found[f"on {part}"] = f"facet vertices on each segment: {counts}"
     if "friction" in summary:
         states = (f"{name} {of_state['vertices']}" for name, of_state in summary["friction"].items())
         found["friction"] = f"facet vertices: {', '.join(states)}"

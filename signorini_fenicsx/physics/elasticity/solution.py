@@ -111,8 +111,19 @@ class ElasticSolution(Solved):
 
     @property
     def gap(self) -> Array:
-        """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact."""
-        return self.outcome.iterate.p[: len(self.spaces.sites)].reshape(-1, self.spaces.dim)
+        """The gap g − u_n, in means weighted by the hats of these vertices: not negative, and 0 in contact.
+
+        Under other laws it is what they allow.
+        """
+        laws, iterate, normal = self.data.laws, self.outcome.iterate, len(self.spaces.sites)
+        own, pressure = iterate.p[:normal], self.pressure.ravel() - laws.pressure
+        means = laws.means(self.segment, own, pressure) + laws.opening
+        return np.asarray(means).reshape(-1, self.spaces.dim)
+
+    @cached_property
+    def segment(self) -> Indices:
+        """The segment of its law in the normal direction on which each facet vertex is, shape (sites,)."""
+        return self.data.laws.chains.segments(self.outcome.conditions.take(slice(len(self.spaces.sites))))
 
     @property
     def linear_gap(self) -> Array:
@@ -121,9 +132,9 @@ class ElasticSolution(Solved):
 
     @property
     def touching(self) -> Mask:
-        """Whether these vertices are in contact, shape (facets, d)."""
+        """Whether these vertices are in contact, under other laws held or on a spring, shape (facets, d)."""
         kind = self.outcome.conditions.kind[: len(self.spaces.sites)]
-        return (kind == Condition.ZERO_TRACE).reshape(-1, self.spaces.dim)
+        return (kind != Condition.NO_FLUX).reshape(-1, self.spaces.dim)
 
     @property
     def slip(self) -> Array:
@@ -152,7 +163,7 @@ class ElasticSolution(Solved):
     def segments(self) -> ElasticSegments:
         """Where the next step in time starts."""
         friction = self.data.friction
-        chains = law_of_sites(self.spaces, friction)
+        chains = law_of_sites(self.spaces, self.data.laws.chains, friction)
         bound = np.empty((0, 2)) if friction is None else friction.bound
         return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), bound)
 
@@ -225,6 +236,24 @@ class ElasticSolution(Solved):
         }
 
     @collector_off()
+    def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
+        spaces, found = self.spaces, {}
+        part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
+        for law in self.data.laws.of_parts:
+            names = law.law.segments
+            for part in law.law.parts:
+                here = part_of_site == spaces.part_names.index(part)
+                weights = None, spaces.site_measure[here]
+                local = np.stack([np.bincount(self.segment[here], each, len(names)) for each in weights])
+                counts, measures = spaces.mesh.comm.allreduce(local).tolist()
+                found[part] = {
+                    name: {"vertices": int(count), "measure": measure}
+                    for name, count, measure in zip(names, counts, measures, strict=True)
+                }
+        return found
+
+    @collector_off()
     def resultants(self) -> dict[str, list[float]]:
         """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
         parts, total = resultants(self.spaces, self.data, self.stresses)
@@ -286,7 +315,12 @@ class ElasticSolution(Solved):
         open_by = (gap - np.einsum("nai,ni->n", u, facets.normals)) / facets.measure
         largest = np.abs(u).max(initial=0.0) / max(facets.measure.max(initial=0.0), 1e-300)
         largest = max(spaces.mesh.comm.allgather(float(largest)))
-        return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
+        if not self.data.laws.of_parts:
+            return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
+        chains = self.data.laws.chains.take(slice(None, None, spaces.dim))  # of the first vertex of each facet
+        opening = open_by - self.data.laws.opening.reshape(-1, spaces.dim).mean(axis=1) - EXACT_CONTACT * largest
+        behind = (chains.p < opening[:, None]).sum(axis=1)
+        return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)
 
     def in_cells(self) -> dict[str, Array]:
         """u_h at the vertices of the cells of this rank, and σ_h at those of their subcells."""
@@ -322,6 +356,7 @@ class ElasticSolution(Solved):
             "dofs": self.outcome.dofs,
             "touching_vertices": self.touching_vertices,
             "contact_measure": self.contact.measure,
+            **({"segments": self.segments_of_parts()} if self.data.laws.of_parts else {}),
             **({} if self.data.friction is None else {"friction": self.friction_states()}),
             **({"coulomb": self._fixed_point()} if self.bound_changes else {}),
         }
@@ -332,8 +367,15 @@ class ElasticSolution(Solved):
         rubs = self.spaces.mesh.comm.allreduce(bool((self.data.friction.bound > 0).any()), MPI.LOR)
         return {"changes": list(self.bound_changes), "other_solutions": "not excluded" if rubs else "none"}
 
+    def _facets_with_laws(self) -> Indices:
+        """The facets of Γ_C with another law than contact."""
+        rows = [law.rows for law in self.data.laws.of_parts]
+        return self.spaces.contact.facets[np.concatenate([np.empty(0, dtype=np.int64), *rows])]
+
     def _particular(self) -> dict[str, Any]:
-        own = self.data.lift[self.spaces.sites].min(initial=np.inf)  # means of g
+        in_laws = np.isin(self.spaces.contact.facets, self._facets_with_laws())
+        means = self.data.lift[self.spaces.sites].reshape(self.touching.shape)  # of g
+        own = means[~in_laws].min(initial=np.inf)
         least = min(self.spaces.mesh.comm.allgather(float(own)))
         return {"resultants": self.resultants()} | ({"least_gap": least} if least < 0 else {})
 

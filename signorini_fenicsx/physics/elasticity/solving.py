@@ -15,7 +15,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
@@ -58,7 +58,7 @@ class System:
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        self.boundary = _with_rough_parts(boundary, problem)
+        self.boundary = _with_parts_of_laws(boundary, problem)
         check_parts(domain, self.boundary.named)
         self.spaces = build_elastic_spaces(domain, self.boundary, problem.rough)
         self._rough = sorted(problem.rough)
@@ -73,7 +73,7 @@ class System:
         if options.algorithm not in RULES:
             name = options.algorithm_name
             raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {name}")
-        if _with_rough_parts(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
+        if _with_parts_of_laws(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
         _check_start(self.spaces.domain, wish.start)
         data = elastic_data(self.spaces, problem, wish.memory)
@@ -175,15 +175,15 @@ def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: El
     return failure if failure is None or data.friction is None else slides(spaces, data) or failure
 
 
-def _with_rough_parts(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
-    """The boundary with the parts with friction in Γ_C.
+def _with_parts_of_laws(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
+    """The boundary with the parts with laws in Γ_C.
 
     Raises:
         InputError: If they are something else.
     """
     check_kind("boundary", boundary, ElasticBoundary)
     check_kind("problem", problem, ElasticProblem)
-    return boundary.touching_on(problem.rough)
+    return boundary.touching_on(problem.touching)
 
 
 def _check_start(domain: Domain, start: ElasticSolution | ElasticSegments | None) -> None:
@@ -283,7 +283,8 @@ def _with_friction(
 def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:
     """The conditions of the last step in time, and its bounds of the shear for Coulomb's friction (collective)."""
     spaces = backend.spaces
-    if held_by_contact and backend.comm.allreduce(int((start.segment[: len(spaces.sites)] == 0).sum())) == 0:
+    slope = np.take_along_axis(backend.chains.slope, start.segment[:, None], axis=1)[: len(spaces.sites)]
+    if held_by_contact and backend.comm.allreduce(int((slope > 0).sum())) == 0:
         return _first(backend, None, held_by_contact=True)
     if backend.friction is not None:
         backend.friction = backend.friction.with_bounds(start.bound)
@@ -303,7 +304,6 @@ def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_co
             touching = found
     elif not held_by_contact:
         return None
-    kinds = np.where(np.repeat(touching, spaces.dim), Condition.ZERO_TRACE, Condition.NO_FLUX)
-    sticking = np.full(len(spaces.slip_sites), Condition.ZERO_TRACE)
-    conditions = SiteConditions(np.concatenate([kinds, sticking]).astype(np.int8))
-    return backend.chains.conditions(backend.chains.segments(conditions))
+    chains = backend.chains
+    steep = np.append(np.repeat(touching, spaces.dim), np.ones(len(spaces.slip_sites), dtype=bool))
+    return chains.conditions(np.where(steep, chains.steepest(), chains.beside_reference(steep=False)))

@@ -1,0 +1,208 @@
+"""What a law between opening and pressure on Γ_C adds to the gap of an elastic solution.
+
+A law is −λ ∈ ∂φ(p) with the opening p = g − v_n, the pressure λ = −y_nn and φ convex. The gap identity has
+
+    ∫ φ(g − v_n) + φ*(−λ) + λ(g − v_n)  ≥ 0
+
+on its parts in the place of ∫ λ(g − v_n), which is that of contact. The proof is the same: −λ_u ∈ ∂φ(g − u_n) makes of
+(v_n − u_n)(σ_nn − y_nn) this sum less two like it, of (v, σ) and of (u, y), which are not negative by the inequality of
+Fenchel and Young.
+
+*Its value, without a quadrature that kinks could deceive.* Let the graph be the same along a facet but for its place.
+For a segment with σ-slope β let q be the parabola that φ is there, and φ̂ the convex function that is 0 on the segment
+and whose curvature is that by which φ'' exceeds β: then φ ≤ q + φ̂. The integral of q is exact; v is a polynomial with
+coefficients v_k in Bernstein's basis B_k, so ∫ φ̂(p) ≤ Σ φ̂(p_k) ∫ B_k. The least such sum over all segments is taken. It
+is exact where p stays on one segment. φ* has the graph with its axes exchanged, and the pressure, linear on the facet,
+is bounded in the same way. Where the data change the graph along a facet the integral is by quadrature.
+
+*v.* Under the law of each facet v minimises the same with q of the segment on which σ_h is, exactly, with the bounds of
+p, and with the kinks where the pressure jumps, at the coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.certificate.laws import gap
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
+from signorini_fenicsx.discrete.part_laws import chains_of
+from signorini_fenicsx.discrete.points import facet_quadrature
+from signorini_fenicsx.physics.elasticity.boundary_nodes import ContactCoefficients
+from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaw
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+
+NONE = -1
+
+
+@dataclass(frozen=True)
+class LawOnFacets:
+    """A law on those of its facets on which a displacement is, with the chain of each facet.
+
+    Attributes:
+        law: The law.
+        rows: Which facets of the contact coefficients they are.
+        chains: The graph of each facet, the mean of those of its vertices.
+        at_points: The graph in each point of a quadrature.
+        basis: Bernstein's basis there, shape (facets, points, coefficients).
+        hats: The hats of the vertices there, shape (facets, points, d).
+        weights: Of the quadrature, their sum is the measure of the facet, shape (facets, points).
+        segment: The segment near which v is.
+    """
+
+    law: NormalLaw
+    rows: Indices
+    chains: Chains
+    at_points: Chains
+    basis: Array
+    hats: Array
+    weights: Array
+    segment: Indices
+
+    @classmethod
+    def of(
+        cls, spaces: ElasticSpaces, contact: ContactCoefficients, law: NormalLaw, chains: Chains, segment: Indices
+    ) -> LawOnFacets:
+        """The law on its facets (collective).
+
+        Args:
+            spaces: The spaces.
+            contact: The coefficients of displacements on Γ_C.
+            law: The law.
+            chains: The graph at each vertex of Γ_C.
+            segment: The segment of each, shape (facets, d).
+        """
+        rows = np.flatnonzero(np.isin(contact.rows, law.rows))
+        facets, dim = contact.facets.take(rows), spaces.dim
+        degree = quadrature_degree(*law.data.values(), power=2)
+        points = facet_quadrature(spaces.mesh, facets.facets, min(degree + 2 * contact.degree, DEGREES[1]))
+        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
+        own = np.moveaxis(hats[:, facets.ranking], 0, 1)
+        basis = contact.basis(own[:, :, 1:].reshape(-1, dim - 1)).reshape(*own.shape[:2], contact.nodes.shape[1])
+        sites = dim * contact.rows[rows][:, None] + np.arange(dim)
+        corners = law.graph(points)
+        number = len(corners.corners)
+        means = [getattr(chains, name)[sites].mean(axis=1) for name in ("p", "flux", "slope")]
+        p, flux, slope = means[0][:, :number], means[1][:, :number], means[2][:, : number + 1]
+        here = np.take_along_axis(chains.slope[sites], segment[contact.rows[rows]][:, :, None], axis=2)[:, :, 0]
+        nearest = np.argmax(np.where(np.isinf(here), NONE, here), axis=1)
+        return cls(
+            law=law,
+            rows=rows,
+            chains=Chains.through(p, flux, slope[:, 0], slope[:, -1]),
+            at_points=chains_of(corners, points.shape[0] * points.shape[1]),
+            basis=basis,
+            hats=own,
+            weights=facets.measure[:, None] * points.weights / points.weights.sum(),
+            segment=np.take_along_axis(segment[contact.rows[rows]], nearest[:, None], axis=1)[:, 0],
+        )
+
+    def line(self) -> tuple[Array, Array]:
+        """β and the pressure at p = 0 of the line on which v is, in the points; beside a vertical one a flat one."""
+        column = np.repeat(self.segment, self.weights.shape[1])[:, None]
+        slope, value = (
+            np.take_along_axis(values, column, axis=1).reshape(self.weights.shape)
+            for values in (self.at_points.slope, self.at_points.value)
+        )
+        beside = np.take_along_axis(self.at_points.flux, self._beside(column), axis=1).reshape(self.weights.shape)
+        upright = np.isinf(slope)
+        return np.where(upright, 0.0, slope), np.where(upright, beside, value)
+
+    def _beside(self, segment: Indices) -> Indices:
+        """The corner through which the flat line beside a vertical segment goes."""
+        return np.where(segment < self.chains.corners, segment, segment - 1)
+
+    def kinks(self) -> list[tuple[Array, Array, Array]]:
+        """The opening, the jump of the pressure and on which side of v's line it is (1 for smaller p), of each facet.
+
+        The jump is infinite where the opening is bounded, and 0 where there is none.
+        """
+        found = []
+        for segment in range(self.chains.corners + 1):
+            upright = np.isinf(self.chains.slope[:, segment])
+            corner = min(segment, self.chains.corners - 1)
+            if 0 < segment < self.chains.corners:
+                jump = self.chains.flux[:, segment - 1] - self.chains.flux[:, segment]
+            else:
+                jump = np.full(len(upright), np.inf)
+            smaller = (self.segment > segment) | ((self.segment == segment) & (segment < self.chains.corners))
+            side = np.where(smaller, 1.0, -1.0)
+            found.append((self.chains.p[:, corner], np.where(upright, jump, 0.0), side))
+        return found
+
+    def integrals(self, p: Array, pressure: Array) -> Array:
+        """The integral of φ(p) + φ*(−λ) + λp over each facet, or a bit more, measured from the references.
+
+        Args:
+            p: Coefficients of p in Bernstein's basis, shape (facets, coefficients).
+            pressure: λ at the vertices, shape (facets, d).
+        """
+        at = np.einsum("fqk,fk->fq", self.basis, p), np.einsum("fqa,fa->fq", self.hats, pressure)
+        if not self.law.moves_only():
+            density = gap(self.at_points, at[0].ravel(), at[1].ravel()).reshape(self.weights.shape)
+            return np.asarray((self.weights * density).sum(axis=1))
+        total = (self.weights * at[0] * at[1]).sum(axis=1)
+        exchanged = _exchanged(self.chains)
+        for chains, values, basis, inside in (
+            (self.chains, p, self.basis, at[0]),
+            (exchanged, pressure, self.hats, at[1]),
+        ):
+            share = np.einsum("fq,fqk->fk", self.weights, basis)
+            total += _least_above(chains, values, share, inside, self.weights)
+        return np.maximum(total, 0.0)
+
+
+def _exchanged(chains: Chains) -> Chains:
+    """The graphs with their axes exchanged."""
+    with np.errstate(divide="ignore"):
+        before, beyond = 1 / chains.slope[:, -1], 1 / chains.slope[:, 0]
+    return Chains.through(chains.flux[:, ::-1], chains.p[:, ::-1], before, beyond)
+
+
+def _least_above(chains: Chains, coefficients: Array, share: Array, inside: Array, weights: Array) -> Array:
+    """The least of the bounds of ∫ φ(t) by the parabolas of all segments, for a t of each facet.
+
+    Args:
+        chains: The graph of each facet.
+        coefficients: Of t in a basis of functions ≥ 0 that add up to 1, shape (facets, coefficients).
+        share: Their integrals.
+        inside: t in the points of a quadrature that is exact for its square, shape (facets, points).
+        weights: Of the quadrature.
+    """
+    least = np.full(len(coefficients), np.inf)
+    low, high, *_ = chains.extent()
+    t = np.clip(coefficients, low[:, None], high[:, None])  # but for rounding they are so
+    for segment in range(chains.corners + 1):
+        slope, value = chains.slope[:, segment], chains.value[:, segment]
+        usable = np.isfinite(slope)
+        slope, value = np.where(usable, slope, 0.0), np.where(usable, value, 0.0)
+        corner = chains.p[:, min(segment, chains.corners - 1)]
+        start = gap(chains, corner, np.zeros(len(corner))) + value * corner - slope * corner**2 / 2
+        parabola = start[:, None] - value[:, None] * inside + slope[:, None] * inside**2 / 2
+        total = (weights * parabola).sum(axis=1) + (share * _steeper(chains, segment, slope, t)).sum(axis=1)
+        least = np.where(usable, np.minimum(least, total), least)
+    return least
+
+
+def _steeper(chains: Chains, segment: int, slope: Array, t: Array) -> Array:
+    """φ̂ of a segment with these slopes at t, shape (facets, coefficients)."""
+    found = np.zeros_like(t)
+    with np.errstate(invalid="ignore"):
+        for other in range(chains.corners + 1):
+            side = 1.0 if other > segment else -1.0
+            if other == segment:
+                continue
+            begin = chains.p[:, [other - 1 if side > 0 else other]]  # the end of it that is nearer to the segment
+            ends = (side > 0 and other == chains.corners) or (side < 0 and other == 0)
+            far = side * np.inf if ends else chains.p[:, [other if side > 0 else other - 1]]
+            upright = np.isinf(chains.slope[:, [other]])
+            excess = np.where(upright, 0.0, np.maximum(chains.slope[:, [other]] - slope[:, None], 0.0))
+            past, beyond = (np.maximum(side * (t - each), 0.0) for each in (begin, far))
+            found += excess / 2 * (past**2 - beyond**2)
+            if not ends:
+                corners = chains.flux[:, [other - 1]] - chains.flux[:, [other]]
+                found += np.where(upright, corners * past, 0.0)
+    return found

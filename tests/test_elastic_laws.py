@@ -1,0 +1,192 @@
+"""Laws between the opening and the pressure of elastic bodies: springs, walls, two-sided joints, graphs."""
+
+from pathlib import Path
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+from commands import signorini
+from mpi4py import MPI
+
+from signorini_fenicsx import (
+    Dirichlet,
+    Domain,
+    Elasticity,
+    Neumann,
+    Options,
+    Regulator,
+    TwoSided,
+    Wall,
+    domain_of,
+    load_case,
+    load_solution,
+    solve_case,
+)
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+BLOCKS = """physics = "elasticity"
+geometry = {file = "FILE"}
+law = [{parts = ["fault"], LAW}]
+problem = {young = {upper = 1, lower = 2}, poisson = 0.3, g_N = {top = [0, LOAD]}}
+[boundary]
+inner = ["fault"]
+sides = {fault = "upper"}
+neumann = ["top"]
+fixed = {left = "x", right = "x", bottom = "y"}
+"""
+SMOOTH = {
+    2: ["0.1*x*y", "-0.1 - 0.05*x^2 - 0.2*y - 0.15*y^2 - 0.1*x^2*y"],
+    3: ["0.1*x*z", "0", "-0.1 - 0.05*x^2 - 0.2*z - 0.15*z^2 - 0.1*x^2*z"],
+}
+"""On springs of stiffness 2 at the last coordinate 0, for E = 1 and ν = 0: the pressure there is 0.2 + 0.1x²."""
+FORCE = {2: ["0.1*x", "0.3 + 0.1*y"], 3: ["0.1*x", "0", "0.3 + 0.1*z"]}
+
+
+def blocks(folder: Path, law: str, load: float) -> Path:
+    """A case file of two blocks with a law between them."""
+    mesh = str(Path(__file__).parents[1] / "data" / "meshes" / "fault.msh")
+    path = folder / "blocks.toml"
+    if COMM.rank == 0:
+        path.write_text(BLOCKS.replace("FILE", mesh).replace("LAW", law).replace("LOAD", str(load)), encoding="utf-8")
+    COMM.Barrier()
+    return path
+
+
+def box(comm: MPI.Comm, dim: int, n: int) -> Domain:
+    """The unit square or cube; its parts are called by the coordinate, "low" and "high"."""
+    make = dolfinx.mesh.create_unit_square if dim == 2 else dolfinx.mesh.create_unit_cube
+    walls = {f"{end} {'xyz'[axis]}": (axis, at) for axis in range(dim) for end, at in (("low", 0.0), ("high", 1.0))}
+    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
+    return domain_of(make(comm, *[n] * dim), parts)
+
+
+def on(law: Law, n: int, comm: MPI.Comm = COMM, tuning: Tuning | None = None) -> ElasticSolution:
+    """A square that a sloping displacement presses onto something with this law, and tears off it."""
+    pressed = Dirichlet("high y", ["0.05*x", "-0.3 + 0.35*x"])
+    problem = Elasticity(young=1.0, poisson=0.3, conditions=[law, pressed, Neumann(["low x", "high x"])])
+    return solve(box(comm, 2, n), problem, Options(tuning=tuning or Tuning()))
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize(
+    ("law", "load", "opening", "state"),
+    [
+        ('kind = "wall", beta = 2', -0.1, -0.05, "inflow"),
+        ('kind = "wall", beta = 2, gap = 0.1, level = 0.02', -0.1, -0.03, "inflow"),
+        ('kind = "two-sided", psi_upper = 0.05, psi = -0.02, q_S = 0.03', 0.1, 0.05, "upper"),
+        ('kind = "two-sided", psi_upper = 0.05, psi = -0.02, q_S = 0.03', -0.1, -0.02, "lower"),
+        (
+            'kind = "graph", corners = [[0, 0.2], [0.1, 0.05]], before = "vertical", beyond = 1',
+            -0.1,
+            1 / 15,
+            "segment 1",
+        ),
+        ('kind = "regulator", k = 4, g_low = -0.2, g_high = 0.2, a = 0.01', 0.1, 0.035, "regulated"),
+    ],
+)
+def test_patch(folder: Path, law: str, load: float, opening: float, state: str):
+    """A uniform pressure is exact, the bound says so, and files keep it."""
+    solution = solve_case(load_case(blocks(folder, law, load)))
+    np.testing.assert_allclose(solution.pressure, -load, rtol=1e-10)
+    np.testing.assert_allclose(solution.gap, opening, rtol=1e-10)
+    certificate = solution.certify()
+    assert certificate.guaranteed
+    assert certificate.bound < 1e-8
+    (on_part,) = solution.segments_of_parts().values()
+    assert on_part[state]["measure"] == pytest.approx(1.0)
+    solution.write(folder / "out")
+    read = load_solution(folder / "out")
+    assert read.segments_of_parts() == solution.segments_of_parts()
+    assert read.kkt.complementarity == pytest.approx(solution.kkt.complementarity, abs=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_smooth(dim: int):
+    """Where the pressure varies σ_h has order 2, and so has the bound."""
+    given, last = SMOOTH[dim], "xyz"[dim - 1]
+    others = [f"{end} {axis}" for axis in "xyz"[:dim] for end in ("low", "high") if (end, axis) != ("low", last)]
+    conditions = [Wall(f"low {last}", beta=2.0), Dirichlet(others, given)]
+    problem = Elasticity(young=1.0, poisson=0.0, f=FORCE[dim], exact=given, conditions=conditions)
+    sizes, most, errors = *(((4, 8), 1.5) if dim == 2 else ((2, 4), 1.85)), []
+    for n in sizes:
+        solution = solve(box(MPI.COMM_SELF, dim, n), problem)
+        errors.append(solution.errors()["energy"])
+        assert errors[-1] <= solution.certify().bound <= most * errors[-1]
+    assert errors[1] < 0.32 * errors[0]
+
+
+LAWS = {
+    "wall": Wall("low y", beta=3.0),
+    "stiff wall": Wall("low y", beta=300.0, level=0.05),
+    "varying wall": Wall("low y", beta="3 + 2*x", level="0.05*x"),
+    "two-sided": TwoSided("low y", psi_upper=0.02, psi=-0.05, q_S=0.02),
+    "regulator": Regulator("low y", k=2.0, g_low=-0.02, g_high=0.15),
+    "layer": Corners("low y", corners=[(0.0, 0.2), (0.1, 0.05), (0.15, 0.0)], before="vertical"),
+    "sticky": Corners("low y", corners=[(-0.1, 0.3), (-0.1, 0.15), (-0.05, 0.0)]),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_bound(law: str):
+    """With several states along the part the bound is above the distance to a finer solution, and near it."""
+    coarse, fine = (on(LAWS[law], n, MPI.COMM_SELF) for n in (4, 16))
+    certificate, distance = coarse.certify(), fine.differences(coarse).energy
+    assert len(np.unique(coarse.segment)) > 1
+    assert certificate.guaranteed == (law != "varying wall")
+    assert distance - fine.certify().bound <= certificate.bound <= 1.5 * distance + fine.certify().bound
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_ranks_and_multigrid():
+    """Results are those of one process; CG with multigrid finds them too."""
+    iterated = Tuning(elastic_direct_up_to={2: 0, 3: 0})
+    alone = on(LAWS["regulator"], 8, MPI.COMM_SELF)
+    for tuning in (Tuning(), iterated):
+        solution = on(LAWS["regulator"], 8, tuning=tuning)
+        assert solution.norms() == pytest.approx(alone.norms(), rel=1e-10)
+        assert (
+            solution.segments_of_parts()["low y"]["regulated"]["vertices"]
+            == (alone.segments_of_parts()["low y"]["regulated"]["vertices"])
+        )
+        assert solution.certify().bound == pytest.approx(alone.certify().bound, rel=1e-5)
+
+
+def test_a_body_that_only_laws_hold(folder: Path):
+    """Springs hold it; a law with a largest pressure does so up to that, and more is refused."""
+    case = blocks(folder, 'kind = "regulator", k = 4, g_low = -0.2, g_high = 0.2', -0.1)
+    np.testing.assert_allclose(solve_case(load_case(case)).gap, -0.025, rtol=1e-10)
+    for load in (-0.21, 0.21):
+        with pytest.raises(InputError, match=r"the body can move rigidly, along \(0, -?1\)"):
+            solve_case(load_case(blocks(folder, 'kind = "regulator", k = 4, g_low = -0.2, g_high = 0.2', load)))
+
+
+def test_commands(folder: Path):
+    """Report, table and pictures have the states of the law."""
+    blocks(folder, 'kind = "wall", beta = 2', -0.1)
+    report = signorini(folder, "solve", "blocks.toml", "--output", "out", "--certify").stdout
+    assert "on fault" in report
+    assert "inflow" in report
+    assert "segment" in (folder / "out" / "contact.csv").read_text(encoding="utf-8").splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ('kind = "wall"', "missing key 'beta' of the law 'wall'"),
+        ('kind = "wall", beta = 2, mu = 0.3', "unknown key 'mu' of the law 'wall', which has no friction"),
+        ('kind = "wall", beta = 2, psi = 0', "unknown key 'psi' of the law 'wall'"),
+        ('kind = "contact", psi = 0', "unknown key 'psi' of the law 'contact'"),
+        ('kind = "wall", beta = -1', "beta must not be negative"),
+        ('kind = "graph", corners = [[0, 0], [0.1, 0.2]]', "must not grow from corner 0 to 1"),
+    ],
+)
+def test_wrong_laws(folder: Path, law: str, message: str):
+    """They are refused with the key; a graph that is not monotone, such as of an adhesive, among them."""
+    with pytest.raises(InputError, match=message):
+        solve_case(load_case(blocks(folder, law, -0.1)))

@@ -1,0 +1,125 @@
+"""Scalar components of the domain that only laws hold, across parts inside it: solved, or refused in a sentence."""
+
+from pathlib import Path
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from signorini_fenicsx import (
+    Diffusion,
+    Dirichlet,
+    Domain,
+    Friction,
+    Neumann,
+    Options,
+    Regulator,
+    Signorini,
+    TwoSided,
+    Wall,
+    domain_of,
+    load_case,
+    solve,
+    solve_case,
+)
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.law import Law
+
+COMM = MPI.COMM_WORLD
+MESHES = Path(__file__).parents[1] / "data" / "meshes"
+TWO = """geometry = {file = "FILE/fault.msh"}
+law = [{parts = ["fault"], LAW}]
+problem = {f = {upper = LOAD, lower = 0}}
+[boundary]
+inner = ["fault"]
+sides = {fault = "upper"}
+neumann = ["left", "right", "top"]
+"""
+THREE = """geometry = {file = "FILE/stack.geo"}
+law = [{parts = ["low", "high"], LAW}]
+problem = {f = {one = 0, two = TWO, three = LOAD}}
+[boundary]
+inner = ["low", "high"]
+sides = {low = "two", high = "three"}
+neumann = ["free", "top"]
+"""
+REGULATOR = 'kind = "regulator", k = 4, g_low = -1, g_high = 1'
+
+
+def case_file(folder: Path, text: str, **words: object) -> Path:
+    """A case file with words replaced."""
+    for word, value in {"FILE": MESHES, **words}.items():
+        text = text.replace(word, str(value))
+    path = folder / "held.toml"
+    if COMM.rank == 0:
+        path.write_text(text, encoding="utf-8")
+    COMM.Barrier()
+    return path
+
+
+def blocks(comm: MPI.Comm) -> Domain:
+    """Two blocks on a mesh of DOLFINx, cut along their common side, y = 0."""
+    mesh = dolfinx.mesh.create_rectangle(comm, [[0.0, -0.5], [1.0, 0.5]], [4, 4])
+    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, -0.5), "top": (1, 0.5), "fault": (1, 0.0)}
+    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
+    return domain_of(mesh, parts, inner=["fault"], sides={"fault": [0, 1]})
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("method", ["alg1", "alg2"])
+@pytest.mark.parametrize(
+    ("law", "load", "jump"),
+    [
+        (Regulator("fault", k=4, g_low=-1, g_high=1), 0.5, 0.125),
+        (Regulator("fault", k=4, g_low=-1, g_high=1), -0.5, -0.125),
+        (Wall("fault", beta=2, level=0.1), -0.5, -0.15),
+        (Signorini("fault"), -0.5, 0.0),
+        (TwoSided("fault", psi_upper=0.3), 0.5, 0.3),
+        (Friction("fault", g=0.6), 0.5, 0.0),
+    ],
+)
+def test_two_components(law: Law, load: float, jump: float, method: str):
+    """The exact solution is in the discrete spaces, and the bound says so."""
+    conditions = [law, Dirichlet("bottom"), Neumann("top", load), Neumann(["left", "right"])]
+    solution = solve(blocks(COMM), Diffusion(conditions=conditions), Options(algorithm=method))
+    assert solution.converged
+    np.testing.assert_allclose(solution.p.x.array, jump, atol=1e-10)
+    u, centroids = (
+        solution.u.x.array,
+        dolfinx.mesh.compute_midpoints(solution.spaces.mesh, 2, np.arange(len(solution.u.x.array), dtype=np.int32)),
+    )
+    np.testing.assert_allclose(u, load * (centroids[:, 1] + 0.5) + np.where(centroids[:, 1] > 0, jump, 0), atol=1e-10)
+    certificate = solution.certify()
+    assert certificate.guaranteed
+    assert certificate.bound < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("law", "load"),
+    [
+        ('kind = "signorini"', 1.0),
+        ('kind = "signorini"', 0.0),
+        ('kind = "friction", g = 0.4', 1.0),
+        ('kind = "friction", g = 0.5', -1.0),
+        ('kind = "wall", beta = 2, level = 0.1', 1.0),
+    ],
+)
+def test_one_that_nothing_balances(folder: Path, law: str, load: float):
+    """A load beyond, or at the end of, what the law can carry is refused."""
+    with pytest.raises(InputError, match=r"component of the domain around \(0\.5, 0\.25\) has no part where u = u_D"):
+        solve_case(load_case(case_file(folder, TWO, LAW=law, LOAD=load)))
+
+
+@pytest.mark.parallel([1, 2])
+def test_three_components(folder: Path):
+    """Laws in a row carry the load of both; two components are refused together where each alone is balanced."""
+    law = 'kind = "regulator", k = 4, g_low = -1, g_high = 1'
+    solution = solve_case(load_case(case_file(folder, THREE, LAW=law, LOAD=0.5, TWO=0.1)))
+    assert solution.converged
+    certificate = solution.certify()
+    assert certificate.guaranteed
+    assert certificate.relative < 0.5
+    friction = 'kind = "friction", g = 0.5'
+    with pytest.raises(InputError, match=r"2 components of the domain, one of them around .*, have together no part"):
+        solve_case(load_case(case_file(folder, THREE, LAW=friction, LOAD=0.45, TWO=0.45)))
