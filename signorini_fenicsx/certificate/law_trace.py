@@ -110,7 +110,9 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     if jumps is not None:
         named, across = jumps.pairs
         jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
-        beyond[named[at_meeting[spaces.inner.rows] & ((jump < limits[0]) | (jump > limits[1]))]] = True
+        slack = ROUNDING * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX)
+        outside = (jump < limits[0] - slack) | (jump > limits[1] + slack)
+        beyond[named[at_meeting[spaces.inner.rows] & outside]] = True
         jumps.join(v, beyond, on_dirichlet)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     apart = ~at_meeting.any(axis=1)
