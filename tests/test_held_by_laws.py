@@ -120,6 +120,6 @@ def test_three_components(folder: Path):
     certificate = solution.certify()
     assert certificate.guaranteed
     assert certificate.relative < 0.5
-    friction = 'kind = "friction", g = 0.5'
+    friction = 'kind = "friction", g = 0.3'
     with pytest.raises(InputError, match=r"2 components of the domain, one of them around .*, have together no part"):
         solve_case(load_case(case_file(folder, THREE, LAW=friction, LOAD=0.45, TWO=0.45)))
