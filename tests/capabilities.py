@@ -182,6 +182,8 @@ def _rare() -> Iterator[Capability]:
     yield own("tresca", FRICTION="g = 0.01")
     yield replace(own("tresca", FRICTION="mu = 0.3"), name="solve coulomb")
     yield own("pushed", "--certify-steps")
+    yield own("springs")
+    yield own("held")
     yield solved("example1", *STRUCTURED, "--rigorous", h="1/8")
     yield solved("cube", *STRUCTURED, "--rigorous", h="1/2")
     yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2", slow=True)

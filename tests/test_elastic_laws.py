@@ -169,7 +169,7 @@ def test_a_body_that_only_laws_hold(folder: Path):
 def test_commands(folder: Path):
     """Report, table and pictures have the states of the law."""
     blocks(folder, 'kind = "wall", beta = 2', -0.1)
-    report = signorini(folder, "solve", "blocks.toml", "--output", "out", "--certify").stdout
+    report = signorini(folder, "solve", "blocks.toml", "--output", "out").stdout
     assert "on fault" in report
     assert "inflow" in report
     assert "segment" in (folder / "out" / "contact.csv").read_text(encoding="utf-8").splitlines()[0]

@@ -145,10 +145,11 @@ def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps | No
 def _join_at_meetings(
     v: fem.Function, jumps: Jumps, at_meeting: Mask, limits: Sequence[Array], on_dirichlet: npt.NDArray[Any]
 ) -> None:
-    """Let v have no jump in nodes of facets where parts inside the domain meet, if that is beyond bounds."""
+    """Let v have no jump in nodes where parts inside the domain meet, if it is beyond its bounds (collective)."""
     named, across = jumps.pairs
     jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
-    beyond[named[at_meeting & ((jump < limits[0]) | (jump > limits[1]))]] = True
+    slack = ROUNDING * v.function_space.mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX)
+    beyond[named[at_meeting & ((jump < limits[0] - slack) | (jump > limits[1] + slack))]] = True
     jumps.join(v, beyond, on_dirichlet)
 
 

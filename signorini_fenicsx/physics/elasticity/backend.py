@@ -253,6 +253,11 @@ class ElasticBackend:
         return not self._solver.iterates
 
     @property
+    def is_contact(self) -> bool:
+        """Whether there is no other law in the normal direction than contact."""
+        return not self._data.laws.of_parts
+
+    @property
     def _signs(self) -> Array:
         """−1 for normal sites, where p and the flux are those of −u_n and −σ_nn, and 1 for those with friction."""
         return np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)

@@ -88,7 +88,12 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
     assert friction is not None
     backend.friction = friction.moved(-friction.bound)
     outcome = tresca(None)
-    if not outcome.converged or not backend.factorises or comm.allreduce(backend.sites) > MOST_SITES:
+    if (
+        not outcome.converged
+        or not backend.factorises
+        or not backend.is_contact
+        or comm.allreduce(backend.sites) > MOST_SITES
+    ):
         return outcome.ended(
             f"the bound of the friction still changes by {min(changes):.1e} after {len(changes)} steps"
         )
