@@ -68,8 +68,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     """
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
-    v = averaged(solution, metric)
-    space = v.function_space
+    space = (v := averaged(solution, metric)).function_space
     edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
     on_dirichlet = _given(space, spaces, data.u_D)
     facet = facet_type(mesh.topology.dim)
@@ -111,8 +110,8 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
         named, across = jumps.pairs
         jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
         slack = ROUNDING * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX)
-        outside = (jump < limits[0] - slack) | (jump > limits[1] + slack)
-        beyond[named[at_meeting[spaces.inner.rows] & outside]] = True
+        off = np.maximum(limits[0] - jump, jump - limits[1]) > slack
+        beyond[named[at_meeting[spaces.inner.rows] & off]] = True
         jumps.join(v, beyond, on_dirichlet)
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     apart = ~at_meeting.any(axis=1)
