@@ -1,11 +1,11 @@
 """The minimum of a convex quadratic function with terms at nodes, foundations and friction, by an interior point.
 
 It minimises ½x·Kx − b·x + Σ max τ(a·x − g) over low ≤ τ ≤ high, with a small vector a and a number g for each term. A
-foundation, a·x ≤ g, has the forces 0 ≤ τ < ∞; friction w|a·x − g| has −w ≤ τ ≤ w. At the minimum Kx + Σ τa = b. With
-a·x − g = s⁺ − s⁻ and s⁺, s⁻ ≥ 0, the products s⁻(τ − low) and s⁺(high − τ) are 0 there. The method keeps all of these
-factors positive and lets the products tend to 0 together (Mehrotra 1992). Its x is inside of all foundations, and
-neither directions that are nearly the same, nor more of them than dimensions, nor bodies that only foundations hold
-make it slower. Each step solves with K + Σ aaᵀ/compliance.
+foundation, a·x ≤ g, has the forces 0 ≤ τ < ∞; friction w|a·x − g| has −w ≤ τ ≤ w; a law whose pressure jumps by w has 0
+≤ τ ≤ w. At the minimum Kx + Σ τa = b. With a·x − g = s⁺ − s⁻ and s⁺, s⁻ ≥ 0, the products s⁻(τ − low) and s⁺(high − τ)
+are 0 there. The method keeps all of these factors positive and lets the products tend to 0 together (Mehrotra 1992).
+Its x is inside of all foundations, and neither directions that are nearly the same, nor more of them than dimensions,
+nor bodies that only foundations hold make it slower. Each step solves with K + Σ aaᵀ/compliance.
 """
 
 from __future__ import annotations

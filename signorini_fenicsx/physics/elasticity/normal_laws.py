@@ -25,7 +25,6 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.law import Graph, Law
-from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, data_of_law, parts_of_laws, refuse_data
@@ -185,11 +184,6 @@ class NormalLaws:
         stiffness = np.linalg.inv(compliance)
         stiffness[~(of_facet[0][:, :, None] & of_facet[0][:, None])] = 0.0
         return Springs(stiffness, np.where(of_facet[0], rest, 0.0))
-
-    def names(self, spaces: ElasticSpaces) -> list[tuple[str, ...]]:
-        """The names of the segments on each part of Γ_C."""
-        by_part = {part: tuple(each.law.segments) for each in self.of_parts for part in each.law.parts}
-        return [by_part.get(part, tuple(Signorini.segments)) for part in spaces.part_names]
 
 
 def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[int, Law]]) -> NormalLaws:
