@@ -11,7 +11,7 @@ from mpi4py import MPI
 from PIL import Image
 
 from signorini_fenicsx.base.shipped import case_names
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.cli.evolving import solve_in_time
@@ -25,14 +25,14 @@ WIDTH = 900
 
 
 def draw(name: str) -> None:
-    """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of the sets."""
+    """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of contact."""
     case = load_case(name)
     if case.geometry.shape is not None:
         shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
         found = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
-        if isinstance(case, Case) and case.time is not None:
+        if case.time is not None:
             kept = {"restart": False, "certify_steps": False}
             solve_in_time(case, MPI.COMM_WORLD, Path(folder, "x"), **kept, plot=True, quiet=True, as_json=False)
             found = Path(folder) / "x" / "contact.png"

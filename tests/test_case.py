@@ -42,6 +42,8 @@ def test_examples_are_shipped():
             "electropainting",
             "hertz",
             "lprism",
+            "mindlin",
+            "plate",
             "rock",
             "sphere",
             "stack",

@@ -45,7 +45,8 @@ def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
         part
         for part in parts
         if part not in others
-        and ranges[part].max() > MOVES * largest and np.abs(forces[part]).max() > LOADED * strongest
+        and ranges[part].max() > MOVES * largest
+        and np.abs(forces[part]).max() > LOADED * strongest
     ]
     sheet = Sheet([4.4], [2.2] * (1 + len(driven)), bars=False, title=scene.title)
     axes = sheet.panel(0, 0)
