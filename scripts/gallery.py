@@ -25,7 +25,7 @@ WIDTH = 900
 
 
 def draw(name: str) -> None:
-    """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of the sets."""
+    """Solve one case and keep the picture of u, of an elastic one that of the body, in time that of contact."""
     case = load_case(name)
     if case.geometry.shape is not None:
         shape = shape_of(case.geometry.shape)

@@ -69,14 +69,9 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     """
     spaces, data, goal = solution.spaces, solution.data, on.goal
     mesh = spaces.mesh
-<<<<<<< HEAD
     v = averaged(solution, metric)
     space = v.function_space
     edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), () if inside is None else inside.rays
-=======
-    space = (v := averaged(solution, metric)).function_space
-    edges, nodes, obstacle = all_edges(space), facet_nodes(space, spaces.facets), data.obstacle
->>>>>>> a0f704bd25bfda78d3551adea8f8cb47b90b89cb
     on_dirichlet = _given(space, spaces, data.u_D)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
@@ -116,16 +111,7 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     box = Box.of(hard, soft, fixed)
     box.project(v.x.array)
     if jumps is not None:
-<<<<<<< HEAD
         _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
-=======
-        named, across = jumps.pairs
-        jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
-        slack = ROUNDING * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX)
-        off = np.maximum(limits[0] - jump, jump - limits[1]) > slack
-        beyond[named[at_meeting[spaces.inner.rows] & off]] = True
-        jumps.join(v, beyond, on_dirichlet)
->>>>>>> a0f704bd25bfda78d3551adea8f8cb47b90b89cb
     at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
     apart = ~at_meeting.any(axis=1)
     load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, inside)

@@ -1,4 +1,4 @@
-"""Pictures of loads in steps: force against displacement, pressure and slip over time."""
+"""Pictures of loads in steps: force against displacement, pressure, shear and slip over time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,16 +6,20 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.patches import Patch
 
-from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.shown import ContactTable
+from signorini_fenicsx.physics.elasticity.shown import STATES, ContactTable
 
-MOVES = 1e-6
+MOVES = 0.01
 """A part moves if the mean of its displacement changes by more than this share of the largest of all parts."""
+LOADED = 1e-6
+"""A part is loaded if the force on it is larger than this share of the largest of all parts."""
+OPEN = STATES.index("open")
 
 
 @mpl.rc_context(style.STYLE)
@@ -29,8 +33,9 @@ def draw_steps(
 
 
 def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
-    """The force on each part that moves against its mean displacement; the contact force over time."""
-    axes_of, parts = AXES[: scene.dim], [key.removesuffix("_force_x") for key in rows[0] if key.endswith("_force_x")]
+    """The force on each part that moves against its mean displacement, inner ones once; the contact force over time."""
+    axes_of, others = AXES[: scene.dim], {other_side(part) for part in scene.inside}
+    parts = [key.removesuffix("_force_x") for key in rows[0] if key.endswith("_force_x")]
     moved = {part: np.array([[row[f"{part}_u_{axis}"] for axis in axes_of] for row in rows]) for part in parts}
     ranges = {part: np.ptp(path, axis=0) for part, path in moved.items()}
     largest = max((float(size.max()) for size in ranges.values()), default=0.0)
@@ -39,12 +44,15 @@ def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
     driven = [
         part
         for part in parts
-        if ranges[part].max() > MOVES * largest and np.abs(forces[part]).max() > MOVES * strongest
+        if part not in others
+        and ranges[part].max() > MOVES * largest
+        and np.abs(forces[part]).max() > LOADED * strongest
     ]
     sheet = Sheet([4.4], [2.2] * (1 + len(driven)), bars=False, title=scene.title)
     axes = sheet.panel(0, 0)
     axes.plot([row["t"] for row in rows], [row["contact_force"] for row in rows], color=style.CONTACT, marker=".")
     axes.set(xlabel="$t$", ylabel=r"$-\int\sigma_{nn}$", title="contact force")
+    axes.set_ylim(0, 1.05 * max(row["contact_force"] for row in rows) or None)  # what hardly changes looks so
     for index, part in enumerate(driven, start=1):
         axes, along = sheet.panel(index, 0), int(ranges[part].argmax())
         for k, (axis, colour) in enumerate(zip(axes_of, (style.CONTACT, style.FREE, style.WATER), strict=False)):
@@ -55,27 +63,40 @@ def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
 
 
 def _contact(scene: Scene, tables: Sequence[ContactTable], times: Sequence[float]) -> Sheet:
-    """The pressure and, with friction, the slip on each part of Γ_C over time."""
+    """The pressure and, with friction, the shear and the slip on each part of Γ_C over time, where it ever touches."""
     rubs = bool((tables[0].state >= 0).any())
-    sheet = Sheet([3.6] * (1 + rubs), [2.4] * len(scene.labels), title=scene.title)
+    sheet = Sheet([2.8 if rubs else 3.6] * (1 + 2 * rubs), [2.4] * len(scene.labels), title=scene.title)
     for row, (name, label) in enumerate(scene.labels.items()):
         mine = tables[0].part == row
-        along = tables[0].along[mine]
-        values = {"pressure $-\\sigma_{nn}$": [table.pressure[mine] for table in tables]}
-        if rubs:
-            values["slip $u_t$"] = [table.slip[mine] for table in tables]
-        for column, (word, lines) in enumerate(values.items()):
-            axes, found = sheet.panel(row, column, aspect=1.5), np.array(lines)
-            least = max(float(np.abs(found).max(initial=0.0)), 1e-300)
-            low, colours = (0.0, style.FLUX_MAP) if column == 0 else (-least, "RdBu_r")
+        along, rough = tables[0].along[mine], tables[0].state[mine] >= 0
+        together = np.array([_together(table)[mine] for table in tables])
+        values = {"pressure $-\\sigma_{nn}$": np.array([table.pressure[mine] for table in tables])}
+        if rough.any():
+            values["shear $\\sigma_t$"] = np.array([table.shear[mine] for table in tables])
+            slip = np.array([table.slip[mine] for table in tables])
+            values["slip $u_t$"] = np.where(together, slip, np.nan)
+        ends = along[together.any(axis=0)] if together.any() else along
+        room = 0.1 * np.ptp(ends)
+        limits = max(along.min(), ends.min() - room), min(along.max(), ends.max() + room)
+        for column, (word, found) in enumerate(values.items()):
+            axes = sheet.panel(row, column, aspect=2.8 / 2.4 if rubs else 1.5)
+            largest = max(float(np.abs(np.nan_to_num(found)).max(initial=0.0)), 1e-300)
+            low, colours = (0.0, style.FLUX_MAP) if column == 0 else (-largest, "RdBu_r")
             grid = _edges(along), np.append(2 * times[0] - times[1] if len(times) > 1 else 0.0, times)
-            of_facets = found.reshape(len(lines), -1, 2).mean(axis=2)
-            image = axes.pcolormesh(*grid, of_facets, cmap=colours, vmin=low, vmax=least, rasterized=True)
+            of_facets = found.reshape(len(tables), -1, 2).mean(axis=2)
+            image = axes.pcolormesh(*grid, of_facets, cmap=colours, vmin=low, vmax=largest, rasterized=True)
+            axes.set_facecolor("0.85")
             axes.grid(visible=False)
-            axes.set(xlabel=f"${label}$", ylabel="$t$", title=name)
+            axes.set(xlabel=f"${label}$", ylabel="$t$", title=name, xlim=limits)
             sheet.bar(axes, image, word)
-    sheet.legend_below([])
+    has_open = rubs and any((table.state == OPEN).any() for table in tables)
+    sheet.legend_below([Patch(color="0.85", label="apart")] if has_open else [])
     return sheet
+
+
+def _together(table: ContactTable) -> Mask:
+    """Which vertices are in contact, or have a bound of the shear though they are not."""
+    return table.touching | ((table.state >= 0) & (table.state != OPEN))
 
 
 def _edges(along: Array) -> Array:
