@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.contact.laws import Wall
+from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.forms.elasticity import hellinger_reissner, strain, stress_product
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.data import elastic_data
@@ -232,8 +232,10 @@ def test_bad_input():
         ElasticProblem(1.0, 0.3, plane="thin")
     with pytest.raises(InputError, match="plane: a body in space is not in plane stress; leave it out"):
         solve(box(COMM, 1, *UNIT[3]), (held, ElasticProblem(1.0, 0.3, plane="stress")))
-    with pytest.raises(InputError, match="laws: must be a list of laws of friction, such as"):
-        ElasticProblem(1.0, 0.3, laws=[Wall(["y0"], beta=1)])
+    with pytest.raises(InputError, match="laws: must be a list of laws, such as"):
+        ElasticProblem(1.0, 0.3, laws=["wall"])  # type: ignore[list-item]
+    with pytest.raises(InputError, match="laws: those of an elastic body hold on parts, not in regions"):
+        ElasticProblem(1.0, 0.3, laws=[Corners([[0, 0]], region="all")])
 
 
 def test_what_is_given_must_not_pass_the_foundation():

@@ -136,7 +136,11 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ('fixed = {left = "n"}', 'fixed = {left = "z"}', "part 'left' is fixed in z, which there is only in space"),
         ("young = 1\n", "young = 1e300\n", "young: its largest value, 1.0e+300, is outside 1e-100"),
         ("[0, -0.1]", '[0, "1/(x - x)"]', "[problem] f: not finite everywhere"),
-        ('h = "1/4"', f'h = "1/4"\n{LAW}', "unknown key 'muu' in [law]; known are kind, parts, gap, g, mu"),
+        (
+            'h = "1/4"',
+            f'h = "1/4"\n{LAW}',
+            "unknown key 'muu' of the law 'friction'; known are kind, parts, gap, g, mu",
+        ),
         ('["bottom"]', '["floor"]', "contact: unknown part 'floor' of square"),
         ('h = "1/4"', 'h = "1/4"\nalgorithm = "vi"', "[solve] algorithm: elastic contact is solved by alg1 or alg2"),
         ('h = "1/4"', 'h = "1/4"\neps = 1e-3', "[solve] eps: elastic contact has no such key"),

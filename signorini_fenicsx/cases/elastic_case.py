@@ -70,15 +70,6 @@ class ContactTexts(Section):
     mu: Expression | None = None
 
     @model_validator(mode="after")
-    def _one_bound(self) -> Self:
-        if self.kind == "friction" and (self.g is None) == (self.mu is None):
-            raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
-        if self.kind == "contact" and (self.g or self.mu) is not None:
-            key = "mu" if self.g is None else "g"
-            raise ValueError(f"unknown key '{key}' of the law 'contact', which has no friction; use kind \"friction\"")
-        return self
-
-    @model_validator(mode="after")
     def _own_keys(self) -> Self:
         extra = list(self.model_extra or {})
         if self.kind in WITH_CONTACT:
@@ -95,6 +86,15 @@ class ContactTexts(Section):
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             raise ValueError(str(first["ctx"]["error"]) if "ctx" in first else first["msg"]) from None
+        return self
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> Self:
+        if self.kind == "friction" and (self.g is None) == (self.mu is None):
+            raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
+        if self.kind == "contact" and (self.g or self.mu) is not None:
+            key = "mu" if self.g is None else "g"
+            raise ValueError(f"unknown key '{key}' of the law 'contact', which has no friction; use kind \"friction\"")
         return self
 
     def _normal(self) -> LawTexts:
