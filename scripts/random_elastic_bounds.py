@@ -1,12 +1,14 @@
 """Tests the bound of elastic contact on random problems against solutions on adaptive meshes: sharp, and never too low.
 
 uv run python scripts/random_elastic_bounds.py --seeds 60
+uv run python scripts/random_elastic_bounds.py --seeds 20 --bodies
 
 A seed chooses the square, the L-shape or the cube, its mesh, the parts in contact, loaded, or fixed in a component, a
 constant f, linear tractions, a curved gap, ν from 0 to 0.49 and, in the plane, sometimes Tresca's friction: all of them
 are in the discrete spaces, so that the bound is guaranteed. A row has ‖σ_f − σ_h‖ with σ_f from a mesh that is refined
 where its bound says so, the ratio of the bound of σ_h to it, and that of the bound of σ_f. If the first is below 1, the
-second decides whether σ_f is not exact enough or the bound is too low.
+second decides whether σ_f is not exact enough or the bound is too low. With `--bodies` a seed chooses two bodies that
+touch along a slanted side, an opening between them, different E and, in half of the plane problems, Tresca's friction.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -15,6 +17,7 @@ import argparse
 import sys
 from dataclasses import dataclass
 
+import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 from random_bounds import Row
@@ -26,9 +29,18 @@ from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import (
+    Contact,
+    Dirichlet,
+    ElasticBoundary,
+    Elasticity,
+    ElasticProblem,
+    Neumann,
+    Tresca,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -76,17 +88,56 @@ def problem_of(rng: np.random.Generator, shape: str) -> tuple[ElasticBoundary, E
     )
 
 
+def two_bodies(rng: np.random.Generator, dim: int) -> Domain:
+    """Two random parallelepipeds on top of each other, cut along their common side, the part `fault`."""
+    last, cells = dim - 1, 4 if dim == 2 else 2
+    low, high = np.zeros(dim), np.ones(dim)
+    low[last] = -float(rng.choice([0.5, 1.0]))
+    make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
+    numbers = [cells] * last + [round(cells * (1 - low[last]))]
+    mesh = make(MPI.COMM_SELF, [low, high], numbers)
+    stretch = np.eye(dim) + rng.uniform(-0.25, 0.25, (dim, dim))
+    mesh.geometry.x[:, :dim] = mesh.geometry.x[:, :dim] @ stretch.T
+
+    def before(x: Array) -> Array:
+        return np.linalg.solve(stretch, x[:dim])
+
+    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (last, low[last]), "top": (last, 1.0), "fault": (last, 0.0)}
+    walls |= {"front": (1, 0.0), "back": (1, 1.0)} if dim == 3 else {}
+    parts = {name: lambda x, axis=axis, at=at: np.isclose(before(x)[axis], at) for name, (axis, at) in walls.items()}
+    regions = {"upper": lambda x: before(x)[last] > -1e-9, "lower": lambda x: before(x)[last] < 1e-9}
+    return domain_of(mesh, parts, regions, inner=["fault"], sides={"fault": "upper"})
+
+
+def problem_of_bodies(rng: np.random.Generator, dim: int) -> Elasticity:
+    """A random problem of two bodies whose data are in the discrete spaces; each body is held on one side."""
+    opening = f"{rng.uniform(0, 0.05)} + {rng.uniform(0, 0.1)}*(x - {rng.uniform(0, 1)})^2"
+    friction = Tresca(float(rng.uniform(0, 0.1))) if dim == 2 and rng.random() < 0.5 else None
+    load = [str(x) for x in rng.uniform(-0.5, 0.5, dim)]
+    return Elasticity(
+        young={"upper": 1.0, "lower": float(rng.choice([0.2, 1.0, 5.0]))},
+        poisson=float(rng.choice([0.0, 0.3, 0.45, 0.49])),
+        f=[str(x) for x in rng.uniform(-1, 1, dim)],
+        conditions=[
+            Dirichlet([str(rng.choice(["top", "right"]))], ["0"] * dim),
+            Dirichlet(["bottom"], ["0"] * dim),
+            Neumann(["left"], load),
+            Contact(["fault"], gap=opening, friction=friction),
+        ],
+    )
+
+
 def energy_difference(coarse: ElasticSolution, fine: ElasticSolution) -> float:
-    """‖σ − σ'‖ in the energy norm for E = 1, by quadrature on the finer mesh, each point searched in all cells."""
-    dim, poisson = fine.spaces.dim, float(str(fine.problem.poisson))
-    theta = poisson if dim == 2 else poisson / (1 + poisson)
+    """‖σ − σ'‖ in the energy norm, by quadrature on the finer mesh, each point searched in all cells."""
+    dim, cells = fine.spaces.dim, np.arange(len(fine.spaces.vertices), dtype=np.int32)
+    softness, theta = (modulus[:, 0] for modulus in fine.data.moduli(fine.data.points(fine.spaces, cells)))
     rule = SplitQuadrature.of_degree(dim, 2)
     corners = split_vertices(fine.spaces.vertices)
     points = np.einsum("qa,nsai->nsqi", rule.local, corners)
     off = np.einsum("qa,nsaij->nsqij", rule.local, fine.stresses)
     off -= stress_at(coarse, points.reshape(-1, dim)).reshape(off.shape)
-    product = (1 + poisson) * ((off**2).sum(axis=(3, 4)) - theta * np.einsum("nsqii->nsq", off) ** 2)
-    weights = Cells(fine.spaces.vertices).measure[:, None, None] / (dim + 1) * rule.weights
+    product = (off**2).sum(axis=(3, 4)) - theta[:, None, None] * np.einsum("nsqii->nsq", off) ** 2
+    weights = (softness * Cells(fine.spaces.vertices).measure)[:, None, None] / (dim + 1) * rule.weights
     return float(np.sqrt((weights * product).sum()))
 
 
@@ -107,30 +158,49 @@ def stress_at(solution: ElasticSolution, points: Array) -> Array:
     return np.einsum("pa,paij->pij", local, solution.stresses[cells, subcells])
 
 
-def measured(seed: int) -> ElasticRow:
-    """Solve and bound the problem of a seed.
+def one_body(seed: int) -> tuple[str, Domain, tuple[ElasticBoundary, ElasticProblem]]:
+    """What the problem of a seed is, its mesh, and the problem."""
+    rng = np.random.default_rng(seed)
+    shape = str(rng.choice(["square", "lshape", "square", "cube"]))
+    size, mesh = (rng.uniform(0.3, 0.6), "unstructured") if SHAPES[shape].dim == 2 else (1.7, "structured")
+    coarse = build_domain(MPI.COMM_SELF, shape, size, mesh=mesh)
+    boundary, problem = problem_of(rng, shape)
+    friction = ", friction" if problem.laws else ""
+    return (
+        f"{shape}, contact on {', '.join(boundary.contact)}, ν = {problem.poisson}{friction}",
+        coarse,
+        (boundary, problem),
+    )
+
+
+def bodies(seed: int) -> tuple[str, Domain, tuple[ElasticBoundary, ElasticProblem]]:
+    """What the problem of two bodies of a seed is, its mesh, and the problem."""
+    rng = np.random.default_rng(seed)
+    dim = int(rng.choice([2, 2, 2, 3]))
+    coarse, conditions = two_bodies(rng, dim), problem_of_bodies(rng, dim)
+    boundary, problem = conditions.on(coarse)
+    friction = ", friction" if problem.laws else ""
+    return f"two bodies in {dim}D, E = {problem.young}, ν = {problem.poisson}{friction}", coarse, (boundary, problem)
+
+
+def measured(seed: int, *, touching: bool) -> ElasticRow:
+    """Solve and bound the problem of a seed, of two bodies that touch or of one.
 
     Raises:
         InputError: If there is no such problem, as the body can move.
     """
-    rng = np.random.default_rng(seed)
-    shape = str(rng.choice(["square", "lshape", "square", "cube"]))
-    dim = SHAPES[shape].dim
-    size, mesh = (rng.uniform(0.3, 0.6), "unstructured") if dim == 2 else (1.7, "structured")
-    coarse = build_domain(MPI.COMM_SELF, shape, size, mesh=mesh)
-    boundary, problem = problem_of(rng, shape)
-    solution = solve(coarse, (boundary, problem))
+    about, coarse, asked = (bodies if touching else one_body)(seed)
+    solution = solve(coarse, asked)
 
     def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
-        return solve(domain, (boundary, problem), start=start)
+        return solve(domain, asked, start=start)
 
+    dim = coarse.mesh.topology.dim
     finer, of_finer = adapt(coarse, solve_on, max_cells=CELLS[dim])
     certificate, difference = certify_elastic(solution), energy_difference(solution, finer)
     wrong = certificate.sigma_bound < (1 - 1e-9) * (difference - of_finer.sigma_bound)
-    friction = ", friction" if problem.laws else ""
-    poisson = float(str(problem.poisson))
-    about = f"{shape}, contact on {', '.join(boundary.contact)}, ν = {problem.poisson}{friction}"
     assert certificate.guaranteed
+    poisson = float(str(asked[1].poisson))
     return ElasticRow(about, difference, certificate.sigma_bound, wrong, poisson, dim, of_finer.sigma_bound)
 
 
@@ -139,11 +209,12 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--seeds", type=int, default=60, help="number of problems that have a solution")
     options.add_argument("--first", type=int, default=0)
+    options.add_argument("--bodies", action="store_true", help="two bodies that touch instead of one")
     asked = options.parse_args()
     rows, seed = list[ElasticRow](), asked.first
     while len(rows) < asked.seeds:
         try:
-            row = measured(seed)
+            row = measured(seed, touching=asked.bodies)
         except InputError as error:
             if "move rigidly" not in str(error):
                 raise
