@@ -49,7 +49,8 @@ def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
     """A deformed body on its foundation, and half of it; facets of the foundation have shape (facets, 3, 3)."""
     after = Space(moved)
     sheet, (left, right) = _row(2, title)
-    after.draw_outside(sheet, left, "(a) deformed body on its foundation", foundation)
+    beside = " on its foundation" if len(foundation) else ""  # bodies that touch each other alone have none
+    after.draw_outside(sheet, left, f"(a) deformed body{beside}", foundation)
     after.draw_sigma(sheet, right, "(b) half of it")
     sheet.legend_below([])
     return sheet
