@@ -3,6 +3,7 @@
 import resource
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
 from signorini_fenicsx.physics.diffusion.patch import Patch
@@ -110,3 +112,34 @@ def test_watching_a_solve_keeps_nothing_alive():
         collect_garbage(COMM)
         mebibytes.append(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20)
     assert mebibytes[-1] < mebibytes[2] + 40  # 12 a solve were lost
+
+
+SHEET = """
+Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0}; Point(3) = {1, 1, 0}; Point(4) = {0, 1, 0};
+Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1};
+Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1}; Mesh.MeshSizeMax = 0.12;
+Physical Curve("bottom") = {1}; Physical Curve("rest") = {2, 3, 4}; Physical Surface("sheet") = {1};
+"""
+
+
+@pytest.mark.parallel([1, 2])
+def test_meshes_of_an_own_geometry_are_coarser(folder: Path, monkeypatch):
+    """Where a geometry has its own sizes, the meshes of a prediction are coarser than these, not than a default h."""
+    if COMM.rank == 0:
+        (folder / "sheet.geo").write_text(SHEET)
+        (folder / "sheet.toml").write_text(
+            '[geometry]\nfile = "sheet.geo"\n[boundary]\nsignorini = ["bottom"]\n[problem]\nf = "20*(x - 0.5)"\n'
+        )
+    COMM.barrier()
+    made: list[int] = []
+
+    def counted(*given: Any) -> Domain:
+        domain = mesh_case(*given)
+        made.append(domain.cells)
+        return domain
+
+    monkeypatch.setattr("signorini_fenicsx.cases.solving.mesh_case", counted)
+    sizes = Tuning(predict_from=1, coarsen_from=100)
+    assert solve_case(load_case(folder / "sheet.toml"), COMM, tuning=sizes).converged
+    assert len(made) == 2  # that of the problem and one for its prediction
+    assert 4 * made[1] <= made[0]

@@ -55,7 +55,7 @@ def solve_case(
     with watch.phase("mesh"):
         place = domain or mesh_case(case, comm)
     mesh = place.spaces.domain if isinstance(place, Solver) else place
-    remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh.mesh.comm))
+    remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh))
     with watch.phase("assembly"):
         posed = case.posed(mesh.mesh.geometry.dim)
         solver = place if isinstance(place, Solver) else Solver(place, posed)
@@ -72,9 +72,15 @@ def solve_case(
     )
 
 
-def _remade(case: CaseFile, comm: MPI.Comm, factor: float) -> Domain:
-    """A mesh of a case whose h is larger by a factor (collective)."""
-    return mesh_case(case.with_values({"solve.h": factor * case.solve.h}), comm)
+def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
+    """A mesh of a case whose h is larger by a factor (collective).
+
+    Raises:
+        InputError: If the case has a mesh that cannot be made with another h.
+    """
+    asked = case.solve.h if case.geometry.shape is not None else case.file_h
+    h = present.h if asked is None else asked  # a geometry that is meshed with its own sizes
+    return mesh_case(case.with_values({"solve.h": factor * h}), present.mesh.comm)
 
 
 @collector_off()
