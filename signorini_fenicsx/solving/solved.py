@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
@@ -26,8 +27,11 @@ from signorini_fenicsx.solving.options import Options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from ufl import Form
 
     from signorini_fenicsx.certificate.certify import Certificate
+    from signorini_fenicsx.derivatives.controls import Control
+    from signorini_fenicsx.derivatives.gradient import Gradient
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -190,6 +194,29 @@ class Solved(ABC):
         from signorini_fenicsx.certificate.of_solution import certify
 
         return certify(self, for_signorini=for_signorini)
+
+    def linearised(self) -> Any:
+        """The problem linearised at this solution, which knows the change with its data (collective).
+
+        Raises:
+            InputError: If there are no derivatives of such solutions.
+        """
+        raise InputError(f"solutions of {self.physics} have no derivatives")
+
+    @collector_off()
+    def gradient(self, J: Form, controls: Sequence[Control]) -> Gradient:
+        """A functional of this solution and its derivatives by controls, see `derivatives.gradient` (collective).
+
+        Args:
+            J: Integrals, in UFL, in `sigma`, `u` and `p` of this solution, and in controls.
+            controls: Scalar constants and functions in the data of the problem, with the values of when it was solved.
+
+        Raises:
+            InputError: If a control is none, or in neither; if there are no derivatives.
+        """
+        from signorini_fenicsx.derivatives.gradient import gradient
+
+        return gradient(self, J, controls)
 
     @collector_off()
     def _repr_html_(self) -> str | None:

@@ -4,6 +4,10 @@ import math
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact, Iterate
@@ -13,7 +17,7 @@ from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.diffusion.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem, Loads
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.patch import Patch
@@ -142,6 +146,19 @@ class HybridBackend(FacetBackend):
         self._solve(conditions)
         return self.reached(conditions)
 
+    def respond(self, conditions: SiteConditions, loads: Loads) -> tuple[fem.Function, fem.Function, Array]:
+        """Solve without the data, see `FacetSystem.respond`; the last solution stays (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        if self._condensed is not None:
+            return self._system.respond(conditions, loads, partial(self._condensed.respond, conditions))
+        if not conditions.same(self._applied, self.comm):
+            self._applied = None
+            self._impose(conditions)
+        return self._system.respond(conditions, loads, self._solver.solve)
+
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
 
@@ -187,13 +204,18 @@ class HybridBackend(FacetBackend):
             if not conditions.same(self._held, self.comm):
                 self._regret, self._moved = self._regret + FACTORISATION, True
             self._held = conditions
-            essential = self._system.apply(conditions)
+            essential = self._impose(conditions)
             if self._renewed:
                 self._earlier.combine(self._system.matrix, self._system.b, self._system.x, essential)
                 self._renewed = False
-            if self._solver.levels is not None:
-                with self._solver.options():
-                    self._solver.levels.update(conditions.take(self.facets), essential)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._solver.ksp.getIterationNumber()
+
+    def _impose(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        """Apply the conditions, to multigrid as well, and return the owned unknowns that they fix (collective)."""
+        essential = self._system.apply(conditions)
+        if self._solver.levels is not None:
+            with self._solver.options():
+                self._solver.levels.update(conditions.take(self.facets), essential)
+        return essential

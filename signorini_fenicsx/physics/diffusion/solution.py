@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -78,6 +78,7 @@ class Solution(Solved):
         kkt: Residuals of the discrete Signorini problem.
         source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
         step: Number of the step of a problem in time, from 1; None for others.
+        system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
@@ -94,12 +95,23 @@ class Solution(Solved):
     kkt: Residuals
     source: object = None
     step: int | None = None
+    system: Callable[[], Any] | None = field(default=None, compare=False)
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     order = 1
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns, other_tables = shown.table, shown.columns, shown.other_tables
     differences = differences
+
+    def linearised(self) -> Any:
+        """The problem linearised at this solution, see `linearised.Linearised` (collective).
+
+        Raises:
+            InputError: If the method solves another discrete problem.
+        """
+        from signorini_fenicsx.physics.diffusion.linearised import linearised  # which knows solutions
+
+        return linearised(self)
 
     @collector_off()
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
@@ -216,7 +228,7 @@ class Solution(Solved):
         found: dict[str, dict[str, Any]] = {}
         spaces, laws = self.spaces, self.data.inside
         for part in laws.of_regions if laws is not None else ():
-            names, segment = part.law.segments, self._segments_of(part)
+            names, segment = part.law.segments, self.segments_of_law(part)
             on = [part.rows[segment == number] for number in range(len(names))]
             local = np.array([[len(some), spaces.cell_measures[some].sum()] for some in on])
             counts = spaces.mesh.comm.allreduce(local).tolist()
@@ -226,7 +238,7 @@ class Solution(Solved):
             }
         return found
 
-    def _segments_of(self, part: PartLaw) -> Indices:
+    def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each of its cells is on (collective)."""
         laws, cells, own = self.data.inside, self.segments().cells, part.rows
         assert laws is not None
