@@ -17,6 +17,7 @@ from signorini_fenicsx import (
     Dirichlet,
     Domain,
     Friction,
+    InputError,
     Neumann,
     Obstacle,
     Options,
@@ -29,6 +30,7 @@ from signorini_fenicsx import (
     domain_of,
     solve,
 )
+from signorini_fenicsx.derivatives.gradient import NotDifferentiable
 from signorini_fenicsx.meshes.meshing import build_domain
 
 COMM = MPI.COMM_WORLD
@@ -177,6 +179,13 @@ def test_taylor(name: str):
         move(given.controls, directions, -step)
         remainders.append(there - value - step * pairing(gradients, directions))
         assert (other.segments().segment == solution.segments().segment).all()
+    change = solution.derivative(dict(zip(given.controls, directions, strict=True)))
+    J, direct = given.functional(solution), 0.0
+    for function, its in ((solution.sigma, change.sigma), (solution.u, change.u), (solution.p, change.p)):
+        direct += solution.spaces.integrate(ufl.derivative(J, function, its))
+    first = given.controls[0]
+    direct += directions[0] * 2 * solution.spaces.integrate(first * solution.u * ufl.dx)
+    assert pairing(gradients, directions) == pytest.approx(direct, rel=1e-9)
     assert abs(remainders[1]) < 0.05 * abs(there - value)
     assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)
 
@@ -193,3 +202,50 @@ def test_ranks(name: str):
         numbers = [gradient for gradient in gradients if isinstance(gradient, float)]
         found.append([value, pairing(gradients, directions_of(given.controls)), *numbers])
     assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-10)
+
+
+def test_biactive():
+    """On a corner of the law the derivative is one-sided, exact, and no gradient is claimed."""
+    domain = build_domain(COMM, "square", 0.15, mesh="structured")
+    (f,) = constants(domain, -4.0)
+    psi, lift, bump = (function(domain, lambda x: 0 * x[0], element) for element in (("DG", 0), ("P", 1), ("P", 1)))
+    psi.x.array[:] = -1.0
+    bump.interpolate(lambda x: np.sin(6 * x[0]) * x[1])
+    problem = Diffusion(f=f, conditions=[Signorini("bottom", psi=psi), Dirichlet(["top", "left", "right"], lift)])
+    free = solve(domain, problem)
+    psi.x.array[free.spaces.cells[2:6]] = free.p.x.array[2:6]  # p − ψ = σ·n − q_S = 0 on these four facets
+    solution = solve(domain, problem)
+    for sign in (1.0, -1.0):
+        change = solution.derivative({f: sign, lift: bump})
+        f.value, lift.x.array[:] = -4.0 + 0.01 * sign, 0.01 * bump.x.array
+        there = solve(domain, problem)
+        f.value, lift.x.array[:] = -4.0, 0.0
+        for part, before, its in (
+            (there.u, solution.u, change.u),
+            (there.p, solution.p, change.p),
+            (there.sigma, solution.sigma, change.sigma),
+        ):
+            assert part.x.array == pytest.approx(before.x.array + 0.01 * its.x.array, abs=1e-11)
+    assert solution.derivative({f: 1.0}).p.x.array[3] > 0
+    assert solution.derivative({f: -1.0}).p.x.array[3] == 0
+    with pytest.warns(NotDifferentiable, match="4 sites") as warned:
+        solution.gradient(solution.u * ufl.dx, [f])
+    assert warned[0].message.places.shape == (4, 2)  # type: ignore[union-attr]
+
+
+def test_refusals():
+    """What is no control, is in no datum, or solves another problem."""
+    given = one_law(COMM)
+    solution = solve(given.domain, given.problem)
+    (stranger,) = constants(given.domain, 1.0)
+    with pytest.raises(InputError, match="not float"):
+        solution.gradient(solution.u * ufl.dx, [1.0])
+    with pytest.raises(InputError, match="number 2 is in no datum"):
+        solution.gradient(solution.u * ufl.dx, [given.controls[0], stranger])
+    with pytest.raises(InputError, match="1 control in no datum"):
+        solution.derivative({stranger: 1.0})
+    with pytest.raises(InputError, match="must be a scalar"):
+        solution.derivative({fem.Constant(given.domain.mesh, (1.0, 2.0)): 1.0})
+    other = solve(given.domain, given.problem, Options(algorithm="slimane", eps=1e-3))
+    with pytest.raises(InputError, match="solves another discrete problem"):
+        other.gradient(other.u * ufl.dx, given.controls)

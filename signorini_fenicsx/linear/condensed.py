@@ -12,7 +12,6 @@ every rank; `kept_factors` is for more sites, of which few change.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +76,7 @@ class Condensed:
         x.array_w[self._dofs[held]] = conditions.values_where(held)
 
     def respond(self, conditions: SiteConditions, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve with another right side, under conditions whose values count as 0 (collective).
+        """Solve with another right side, under conditions without values (collective).
 
         Raises:
             LinearSolveFailure: If the solve fails.
@@ -86,7 +85,7 @@ class Condensed:
         self._b.array_w[:] = b.array_r
         try:
             self._free = self._traces(np.zeros(len(self._measure)))
-            self.solve(replace(conditions, value=0.0), x)
+            self.solve(conditions, x)
         finally:
             self._b.array_w[:], self._free = kept
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from signorini_fenicsx.certificate.certify import Certificate
     from signorini_fenicsx.derivatives.controls import Control
-    from signorini_fenicsx.derivatives.gradient import Gradient
+    from signorini_fenicsx.derivatives.gradient import Change, Gradient
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -195,8 +195,12 @@ class Solved(ABC):
 
         return certify(self, for_signorini=for_signorini)
 
-    def linearised(self) -> Any:
+    def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, which knows the change with its data (collective).
+
+        Args:
+            tolerance: Sites whose p and σ·n are on a corner of their law, but for this share of their sizes, are
+                biactive.
 
         Raises:
             InputError: If there are no derivatives of such solutions.
@@ -204,19 +208,35 @@ class Solved(ABC):
         raise InputError(f"solutions of {self.physics} have no derivatives")
 
     @collector_off()
-    def gradient(self, J: Form, controls: Sequence[Control]) -> Gradient:
+    def gradient(self, J: Form, controls: Sequence[Control], **tolerance: float) -> Gradient:
         """A functional of this solution and its derivatives by controls, see `derivatives.gradient` (collective).
 
         Args:
             J: Integrals, in UFL, in `sigma`, `u` and `p` of this solution, and in controls.
             controls: Scalar constants and functions in the data of the problem, with the values of when it was solved.
+            **tolerance: By this name, which sites are biactive.
 
         Raises:
             InputError: If a control is none, or in neither; if there are no derivatives.
         """
         from signorini_fenicsx.derivatives.gradient import gradient
 
-        return gradient(self, J, controls)
+        return gradient(self, J, controls, **tolerance)
+
+    @collector_off()
+    def derivative(self, direction: Mapping[Control, Any], **tolerance: float) -> Change:
+        """The change of this solution with controls, see `derivatives.gradient.derivative` (collective).
+
+        Args:
+            direction: For each control its change: a number for a constant, for a function one of its space.
+            **tolerance: By this name, which sites are biactive.
+
+        Raises:
+            InputError: If a control is none, or in no datum; if there are no derivatives.
+        """
+        from signorini_fenicsx.derivatives.gradient import derivative
+
+        return derivative(self, direction, **tolerance)
 
     @collector_off()
     def _repr_html_(self) -> str | None:

@@ -255,7 +255,7 @@ class FacetSystem:
         """Solve with any right side, without the data, under conditions that were imposed last (collective).
 
         Args:
-            conditions: The conditions; their values count as 0.
+            conditions: These conditions; their values do not matter.
             loads: The right side.
             solve: Solves with `matrix`.
 

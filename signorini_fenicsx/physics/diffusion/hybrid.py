@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -147,17 +148,18 @@ class HybridBackend(FacetBackend):
         return self.reached(conditions)
 
     def respond(self, conditions: SiteConditions, loads: Loads) -> tuple[fem.Function, fem.Function, Array]:
-        """Solve without the data, see `FacetSystem.respond`; the last solution stays (collective).
+        """Solve with any right side, see `FacetSystem.respond`; the last solution stays (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
+        plain = replace(conditions, value=0.0)
         if self._condensed is not None:
-            return self._system.respond(conditions, loads, partial(self._condensed.respond, conditions))
-        if not conditions.same(self._applied, self.comm):
+            return self._system.respond(plain, loads, partial(self._condensed.respond, plain))
+        if self._applied is None or not plain.same(replace(self._applied, value=0.0), self.comm):
             self._applied = None
-            self._impose(conditions)
-        return self._system.respond(conditions, loads, self._solver.solve)
+            self._impose(plain)
+        return self._system.respond(plain, loads, self._solver.solve)
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).

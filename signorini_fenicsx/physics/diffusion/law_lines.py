@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Penalty
 from signorini_fenicsx.contact.law import Graph
 from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, means_of
@@ -78,3 +79,24 @@ def _line(graph: Graph, segment: Indices, steep: Mask) -> tuple[Array, Array]:
     ends = [np.where(steep, 0.0, np.broadcast_to(slope, number)) for slope in (graph.before, graph.beyond)]
     slope = np.where(steep, 0.0, np.where(segment == 0, ends[0], np.where(segment == last, ends[1], inner)))
     return slope, np.where(steep, u[before, sites], flux[before, sites] + slope * u[before, sites])
+
+
+def rays(slopes: tuple[Array, Array], values: tuple[Array, Array]) -> Chains:
+    """Chains of the two rays that meet where two lines do, u = value where the slope is ∞, else flux + slope·u = value.
+
+    Two equal lines are one.
+
+    Args:
+        slopes: Of the ray before the corner and of that beyond it.
+        values: Of both lines.
+    """
+    steep = [np.isinf(slope) for slope in slopes]
+    (before, beyond), (one, other) = (
+        (np.where(hold, 0.0, slope) for hold, slope in zip(steep, slopes, strict=True)),
+        values,
+    )
+    fall = before - beyond
+    u = np.where(steep[0], one, np.where(steep[1], other, 0.0))
+    u = np.where(steep[0] | steep[1] | (fall == 0), u, (one - other) / np.where(fall == 0, 1.0, fall))
+    flux = np.where(steep[0], np.where(steep[1], 0.0, other - beyond * u), one - before * u)
+    return Chains.through(u[:, None], flux[:, None], *slopes)

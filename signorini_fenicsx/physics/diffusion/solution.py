@@ -103,7 +103,7 @@ class Solution(Solved):
     table, columns, other_tables = shown.table, shown.columns, shown.other_tables
     differences = differences
 
-    def linearised(self) -> Any:
+    def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, see `linearised.Linearised` (collective).
 
         Raises:
@@ -111,7 +111,7 @@ class Solution(Solved):
         """
         from signorini_fenicsx.physics.diffusion.linearised import linearised  # which knows solutions
 
-        return linearised(self)
+        return linearised(self, tolerance)
 
     @collector_off()
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
