@@ -28,8 +28,11 @@ from signorini_fenicsx import (
     TwoSided,
     Wall,
     domain_of,
+    load_case,
     solve,
+    solve_case,
 )
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.derivatives.gradient import NotDifferentiable
 from signorini_fenicsx.meshes.meshing import build_domain
 
@@ -249,3 +252,25 @@ def test_refusals():
     other = solve(given.domain, given.problem, Options(algorithm="slimane", eps=1e-3))
     with pytest.raises(InputError, match="solves another discrete problem"):
         other.gradient(other.u * ufl.dx, given.controls)
+
+
+def test_paths():
+    """Numbers of a case are controls by their paths; the gradient is that of differences."""
+    case = load_case("dam")
+    solver = Solver(mesh_case(case, COMM), case.posed(2))
+    paths = ["problem.kappa.core", "problem.kappa.shell"]
+    solution = solve_case(case, domain=solver)
+    _, gradients = solution.gradient(solution.u**2 * ufl.dx, [*paths, "problem.f"])
+    change = solution.derivative({paths[0]: 1.0})
+    of_core = solution.spaces.integrate(2 * solution.u * change.u * ufl.dx)
+    assert gradients[0] == pytest.approx(of_core, rel=1e-9)
+    for core, shell, gradient in ((1e-3, 0.0, gradients[0]), (0.0, 1e-3, gradients[1])):
+        sides = []
+        for sign in (1, -1):
+            kappa = {"core": 0.3 + sign * core, "shell": 1.0 + sign * shell}
+            other = solve_case(case.with_values({"problem.kappa": kappa}), domain=solver)
+            sides.append(other.spaces.integrate(other.u**2 * ufl.dx))
+        assert (sides[0] - sides[1]) / 2e-3 == pytest.approx(gradient, rel=1e-4)
+    for path, match in (("problem.psi", "no number"), ("problem.kappa.rock", "no such"), ("law.0.g", "no such")):
+        with pytest.raises(InputError, match=match):
+            solution.gradient(solution.u * ufl.dx, [path])

@@ -19,6 +19,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
+from signorini_fenicsx.derivatives.paths import with_constants
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import at_points
 
@@ -86,7 +87,7 @@ class Change:
         return values[0], values[1]
 
 
-def gradient(solution: Any, J: Form, controls: Sequence[Control], tolerance: float = BIACTIVE) -> Gradient:
+def gradient(solution: Any, J: Form, controls: Sequence[Control | str], tolerance: float = BIACTIVE) -> Gradient:
     """The value of a functional and its derivatives by controls, by one linear solve (collective).
 
     Where sites are biactive there is no gradient. Then it is that under the present segments, and rank 0 warns, see
@@ -95,14 +96,16 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control], tolerance: flo
     Args:
         solution: A solution; the controls have the values with which it was solved.
         J: Integrals, in UFL, in its `sigma`, `u` and `p`, and in controls.
-        controls: Scalar constants and functions in the data of the problem, or in J.
+        controls: Scalar constants and functions in the data of the problem, or in J; or paths to numbers in it, such as
+            "problem.kappa.rock".
         tolerance: Which sites are biactive.
 
     Raises:
         InputError: If a control is none, or in neither; if the solution has no derivatives.
         LinearSolveFailure: If the linear solver does not converge.
     """
-    for control in controls:
+    solution, constants = with_constants(solution, controls)
+    for control in constants:
         check_control(control)
     problem, spaces = solution.linearised(tolerance), solution.spaces
     comm = spaces.mesh.comm
@@ -112,13 +115,13 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control], tolerance: flo
     sensitivities = problem.adjoint(J)
     of_data = sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
     whole = J + of_data
-    for number, control in enumerate(controls):
+    for number, control in enumerate(constants):
         if not occurs(control, whole):
             raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
-    return Gradient(spaces.integrate(J), [gradient_of(spaces, whole, control) for control in controls])
+    return Gradient(spaces.integrate(J), [gradient_of(spaces, whole, control) for control in constants])
 
 
-def derivative(solution: Any, direction: Mapping[Control, Any], tolerance: float = BIACTIVE) -> Change:
+def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance: float = BIACTIVE) -> Change:
     """The change of a solution, by one linear solve (collective).
 
     Biactive sites move along one of the two segments that meet there, so it is the derivative in this direction alone,
@@ -126,7 +129,7 @@ def derivative(solution: Any, direction: Mapping[Control, Any], tolerance: float
 
     Args:
         solution: A solution; the controls have the values with which it was solved.
-        direction: For each control its change: a number for a constant, for a function one of its space.
+        direction: For each control, or path, its change: for a function one of its space, else a number.
         tolerance: Which sites are biactive.
 
     Raises:
@@ -134,17 +137,21 @@ def derivative(solution: Any, direction: Mapping[Control, Any], tolerance: float
         LinearSolveFailure: If the linear solver does not converge.
         NumericalFailure: If the sets of biactive sites do not settle.
     """
-    for control in direction:
+    solution, controls = with_constants(solution, direction)
+    for control in controls:
         check_control(control)
     problem = solution.linearised(tolerance)
-    unused = list(direction)
+    moved = list(zip(controls, direction.values(), strict=True))
+    used: set[int] = set()
 
     def vary(form: Form) -> Form:
-        present = [control for control in direction if occurs(control, form)]
-        unused[:] = [control for control in unused if not any(control is other for other in present)]
-        return sum_of([varied(form, control, direction[control]) for control in present])
+        present = [number for number, control in enumerate(controls) if occurs(control, form)]
+        used.update(present)
+        return sum_of([varied(form, *moved[number]) for number in present])
 
     changes = {name: seen.changes(vary) for name, seen in problem.seen.items()}
-    if unused:
-        raise InputError(f"direction: {counted(len(unused), 'control')} in no datum of the problem that was solved")
+    if len(used) < len(controls):
+        raise InputError(
+            f"direction: {counted(len(controls) - len(used), 'control')} in no datum of the problem that was solved"
+        )
     return Change(**problem.change(changes)._asdict(), spaces=solution.spaces)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
 
 import numpy.typing as npt
 from dolfinx import fem
@@ -195,6 +195,10 @@ class Solved(ABC):
 
         return certify(self, for_signorini=for_signorini)
 
+    def of_problem(self, problem: Any) -> Self:
+        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        raise InputError(f"solutions of {self.physics} have no derivatives")
+
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, which knows the change with its data (collective).
 
@@ -208,12 +212,13 @@ class Solved(ABC):
         raise InputError(f"solutions of {self.physics} have no derivatives")
 
     @collector_off()
-    def gradient(self, J: Form, controls: Sequence[Control], **tolerance: float) -> Gradient:
+    def gradient(self, J: Form, controls: Sequence[Control | str], **tolerance: float) -> Gradient:
         """A functional of this solution and its derivatives by controls, see `derivatives.gradient` (collective).
 
         Args:
             J: Integrals, in UFL, in `sigma`, `u` and `p` of this solution, and in controls.
-            controls: Scalar constants and functions in the data of the problem, with the values of when it was solved.
+            controls: Scalar constants and functions in the data of the problem, with the values of when it was solved;
+                or paths to numbers in it, such as "problem.kappa.rock".
             **tolerance: By this name, which sites are biactive.
 
         Raises:
@@ -224,11 +229,11 @@ class Solved(ABC):
         return gradient(self, J, controls, **tolerance)
 
     @collector_off()
-    def derivative(self, direction: Mapping[Control, Any], **tolerance: float) -> Change:
+    def derivative(self, direction: Mapping[Control | str, Any], **tolerance: float) -> Change:
         """The change of this solution with controls, see `derivatives.gradient.derivative` (collective).
 
         Args:
-            direction: For each control its change: a number for a constant, for a function one of its space.
+            direction: For each control, or path, its change: for a function one of its space, else a number.
             **tolerance: By this name, which sites are biactive.
 
         Raises:

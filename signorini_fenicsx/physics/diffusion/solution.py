@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -30,7 +30,7 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import shown
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.differences import differences
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -102,6 +102,10 @@ class Solution(Solved):
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns, other_tables = shown.table, shown.columns, shown.other_tables
     differences = differences
+
+    def of_problem(self, problem: Problem) -> Self:
+        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        return replace(self, problem=problem, data=project_data(self.spaces, problem).after(self.data.memory))
 
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, see `linearised.Linearised` (collective).
